@@ -38,7 +38,7 @@ from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
 from recon.show.plain import write_report
 from recon.show.report import build_report
-from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, SHAPE, camera_files, of_any_camera, write_tables
+from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, SHAPE, camera_files, reprojection_files, write_tables
 
 WRITING_BEGINS = 0.9
 """Fraction of the time of `recon fit` after which the files are written."""
@@ -64,7 +64,7 @@ OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CO
 def output_files(settings: FitSettings, out: Path) -> list[str]:
     """Return the names of the files that a fit with these settings may write, including existing tables by camera."""
     tables: list[str] = []
-    if of_any_camera(out) or (out / REPROJECTION).exists():
+    if reprojection_files(out) or (out / REPROJECTION).exists():
         with suppress(InputError):  # the fit raises this error too
             tables = camera_files([camera.name for camera, _ in read_clip_cameras(settings)])
     refined = [REFINED_CAMERAS] if settings.seeks_cameras else []

@@ -114,7 +114,7 @@ class Dynamics(Brief):
     """
 
     @cached_property
-    def ways(self) -> Array:
+    def directions(self) -> Array:
         """Return the directions (3, 3) forwards along the centre's path over the clip, sideways, and up, in columns."""
         level_m = self.centre.series.value[:, :2]
         known_m = level_m[np.isfinite(level_m[:, 0])]
@@ -127,7 +127,7 @@ class Dynamics(Brief):
         """Return potential, kinetic (forwards, sideways, up), internal and total energy, each of shape (N,)."""
         series = self.centre.series
         energy = {"potential": G_M_S2 * (series.value[:, 2] - self.ground_m)}
-        energy |= dict(zip(KINETIC, 0.5 * (series.rate @ self.ways).T ** 2, strict=True))
+        energy |= dict(zip(KINETIC, 0.5 * (series.rate @ self.directions).T ** 2, strict=True))
         energy["internal"] = self.internal_j_kg
         return energy | {"total": np.sum([*energy.values()], axis=0)}
 
@@ -135,7 +135,7 @@ class Dynamics(Brief):
     def energy_sigma_j_kg(self) -> dict[str, Array]:
         """Return the standard deviation (N,) of each energy."""
         series = self.centre.series
-        kinetic_sigma = np.abs(series.rate @ self.ways) * np.sqrt(series.rate_sigma**2 @ self.ways**2)
+        kinetic_sigma = np.abs(series.rate @ self.directions) * np.sqrt(series.rate_sigma**2 @ self.directions**2)
         sigma = {"potential": G_M_S2 * series.value_sigma[:, 2]} | dict(zip(KINETIC, kinetic_sigma.T, strict=True))
         sigma["internal"] = self.internal_sigma_j_kg
         return sigma | {"total": np.linalg.norm([*sigma.values()], axis=0)}

@@ -764,7 +764,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     phase : mapping
         Touch-down of LH, RH, LF and RF, in strides.
     duty_factor : float
-        Mean fraction of a stride for which a foot stands.
+        Fraction of a stride for which a foot stands.
 
     References
     ----------

@@ -254,7 +254,7 @@ def animals_needed(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> int | None:
-    """Return the number of animals per group with which an effect is found with a power; None if 1000 are too few."""
+    """Return the animals per group needed to find an effect with the power `wanted`; None if 1000 are too few."""
 
     def is_enough(animals: int) -> bool:
         return power(effect, variances, animals, runs, strides, cameras, paired) >= wanted
@@ -277,7 +277,7 @@ def smallest_effect(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> float:
-    """Return the smallest difference that some animals per group show with a power; NaN for fewer than two animals."""
+    """Return the smallest effect found with the power `wanted`; NaN for fewer than two animals per group."""
     if animals < 2:
         return float("nan")
 

@@ -1,4 +1,4 @@
-"""Sum up a clip's gait: speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
+"""Summarise a clip's gait: speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
 
 The standard deviation of a mean has four independent parts: the scatter of the strides; the errors of touch-down and
 lift-off, which are equal in all strides of a foot, so that only more feet reduce them; the error of the path; and
@@ -95,7 +95,7 @@ def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
     """
     quantities = [_speed(analysis)]
     if (gait := analysis.gait) is not None:
-        quantities += _of_strides(analysis, gait, quantities[0])
+        quantities += _stride_quantities(analysis, gait, quantities[0])
         quantities += _duty_factors(gait)
         quantities += _phases(gait)
         for girdle, feet in PAIRS.items():
@@ -195,7 +195,7 @@ def event_sigma_s(stride: Stride) -> float:
     return stride.duty_sigma * stride.duration_s
 
 
-def _of_strides(analysis: AnalysedClip, gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
+def _stride_quantities(analysis: AnalysedClip, gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
     positive = (0.0, np.inf)
     if not gait.strides:
         yield from _by_period(gait, speed)
@@ -288,8 +288,8 @@ def _phases(gait: Gait) -> Iterator[GaitQuantity]:
         lags = _lags(gait, "LH", foot, phase)
         events_s = _event_sigma_s([s for s in gait.stances if s.foot in ("LH", foot)]) * np.sqrt(2)
         between, scatter = _scatter(lags)
-        of_period = min(phase, 1 - phase) * gait.stride_sigma_s / gait.stride_s
-        unshared = float(np.linalg.norm([scatter, events_s / gait.stride_s, of_period]))
+        period_error = min(phase, 1 - phase) * gait.stride_sigma_s / gait.stride_s
+        unshared = float(np.linalg.norm([scatter, events_s / gait.stride_s, period_error]))
         yield _quantity(f"phase_{foot}", phase, unshared, 0.0, source, between, len(lags))
 
 

@@ -27,9 +27,21 @@ SAME_M = 1e-4
 def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) -> Armature:
     """Return the rig from the first to the last frame with a pose.
 
-    Frames in between without a pose are interpolated, and a note lists them. fps: instead of the motion's frame rate.
-    body_mass_kg: sum of the skeleton's masses. Raises InputError if no frame has a pose, or if lengths change from
-    frame to frame.
+    Frames in between without a pose are interpolated, and a note lists them.
+
+    Parameters
+    ----------
+    motion : Motion
+        The fit.
+    fps : float, optional
+        Frame rate, Hz; that of the motion by default.
+    body_mass_kg : float
+        Mass of the animal, which is divided among the segments in the skeleton's proportions.
+
+    Raises
+    ------
+    InputError
+        If no frame has a pose, or if lengths change from frame to frame.
     """
     frames, states, joints_m = motion.frames, motion.states, motion.upright.xyz_m
     difference_m = np.abs(motion.body.tree.pose(states, motion.size).points_m - joints_m).max(axis=(1, 2))

@@ -54,7 +54,7 @@ def _rounded(values: np.ndarray, decimals: int) -> np.ndarray:
 
 
 def _rounded_sigma(sigma: np.ndarray, decimals: int) -> np.ndarray:
-    """Return standard deviations with three significant digits, and at most so many decimals."""
+    """Return standard deviations with `SIGMA_DIGITS` significant digits, and at most `decimals` decimals."""
     with np.errstate(divide="ignore"):
         exponent = np.floor(np.log10(sigma))
     step = 10.0 ** np.clip(SIGMA_DIGITS - 1 - exponent, 0, decimals)
@@ -187,7 +187,7 @@ def camera_files(cameras: Sequence[str]) -> list[str]:
     return files
 
 
-def of_any_camera(folder: Path) -> list[str]:
+def reprojection_files(folder: Path) -> list[str]:
     """Return the files of a folder that are named like `REPROJECTION` of any camera."""
     return sorted(path.name for path in folder.glob("reprojection_*.csv"))
 
@@ -588,7 +588,7 @@ def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
 
 
 def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
-    """Return tables below each other; without any, the columns without rows."""
+    """Return tables stacked below each other; without any table, empty columns."""
     return {name: np.concatenate([part[name] for part in parts]) if parts else np.empty(0) for name in names}
 
 

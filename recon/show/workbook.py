@@ -71,11 +71,11 @@ def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _unit_in_words(table: pd.DataFrame, column: str) -> str:
-    return "that of the quantity" if "quantity" in table and column in _OF_QUANTITY else unit_of(column)
+    return "unit of the quantity" if "quantity" in table and column in _OF_QUANTITY else unit_of(column)
 
 
 def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return all numbers below each other: table, keys, time, frame, percent, variable, unit, value."""
+    """Return all numbers in one long table: table, of (the texts of the row), `KEYS`, variable, unit, value."""
     parts = [part for name, table in tables.items() for part in _melted(name, table)]
     columns = ["table", "of", *KEYS, "variable", "unit", "value"]
     if not parts:

@@ -25,7 +25,7 @@ def coverage(error: Array, covariance: Array, level: float) -> float:
     covariance
         Covariance stated by the fit, (..., k, k). NaN errors or covariances do not count.
     level
-        Fraction that the regions should contain, as in 0.9.
+        Fraction that the regions should contain, such as 0.9.
 
     Returns
     -------

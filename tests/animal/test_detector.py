@@ -84,7 +84,7 @@ def test_cameras_of_two_detectors_are_not_mixed(runs, tmp_path, other):
             "DLC",
             None,
             "none: the scorer 'DLC' belongs to no known detector; "
-            "two runs with four cameras can measure it: recon subject fit --no-lengths --offsets",
+            "two runs with four cameras measure its keypoint bias: recon subject fit --no-lengths --offsets",
         ),
         (None, None, "none: the keypoint file names no scorer"),
     ],

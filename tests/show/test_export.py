@@ -190,7 +190,7 @@ def test_lengths_and_offsets_that_were_estimated_have_a_table(small_trajectory, 
 def test_every_camera_has_its_table(two_cameras, tmp_path):
     write_tables(two_cameras, tmp_path)
     names = {path.name for path in tmp_path.glob("reprojection*")}
-    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*tables.of_any_camera(tmp_path)}
+    assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*tables.reprojection_files(tmp_path)}
     for picture in two_cameras.pictures:
         table = read_keypoints(tmp_path / f"reprojection_{picture.name}.csv")
         np.testing.assert_allclose(table.xy_px, picture.reprojected_px, **within(tables.PIXEL))

@@ -77,7 +77,7 @@ def test_the_long_table_has_every_number_with_its_unit(whole: ClipAnalysis):
 def test_the_dictionary_states_units_of_every_kind(whole: ClipAnalysis):
     listed = dictionary(analysis_tables(whole)).set_index(["table", "variable"])["unit"]
     assert listed["centre_of_mass", "angular_momentum_x_m2_s"] == "m²/s"
-    assert listed["gait_quantities", "estimate"] == "that of the quantity"
+    assert listed["gait_quantities", "estimate"] == "unit of the quantity"
     assert listed["gait_quantities", "n"] == ""
     assert listed["closures", "closure_angle_percent"] == "%"
 

@@ -499,5 +499,5 @@ def calibration(result: Calibration) -> Figure:
             axes.plot(*view.xy_px.T, "rx", markersize=3)
         axes.set(xlim=edges[:2], ylim=edges[2:], xticks=[], yticks=[])
         bar = figure.colorbar(dots, ax=axes, location="bottom", aspect=60, pad=0.02, shrink=0.7)
-        bar.set_label(f"error of the picture, px (root mean square; of all {result.rms_px:.2f})")
+        bar.set_label(f"error of the picture, px (root mean square; all pictures: {result.rms_px:.2f})")
     return figure

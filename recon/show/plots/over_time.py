@@ -136,12 +136,12 @@ def _fill(colour: str, m: int) -> dict[str, Any]:
     return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}
 
 
-def forces(d: Dynamics, gait: Gait) -> Figure:
+def forces(dynamics: Dynamics, gait: Gait) -> Figure:
     """Draw footfalls, the vertical force of each foot in body weights, and the height of the centre of mass.
 
     Forces and the height have 90 % bands.
     """
-    feet = [foot for foot in ROWS if foot in d.force] or list(d.force)
+    feet = [foot for foot in ROWS if foot in dynamics.force] or list(dynamics.force)
     with style.drawing(26.0 + 24.0 * (len(feet) + 1)) as figure:
         heights = [0.7, *[1.0] * len(feet), 1.0]
         top, *below, last = figure.subplots(len(feet) + 2, 1, sharex=True, gridspec_kw={"height_ratios": heights})
@@ -149,9 +149,9 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
         for row, foot in enumerate(feet):
             foot_stances, colour = [s for s in gait.stances if s.foot == foot], style.foot_colour(foot)
             _bars(top, foot_stances, row, 0.7, colour)
-            middle, low, high = d.force[foot].T
+            middle, low, high = dynamics.force[foot].T
             below[row].fill_between(time_s, low, high, color=colour, alpha=0.25, lw=0)
-            below[row].plot(time_s, d.force[foot][:, 1:], color=colour, lw=0.4)
+            below[row].plot(time_s, dynamics.force[foot][:, 1:], color=colour, lw=0.4)
             below[row].plot(time_s, middle, color=colour)
             below[row].set_ylabel(f"{foot}\n(body weights)")
             below[row].sharey(below[0])
@@ -164,8 +164,8 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
         key = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
         top.set_title(f"stances, and each foot's force ({key})", loc="left")
         below[0].set_ylim(bottom=0)
-        series = d.centre.series
-        height = series.value[:, 2] - d.ground_m
+        series = dynamics.centre.series
+        height = series.value[:, 2] - dynamics.ground_m
         style.draw_band(last, series.time_s, height, np.nan_to_num(series.value_sigma[:, 2]), "0.5", least=-np.inf)
         last.plot(series.time_s, height, color="k")
         last.set_ylabel("centre of\nmass (m)")

@@ -128,7 +128,7 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         return
     offer = ""
     if "belongs to no known detector" in data["reason"]:
-        offer = "; two runs with four cameras can measure it: recon subject fit --no-lengths --offsets"
+        offer = "; two runs with four cameras measure its keypoint bias: recon subject fit --no-lengths --offsets"
     yield "detector", f"{data['name']}: {data['reason']}{offer}"
 
 
@@ -158,11 +158,12 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
     subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one pans")
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
         yield f"{subject} still: if {condition} or moves, its movement is part of the path."
-    if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
-        yield (
-            f"Camera {' and '.join(tracked)}: moves as its track says. The track's world is assumed to be in "
-            "metres with z up; the height of the ground in it is not assumed."
-        )
+    for picture in motion.pictures:
+        if picture.source.moves:
+            yield (
+                f"Camera {picture.name} moves as its track says. The track's world is assumed to be in metres with z "
+                "up; the height of the ground in it is not assumed."
+            )
     if motion.side is not None:
         yield f"Only the limbs of the animal's {motion.side} side are fitted."
     if not motion.knows_up and camera.tilt_rad == 0:
@@ -182,17 +183,17 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     measured = "not measured on this one" if body.subject is None else "measured on this animal"
     size_source, size_text = given_size(motion), "this clip hardly determines it"
     if sources := size_sources(solution):
-        size_text = f"by {' and '.join(sources)} it is {plus_minus(solution.size, solution.size_sigma)}"
+        size_text = f"measured by {' and '.join(sources)}: {plus_minus(solution.size, solution.size_sigma)}"
     proportions = f"The proportions are those of {body.title!r}, {measured}."
     if solution.shape is not None:
         proportions = f"The proportions are estimated, and expected to be about those of {body.title!r}, {measured}."
     yield (
-        f"{proportions} How large the animal is, a factor on all its "
+        f"{proportions} The animal's size, a factor on all its "
         f"lengths, distances and speeds, is expected to be 1{size_source and f' ({size_source})'} with a standard "
         f"deviation of {solution.size_prior_sigma:.2g}; {size_text}."
     )
     detector = file_name(body.detector)
-    offsets = f"next to the markers, as those of the detector {detector}"
+    offsets = f"next to the markers, with the keypoint bias of the detector {detector}"
     if detector in (None, NONE):
         offsets = "on the markers"
     elif detector == OWN:
@@ -200,7 +201,7 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     if solution.shape is None:
         yield f"Keypoints are assumed to lie {offsets}."
     else:
-        yield f"How far keypoints lie from the markers is estimated, and they are expected to lie {offsets}."
+        yield f"The offsets of keypoints from the markers are estimated; keypoints are expected to lie {offsets}."
     source = f"as in the motions that the prior {file_name(solution.prior)} was made from"
     if solution.prior == NO_PRIOR:
         source = "as the skeleton's file says, each angle on its own"

@@ -5,10 +5,10 @@ States, and points that are often absent, have rows where they change, and ellip
 a second:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints; `world/path` (static) and
-`world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each
-segment from its first frame on); `world/camera` (static, unless the camera moves), its frustum; `world/followed`,
-invisible; `world/uncertainty`, one standard deviation of the joints' positions relative to their mean, red in frames
-with a flag; `world/stance`, the standing feet.
+  `world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each
+  segment from its first frame on); `world/camera` (static, unless the camera moves), its frustum; `world/followed`,
+  an invisible box that the view follows; `world/uncertainty`, one standard deviation of the joints' positions relative
+  to their mean, red in frames with a flag; `world/stance`, the standing feet.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines, `picture/links` between detections and
   reprojections, except those that their dots would hide.
@@ -74,8 +74,22 @@ def write(
 ) -> None:
     """Write the recording `motion.rrd`, with the blueprint that lays out its views.
 
-    The viewer plays the recording in a loop, slowly if it is short. analysis: its plots get tabs of their own. video:
-    video behind the picture of a camera, given by its number. first_frame: frame number of the video's first frame.
+    The viewer plays the recording in a loop, slowly if it is short.
+
+    Parameters
+    ----------
+    motion : Motion
+        The fit.
+    path : path
+        File to write.
+    analysis : ClipAnalysis, optional
+        Analysis of the motion, whose plots get tabs of their own.
+    video : path, optional
+        Video to show behind the picture of a camera.
+    first_frame : int
+        Frame number, in the clip, of the video's first frame.
+    camera : int
+        Number of the camera whose video it is.
     """
     scenes.require_whole()
     scene, standing = Scene.from_motion(motion), (analysis or ClipAnalysis(motion)).standing
@@ -108,8 +122,8 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
     plots: plots without a tab are in the front row; all angles are in one group of tabs. rows: entities of states.
     """
     several = "s" if len(motion.pictures) > 1 else ""
-    skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
-    overview = _in_space(f"Overview with the camera{several}", _eye_on_all(motion, scene))
+    skeleton = _world_view(_title(motion), _eye_on_animal(motion, scene))
+    overview = _world_view(f"Overview with the camera{several}", _eye_on_all(motion, scene))
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
     other_plots_shown = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
@@ -133,7 +147,7 @@ def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
     return rrb.Blueprint(content, *hidden, time, auto_layout=False, auto_views=False)
 
 
-def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
+def _world_view(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     """Return the world view, with the trail up to the current frame."""
     start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
     upto_now = rrb.VisibleTimeRanges([rr.VisibleTimeRange(t, start=start, end=end) for t in ("frame", "time")])
@@ -153,8 +167,8 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     for picture, entity in zip(pictures, scenes.by_camera(scenes.PICTURE, pictures), strict=True):
         reach, (low, high) = scenes.CLOSE * scenes.middle_and_reach_px(picture)[1], scenes.picture_bounds(picture)
         contents = [f"+ /{entity}/**", f"- /{entity}/{scenes.EDGE_OF_PICTURE}"]
-        closeups.append(_flat(f"{entity}/{scenes.ANIMAL}", picture.name, -reach, reach, contents))
-        wholes.append(_flat(entity, picture.name, low, high))
+        closeups.append(_picture_view(f"{entity}/{scenes.ANIMAL}", picture.name, -reach, reach, contents))
+        wholes.append(_picture_view(entity, picture.name, low, high))
     if len(pictures) == 1:
         closeups[0].name, wholes[0].name = f"Picture, {_MARKS}", "Whole picture"
         return rrb.Tabs(closeups[0], wholes[0], active_tab=0)
@@ -165,7 +179,7 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
 _MARKS = "close up: white detected, ● reprojected, red: outlier"
 
 
-def _flat(
+def _picture_view(
     entity: str, name: str, low: Array, high: Array, contents: Sequence[str] = ("$origin/**",)
 ) -> rrb.Spatial2DView:
     bounds = rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1]))

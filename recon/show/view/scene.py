@@ -62,17 +62,18 @@ GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 @dataclass(frozen=True)
 class TimePlot:
-    """A plot: values (T, lines), and a name and a colour for each line.
-
-    tab: name of the tab that holds the plot, together with other plots of that name.
-    """
+    """A plot of L lines over T frames."""
 
     entity: str
     title: str
     names: Sequence[str]
+    """Names of the L lines."""
     colours: Sequence[Colour]
+    """Colours of the L lines."""
     values: Array
+    """(T, L): values of the lines."""
     tab: str = ""
+    """Name of the tab that holds the plot, together with other plots of that name; empty for the front row."""
 
 
 @dataclass(frozen=True)
@@ -140,18 +141,18 @@ class Log:
 
 @dataclass(frozen=True)
 class Scene:
-    """Geometry that views and entities share, in the motion's frame of reference.
-
-    axes (3, 3): two level unit vectors and the upward one, in rows. low_m, high_m (3,): bounds of the animal over the
-    clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera; its
-    mean if the camera moves.
-    """
+    """Geometry that views and entities share, in the motion's frame of reference."""
 
     axes: Array
+    """(3, 3): two level unit vectors and the upward one, in rows."""
     low_m: Array
+    """(3,): lower bounds of the animal over the clip along the axes."""
     high_m: Array
+    """(3,): upper bounds of the animal over the clip along the axes."""
     size_m: float
+    """Diagonal of the animal."""
     camera_m: Array
+    """(3,): centre of projection of the first camera; its mean if the camera moves."""
 
     @classmethod
     def from_motion(cls, motion: Motion) -> Scene:
@@ -501,6 +502,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
 # -- recordings --------------------------------------------------------------------------------------------------------
 
 _AT_ONCE = 1 << 20
+"""Number of bytes copied at once."""
 
 
 def require_whole() -> None:

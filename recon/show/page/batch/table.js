@@ -1,6 +1,6 @@
 // A table of clips: a heading sorts by its column, a text and a list choose its rows, and plots mark the same clips.
 
-/** Order cells by number or by text; those without a value come last, whichever way. */
+/** Order cells by number or by text; cells without a value come last in both directions. */
 function ordered(a, b, way) {
   if (a === "" || b === "") return (a === "") - (b === "");
   const numbers = !Number.isNaN(Number(a)) && !Number.isNaN(Number(b));

@@ -68,7 +68,7 @@ export class Controls {
     });
   }
 
-  /** Keys of the whole page, but for those that a field or button needs itself. */
+  /** Handle the keys of the whole page, except those that a field or button needs itself. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const tag = event.target.tagName, field = /^(INPUT|SELECT|TEXTAREA)$/.test(tag);

@@ -24,7 +24,7 @@ export class Cursor {
     for (const listener of this.listeners[kind]) listener(this);
   }
 
-  /** Show a row; one outside the clip is the nearest in it. */
+  /** Show a row; a row outside the clip becomes the nearest one in the clip. */
   show(row) {
     const next = Math.min(this.clip.count - 1, Math.max(0, Math.round(row)));
     if (next === this.row) return;

@@ -62,7 +62,7 @@ class CameraPicture {
     return median(errors);
   }
 
-  /** Return the box about all reprojections of the clip, or the whole picture. */
+  /** Return the box around all reprojections of the clip, or the whole picture. */
   box() {
     let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
     for (let i = 0; i < this.reprojected.length; i += 2) {
@@ -77,7 +77,7 @@ class CameraPicture {
   }
 }
 
-/** Return the median of some numbers, NaN of none. */
+/** Return the median of some numbers, NaN without any. */
 export function median(values) {
   if (!values.length) return NaN;
   const sorted = [...values].sort((a, b) => a - b), middle = sorted.length >> 1;

@@ -22,7 +22,7 @@ class Corrections {
     return this.rows.get(Corrections.key(cell));
   }
 
-  /** Change several detections in one go: rows, or cells whose correction goes. */
+  /** Change several detections in one step: set the corrections in rows, and remove those of the given cells. */
   change(rows, removed = []) {
     const keys = [...rows, ...removed].map(Corrections.key);
     this.past.push(keys.map((key) => [key, this.rows.get(key)]));
@@ -39,7 +39,7 @@ class Corrections {
   }
 }
 
-/** The picture, in which points are moved. */
+/** The picture, in which points can be moved. */
 class EditedPicture extends PictureView {
   constructor(canvas, clip, cursor, editor) {
     super(canvas, clip, cursor);
@@ -60,7 +60,7 @@ class EditedPicture extends PictureView {
     super.reset();
   }
 
-  /** Return the keypoint whose mark, not its expected position, is there; or -1. */
+  /** Return the keypoint whose mark, not its expected position, is at a point of the canvas; or -1. */
   markAt(x, y, reach = GRAB_PX) {
     let best = -1, least = reach;
     for (let j = 0; j < this.clip.joints; j++) {
@@ -79,7 +79,7 @@ class EditedPicture extends PictureView {
     this.draw();
   }
 
-  /** End a gesture: a point was moved, a mark was clicked, or the place of the chosen keypoint; with Shift always that. */
+  /** End a gesture: move the grabbed point, choose the clicked keypoint, or place the chosen one (always, with Shift). */
   drop(x, y, places) {
     const { editor, grabbed, start, pressed } = this;
     [this.grabbed, this.start, this.pressed] = [-1, null, null];
@@ -203,7 +203,7 @@ class Editor {
 
   detected(joint, row = this.cursor.row) {
     const item = this.queue.find((x) => Corrections.key(x) === Corrections.key(this.cell(joint, row)));
-    if (item && item.found_px) return item.found_px; // also of one that is left out
+    if (item && item.found_px) return item.found_px; // also for a detection that was left out
     return this.camera.known ? this.camera.point(this.camera.detected, row, joint) : null;
   }
 
@@ -249,7 +249,7 @@ class Editor {
     this.save();
   }
 
-  // -- going about -----------------------------------------------------------------------------------------------------
+  // -- navigation ------------------------------------------------------------------------------------------------------
 
   choose(joint) {
     this.keypoint = joint;
@@ -306,7 +306,7 @@ class Editor {
 
   // -- the server ------------------------------------------------------------------------------------------------------
 
-  /** Save all corrections, after the saving that goes on: a later change never loses to an earlier one. */
+  /** Save all corrections after the save in progress, so that an older save never overwrites a newer one. */
   save() {
     this.draw();
     this.mark();
@@ -321,7 +321,7 @@ class Editor {
       root.querySelector(".problem").textContent = content.problem || "";
       if (answer.ok) root.querySelector(".saved").textContent = `${content.saved} corrected, saved. Fitting ...`;
     } catch {
-      root.querySelector(".problem").textContent = "recon fix has ended: nothing is saved any more.";
+      root.querySelector(".problem").textContent = "recon fix has ended: changes are no longer saved.";
     }
   }
 
@@ -344,10 +344,10 @@ class Editor {
         await new Promise((done) => { setTimeout(done, 500); });
       }
     }
-    this.root.querySelector(".problem").textContent = "recon fix has ended: nothing is saved any more.";
+    this.root.querySelector(".problem").textContent = "recon fix has ended: changes are no longer saved.";
   }
 
-  /** Return the lines of a keypoint in this frame, which the server is asked for when they are not there yet. */
+  /** Return the lines of a keypoint in this frame; ask the server for them if they are not there yet. */
   linesOf(joint) {
     if (this.clip.cameras.length < 2) return {};
     const cell = `${this.cursor.camera}/${this.cursor.row}/${joint}`, wanted = `${cell} ${this.version}`;

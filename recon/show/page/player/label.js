@@ -1,4 +1,4 @@
-// The page of recon label: label frames of a video from nothing. The server saves every change.
+// The page of recon label: label frames of a video from scratch. The server saves every change.
 
 import { ON_PICTURE, gestures, label, penOf } from "./theme.js";
 
@@ -35,7 +35,7 @@ class LabelPage {
     return this.names.filter((_, joint) => this.points.has(`${frame}/${joint}`)).length;
   }
 
-  /** Change one label: a position, or null where it goes. */
+  /** Change one label: set its position, or remove it if that is null. */
   change(joint, point) {
     const key = this.key(joint);
     this.past.push([this.number, joint, this.points.get(key), this.skipped.has(key)]);
@@ -71,7 +71,7 @@ class LabelPage {
 
   // -- the server ------------------------------------------------------------------------------------------------------
 
-  /** Save all labels, after the saving that goes on: a later change never loses to an earlier one. */
+  /** Save all labels after the save in progress, so that an older save never overwrites a newer one. */
   save() {
     this.draw();
     this.list();
@@ -86,7 +86,7 @@ class LabelPage {
       this.root.querySelector(".problem").textContent = content.problem || "";
       if (answer.ok) this.told(`${content.saved} labels, saved in ${this.folder}`);
     } catch {
-      this.root.querySelector(".problem").textContent = "recon label has ended: nothing is saved any more.";
+      this.root.querySelector(".problem").textContent = "recon label has ended: changes are no longer saved.";
     }
   }
 
@@ -94,7 +94,7 @@ class LabelPage {
     this.root.querySelector(".saved").textContent = text;
   }
 
-  // -- going about -----------------------------------------------------------------------------------------------------
+  // -- navigation ------------------------------------------------------------------------------------------------------
 
   go(number) {
     this.number = Math.min(this.frames.length - 1, Math.max(0, number));
@@ -187,7 +187,7 @@ class LabelPage {
     this.draw();
   }
 
-  /** End a gesture: a label was moved or chosen, or the chosen keypoint is here. */
+  /** End a gesture: move the grabbed label, choose the clicked one, or place the chosen keypoint. */
   drop(x, y) {
     const { grabbed, start, pressed } = this;
     [this.grabbed, this.start, this.pressed] = [-1, null, null];

@@ -10,7 +10,7 @@ import { CurveStrip, ErrorStrip, FlagStrip, FootStrip, isFilled } from "./strips
 
 const player = document.querySelector(".player");
 
-/** Make an empty strip: its canvas and the places of its name and value. */
+/** Make an empty strip: a canvas, and elements for its name and value. */
 function newStrip(name, height) {
   const strip = document.createElement("div"), head = document.createElement("div");
   const title = document.createElement("span"), output = document.createElement("output"), canvas = document.createElement("canvas");
@@ -42,7 +42,7 @@ function addChoice(clip, cursor, panels, chosen) {
   return strip;
 }
 
-/** Draw every angle by itself, side by side. */
+/** Draw every angle in a panel of its own, side by side. */
 function addPanels(clip, cursor, panels, strips) {
   const section = document.querySelector(".angles");
   if (!section || !panels.length) return;
@@ -101,7 +101,7 @@ function start() {
 
   addPanels(clip, cursor, angles, strips);
 
-  // All views in one go, at most once for each refresh of the screen. Strips outside the screen wait.
+  // Draw all views together, at most once for each refresh of the screen. Strips outside the screen wait.
   let due = false, all = false;
   const draw = (always = false) => {
     const whole = all;

@@ -68,7 +68,7 @@ export class KeypointMap extends Strip {
     const layer = cells.getContext("2d"), image = layer.createImageData(width, clip.joints);
     const missing = paint.card.match(/\w\w/g).map((two) => parseInt(two, 16));
     for (let x = 0; x < width; x++) {
-      // Of several frames in one pixel the worst is seen.
+      // If several frames share a pixel, the worst one is shown.
       const first = this.rowAt(this.gutter + (x / width) * (right - this.gutter));
       const stop = Math.max(first + 1, this.rowAt(this.gutter + ((x + 1) / width) * (right - this.gutter)));
       for (let j = 0; j < clip.joints; j++) {

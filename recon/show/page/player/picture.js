@@ -39,7 +39,7 @@ export class PictureView {
     return this.clip.cameras[this.cursor.camera];
   }
 
-  /** Pictures are of the camera for which the page was made. */
+  /** Return the page's pictures, which are of one camera; null for other cameras, and for a video that was opened. */
   get pictures() {
     return this.cursor.camera === this.clip.chosen && !this.video ? this.clip.pictures : null;
   }
@@ -82,7 +82,7 @@ export class PictureView {
     if (!this.video || this.seeking) return;
     const first = this.clip.pictures ? this.clip.pictures.first_frame : 0;
     const count = Math.round(this.video.duration * this.clip.fps);
-    // A file that says another rate than the clip's is played at its own: its frames are what counts.
+    // A file with another frame rate than the clip's is played at its own rate: frames have to match, not times.
     const rate = this.rate || (count ? count / this.video.duration : this.clip.fps);
     this.due = this.cursor.row;
     this.seeking = true;
@@ -104,7 +104,7 @@ export class PictureView {
     return this.boxes.get(camera);
   }
 
-  /** Return the box about the pose of a row, px: its middle and its sides; or null. */
+  /** Return the box around the pose of a row, px: its middle and its sides; or null. */
   poseBox(row) {
     const { camera } = this, box = [Infinity, Infinity, -Infinity, -Infinity];
     if (!camera.known) return null;
@@ -130,7 +130,7 @@ export class PictureView {
     return median(lengths) || 100;
   }
 
-  /** Follow the animal from the beginning where it is small in the picture. */
+  /** Follow the animal from the beginning if it is small in the picture. */
   chooseFollow() {
     this.length = this.animalLength;
     this.follow = this.length < SMALL * this.wholeWindow()[2];

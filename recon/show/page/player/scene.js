@@ -62,7 +62,7 @@ export class SceneView {
     return Math.atan2(y, x);
   }
 
-  /** Return whether the camera sees the animal run to the left: so does the view from the side. */
+  /** Return whether the camera sees the animal run to the left; then the view from the side shows it so, too. */
   seenFromLeft() {
     const pose = this.clip.cameraPose(this.cursor.camera, this.cursor.row), angle = this.heading();
     return pose !== null && Math.cos(angle) * pose.right[0] + Math.sin(angle) * pose.right[1] < -0.2;
@@ -84,7 +84,7 @@ export class SceneView {
     this.draw();
   }
 
-  /** Prepare what turns points into the canvas: `seen(point)` is [x, y, nearness]. */
+  /** Prepare the projection onto the canvas: `seen(point)` returns [x, y, nearness]. */
   prepare(wide, high) {
     const { angle, tilt } = this, centre = this.clip.middle(this.cursor.row);
     const scale = (0.62 * Math.min(wide / 1.15, 1.6 * high) * this.zoomed) / this.clip.length;
@@ -178,7 +178,7 @@ export class SceneView {
     pen.fillText(this.clip.cameras[number].name, x + 6, y - 6);
   }
 
-  /** The path of the reference joint, and of the named keypoints over the last half second. */
+  /** Draw the path of the reference joint, and of the named keypoints over the last half second. */
   drawTrail(pen, paint) {
     const { clip, cursor } = this, recent = Math.round(clip.fps / 2);
     const paths = [[clip.reference, 0, clip.count, paint.soft, 1.2]];
@@ -204,7 +204,7 @@ export class SceneView {
     }
   }
 
-  /** Ellipses that hold a joint with 90 %, relative to the pose: the factor of its covariance, seen from here. */
+  /** Draw ellipses that contain a joint with 90 % probability, relative to the pose, from the factor of its covariance. */
   drawUncertainty(pen, paint) {
     const { clip, cursor } = this, { right, up, scale } = this.axes;
     const at = Math.min(Math.floor(cursor.row / clip.spreadEvery), clip.spread.length / 6 / clip.joints - 1);

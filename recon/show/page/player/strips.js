@@ -17,7 +17,7 @@ export class Strip {
     canvas.addEventListener("pointermove", (event) => { if (event.buttons && canvas.hasPointerCapture(event.pointerId)) scrub(event); });
   }
 
-  /** The width when it was last drawn: to ask the page for it takes long, and a curve has thousands of points. */
+  /** Return the width at the last drawing: asking the page is slow, and a curve has thousands of points. */
   get width() {
     return this.wide || this.canvas.clientWidth;
   }
@@ -26,7 +26,7 @@ export class Strip {
     return this.width < 480 ? 40 : 56;
   }
 
-  /** Return the place of a row, which may have a fraction, on the canvas. */
+  /** Return the x coordinate on the canvas of a row, which may have a fraction. */
   x(row) {
     const { frames, count } = this.clip, whole = Math.min(count - 1, Math.max(0, Math.floor(row)));
     const frame = frames[whole] + (row - whole), span = Math.max(1, frames[count - 1] - frames[0]);
@@ -39,7 +39,7 @@ export class Strip {
     return this.clip.rowOfFrame(frames[0] + share * span);
   }
 
-  /** A click goes to its frame; subclasses go to the beginning of what was hit. */
+  /** Go to the frame that was clicked; some subclasses go to the beginning of the bar that was hit. */
   clicked(x) {
     this.cursor.go(this.rowAt(x));
   }
@@ -55,7 +55,7 @@ export class Strip {
     this.write();
   }
 
-  /** Write the value of the frame that was drawn: after all strips are drawn, as a new text makes the page measure itself. */
+  /** Write the value of the frame that was drawn, after all strips are drawn, because new text forces a new layout. */
   write() {
     const text = this.output && this.drawn ? this.value(this.cursor.row) : "";
     if (!this.output || !this.drawn || text === this.output.textContent) return;
@@ -80,7 +80,7 @@ export class Strip {
     line.style.transform = `translateX(${this.x(this.cursor.row)}px)`;
   }
 
-  /** Frames that have a flag have a darker ground in every strip. */
+  /** Draw a darker background behind frames that have a flag. */
   drawFlagged(pen, high, paint) {
     pen.fillStyle = paint.card;
     for (const [first, stop] of this.clip.flags) {
@@ -181,7 +181,7 @@ export class CurveStrip extends Strip {
     }
   }
 
-  /** Return the points to draw, row and value: of a long clip the least and the greatest of each half pixel. */
+  /** Return the points to draw, row and value; for a long clip, the least and the greatest in each half pixel. */
   thinned(values, wide) {
     const every = Math.floor(this.clip.count / (2 * wide)), points = [];
     if (every < 2) { values.forEach((value, row) => points.push([row, value])); return points; }
@@ -333,7 +333,7 @@ export class FlagStrip extends Strip {
   }
 
   value(row) {
-    return this.clip.flagsAt(row) || "nothing against this frame";
+    return this.clip.flagsAt(row) || "no flag";
   }
 }
 

@@ -1,13 +1,13 @@
 // Colours of the page for canvases, and what all canvases share: their size in pixels, gestures, and strokes.
 
-/** Return the page's colours as they are now: they differ by night and in print. */
+/** Return the page's present colours, which differ in dark mode and in print. */
 export function colours(element) {
   const style = getComputedStyle(element), colour = (name) => style.getPropertyValue(`--${name}`).trim();
   return Object.fromEntries(["paper", "ink", "soft", "line", "grid", "card", "link", "warn", "bad", "left", "right", "middle",
     "strong"].map((name) => [name, colour(name)]));
 }
 
-/** On a picture, whatever its brightness: colours of the sides, with a dark edge. */
+/** Colours on a picture of any brightness: those of the sides, drawn with a dark edge, and of marks. */
 export const ON_PICTURE = { left: "#56b4e9", right: "#e69f00", middle: "#2fc495", outlier: "#ff4d3d", ring: "#ffffff",
   shadow: "rgba(0,0,0,.75)", paper: "#12151b", doubt: "#ffc83c" };
 
@@ -23,7 +23,7 @@ export function penOf(canvas) {
 
 export const FONT = "12px system-ui, sans-serif";
 
-/** Write a text with a background that any picture leaves legible. */
+/** Write a text on a background that keeps it legible on any picture. */
 export function label(pen, text, x, y, wide, colour = "#fff") {
   pen.font = FONT;
   pen.textBaseline = "middle";
