@@ -25,7 +25,9 @@ from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
 MODEL_RAD = np.radians(5.0)
-"""Standard deviation of an angle from motion that a skeleton of hinges cannot follow (`benchmarks/gait.py --only flexion`)."""
+"""Standard deviation of an angle from motion that a skeleton of hinges cannot follow
+(`benchmarks/gait.py --only flexion`).
+"""
 PERCENT = np.arange(101.0)
 """Percent of the stride, from one touch-down to the next."""
 LEAST_KNOWN = 0.9
