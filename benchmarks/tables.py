@@ -83,7 +83,7 @@ def main() -> None:
         made = with_tables(text)
         if made != text:
             page.write_text(made, encoding="utf-8")
-            print(f"{page.relative_to(ROOT)}: tables made anew")
+            print(f"{page.relative_to(ROOT)}: tables updated")
 
 
 if __name__ == "__main__":

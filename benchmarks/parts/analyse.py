@@ -51,7 +51,7 @@ def main() -> None:
         folder = Path(sys.argv[2] if sys.argv[2:] else temporary) / "circling"
         if not folder.exists():
             fit(frames, folder)
-        print_header(["frames", "", "s", "of the processor", "ms a frame", "peak memory MB"])
+        print_header(["frames", "", "s", "processor s", "ms a frame", "peak memory MB"])
         commands = {
             "figures": ("analyse",),
             "no figures": ("analyse", "--no-figures"),

@@ -207,12 +207,12 @@ def throughput_and_memory(clips: Path, work: Path, total: int) -> None:
     )
     rows = []
     for tenth in (1, 5, 10):
-        of = [s for s in samples if total * (tenth - 1) / 10 <= s[0] <= total * tenth / 10 and s[2]]
-        workers = [mb for _, _, each in of for mb in each if mb > 0]
-        main = [mb for _, mb, _ in of]
+        chosen = [s for s in samples if total * (tenth - 1) / 10 <= s[0] <= total * tenth / 10 and s[2]]
+        workers = [mb for _, _, by_worker in chosen for mb in by_worker if mb > 0]
+        largest = max((mb for _, mb, _ in chosen), default=0.0)
         if workers:
-            rows.append([f"{10 * tenth} %", f"{np.median(workers):.0f}", f"{max(workers):.0f}", f"{max(main):.0f}"])
-    print_table(["the tenth up to", "worker, median RSS (MB)", "worker, largest", "main process, largest"], rows)
+            rows.append([f"{10 * tenth} %", f"{np.median(workers):.0f}", f"{max(workers):.0f}", f"{largest:.0f}"])
+    print_table(["clips ended up to", "worker, median RSS (MB)", "worker, largest", "main process, largest"], rows)
 
 
 def killed(clips: Path, work: Path, total: int, broken: int) -> None:

@@ -36,15 +36,13 @@ SHAKE_DEG = 0.3
 
 @dataclass(frozen=True)
 class Pan:
-    """Describe a pan.
-
-    sweep_deg: angle of the pan, and of the way back if it returns. covered: fraction of the picture that the subject
-    covers.
-    """
+    """Motion, zoom and picture of a virtual camera that pans."""
 
     sweep_deg: float
+    """Angle of the pan, and of the way back if it returns."""
     speed_deg_s: float
     covered: float = 0.2
+    """Fraction of the picture that the subject covers."""
     zoom: float = 1.0
     returns: bool = False
     size_px: tuple[int, int] = (960, 540)
@@ -53,6 +51,8 @@ class Pan:
 
 @dataclass(frozen=True)
 class Film:
+    """N pictures of a virtual camera, with the true rotations (N, 3, 3) and zooms (N,)."""
+
     pictures: list[np.ndarray]
     camera: Camera
     rotations: np.ndarray

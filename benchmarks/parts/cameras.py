@@ -40,8 +40,8 @@ from recon.geometry.kinematics import ROOT
 from recon.testing.coverage import coverage
 
 PRIOR = "running-cheetah"
-HELD = 1e-6
-"""Standard deviation, of a time offset in frames or of an angle, that fixes the value."""
+FIXED = 1e-6
+"""Standard deviation of a time offset (frames) or of an angle (rad) that fixes its value at 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +85,7 @@ def run_of(folder: Path) -> Run:
 
 
 def runs_given(about: str | None) -> list[Run]:
-    """Return the runs of the folder that the command line names.
-
-    about: text of the help.
-    """
+    """Return the runs of the folder that the command line names; `about` is the text of its help."""
     parser = parser_of(about, kind="cheetah-runs")
     return [run_of(run) for run in runs_or_exit(parser, parser.parse_args().folder.resolve())]
 
@@ -132,7 +129,7 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
 
 
 def with_poses(run: Run, cameras: Iterable[int], body: Body) -> ClipProblem:
-    """Return the setting for some cameras, with the poses and headings of the reference."""
+    """Return the problem of some cameras of a run, with the poses and headings of the reference."""
     plain = ClipProblem.from_views([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
     return replace(plain, known_states=states_of(run, plain.origin_m))
 
@@ -146,10 +143,7 @@ def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
 
 @cache
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
-    """Return a body with the keypoint bias measured in these runs.
-
-    posed: use the animal's poses of the reference.
-    """
+    """Return a body with the keypoint bias measured in these runs; if `posed`, with the poses of the reference."""
     settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of_body(body_of(), lengths=False, offsets=True)
     if posed:
@@ -175,7 +169,7 @@ def with_detector(body: Body, of: Body) -> Body:
     )
 
 
-def knowing(what: str, run: Run, runs: Sequence[Run]) -> Body:
+def body_with_bias(what: str, run: Run, runs: Sequence[Run]) -> Body:
     """Return the subject, with keypoint bias "none", or measured in "other runs", or in "this run" itself."""
     body = body_of(run.subject)
     if what == "none":
@@ -203,7 +197,7 @@ def true_size(run: Run) -> float:
 
 
 def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
-    """Measure one, two and all cameras. known: with the lengths of the subject."""
+    """Measure one, two and all cameras; if `known`, with the lengths of the subject."""
     rows: dict[str, list[dict[str, float]]] = {}
     for run in runs:
         body = as_seen(body_of(run.subject if known else None), run, runs, posed=True)
@@ -216,14 +210,14 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
 def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -> list[dict]:
     """Leave out every camera once, and compare the reprojection of the others' pose in it with the truth's.
 
-    Both are compared with the same detections. known: the keypoint bias, see `knowing`.
+    Both are compared with the same detections. `known` states the source of the keypoint bias, as in `body_with_bias`.
     """
     rows = []
     for run in runs:
         found, true = [], []
         for camera, view in run.views.items():
             others = [c for c in run.views if c != camera]
-            solution = solved(run, others, knowing(known, run, runs), fast=True, **options)
+            solution = solved(run, others, body_with_bias(known, run, runs), fast=True, **options)
             for points_m, out in ((solution.markers_m, found), (run.truth_m, true)):
                 pixels, _ = view.project(view.shift_to_exposure(points_m))
                 seen = view.present & np.isfinite(run.truth_m[..., 0]) & np.isfinite(solution.joints_m[..., 0])
@@ -236,18 +230,18 @@ def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -
 
 
 def keypoints(runs: Sequence[Run]) -> list[dict]:
-    """Measure all cameras by the way in which the keypoint bias is known."""
+    """Measure all cameras for each source of the keypoint bias."""
     found = []
     for known in ("none", "other runs", "this run"):
-        rows = [errors(run, solved(run, cameras_of(run)["all"], knowing(known, run, runs))) for run in runs]
+        rows = [errors(run, solved(run, cameras_of(run)["all"], body_with_bias(known, run, runs))) for run in runs]
         ratio = float(np.mean([row["ratio"] for row in left_out(runs, known)]))
         row = {"detector": known} | {name: value for name, value in means("all", rows).items() if name != "cameras"}
         found.append(row | {"left out": ratio})
     return found
 
 
-def ways(runs: Sequence[Run]) -> list[dict]:
-    """Measure how far animals go to the left of their heading: by reference, by level cameras, by all cameras."""
+def sideslips(runs: Sequence[Run]) -> list[dict]:
+    """Measure the sideslip, the direction of travel to the left of the heading: by the reference, by all cameras."""
     rows = []
     for run in runs:
         body, known = body_of(run.subject), np.isfinite(run.truth_m).all(axis=(1, 2))
@@ -265,7 +259,7 @@ def ways(runs: Sequence[Run]) -> list[dict]:
     return rows
 
 
-def lags(runs: Sequence[Run]) -> list[dict]:
+def time_offsets(runs: Sequence[Run]) -> list[dict]:
     """Measure the estimated time offset of each camera, in frames, when all cameras are used."""
     rows = []
     for run in runs:
@@ -278,7 +272,7 @@ def lags(runs: Sequence[Run]) -> list[dict]:
     return rows
 
 
-def of_each_view(run: Run, body: Body) -> list[dict[str, float]]:
+def single_view_errors(run: Run, body: Body) -> list[dict[str, float]]:
     """Fit every view of a run with one camera."""
     found = []
     for camera in run.views:
@@ -316,14 +310,16 @@ def measured(runs: Sequence[Run]) -> list[dict]:
         rows = []
         for run in runs:
             body = body_of(run.subject)
-            rows += of_each_view(run, body if label == "none" else as_seen(body, run, runs, posed="known" in label))
+            rows += single_view_errors(
+                run, body if label == "none" else as_seen(body, run, runs, posed="known" in label)
+            )
         found.append({"detector": label} | over_views(rows))
     return found
 
 
 def by_run(runs: Sequence[Run]) -> list[dict]:
-    """Print the latter by run, and for all runs but one."""
-    of_run = {run: of_each_view(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
+    """Measure single views of each run, and of all runs but that one, with the bias measured in the other runs."""
+    of_run = {run: single_view_errors(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
     without = {run: [row for other in runs if other is not run for row in of_run[other]] for run in runs}
     return [{"views": f"of {run.folder.name}"} | over_views(of_run[run]) for run in runs] + [
         {"views": f"without {run.folder.name}"} | over_views(without[run]) for run in runs
@@ -334,15 +330,15 @@ def main() -> None:
     runs = runs_given(__doc__)
     for title, rows in (
         (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
-        ("Measured lengths, every animal goes where it looks", lambda: accuracy(runs, known=True, SIDESLIP_RAD=HELD)),
+        ("Measured lengths, sideslip fixed at 0", lambda: accuracy(runs, known=True, SIDESLIP_RAD=FIXED)),
         ("Measured lengths, no camera shares displacements", lambda: accuracy(runs, known=True, COMMON_BIAS_SHARE=0.0)),
         ("Size not known", lambda: accuracy(runs, known=False)),
         ("A camera left out: median reprojection into it", lambda: left_out(runs)),
-        ("All cameras, and what is known of keypoints", lambda: keypoints(runs)),
-        ("Where animals go beside where they look", lambda: ways(runs)),
-        ("Measured lengths, lags held", lambda: accuracy(runs, known=True, TIME_OFFSET_FRAMES=HELD)),
-        ("A camera left out, lags held", lambda: left_out(runs, TIME_OFFSET_FRAMES=HELD)),
-        ("Lags with all cameras, frames", lambda: lags(runs)),
+        ("All cameras, by the source of the keypoint bias", lambda: keypoints(runs)),
+        ("Sideslip: direction of travel relative to the heading", lambda: sideslips(runs)),
+        ("Measured lengths, time offsets fixed at 0", lambda: accuracy(runs, known=True, TIME_OFFSET_FRAMES=FIXED)),
+        ("A camera left out, time offsets fixed at 0", lambda: left_out(runs, TIME_OFFSET_FRAMES=FIXED)),
+        ("Time offsets with all cameras, frames", lambda: time_offsets(runs)),
         ("One camera, all views", lambda: measured(runs)),
         ("One camera, by run", lambda: by_run(runs)),
     ):

@@ -58,7 +58,7 @@ Cell = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Hold the fit of one view and its truth."""
+    """Fit of one view, and its truth."""
 
     settings: FitSettings
     motion: Motion
@@ -124,7 +124,7 @@ def centred(points_m: Array) -> Array:
 
 
 class Linearised:
-    """Hold the linearised fit of a view with N detections that can be replaced.
+    """Linearised fit of a view with N detections that can be replaced.
 
     A replaced detection has the weight of one without error. Its effect on the joints is that of replacing it alone.
     """

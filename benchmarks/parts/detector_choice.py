@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from cameras import PRIOR, Run, as_seen, of_each_view, run_of, with_detector
+from cameras import PRIOR, Run, as_seen, run_of, single_view_errors, with_detector
 from markdown_table import print_header, print_row, print_table
 from recordings import recordings
 from trajectory import body_of, meta_of, prior_of, truth_of
@@ -37,7 +37,7 @@ from recon.gait.evaluation import evaluate
 
 WITH_LENGTHS = ("jules", "phantom")
 SHIPPED = "acinoset"
-HEADER = ("recordings", "views", "taken by itself", "nothing said", "none", SHIPPED, f"{SHIPPED} of the other runs")
+HEADER = ("recordings", "views", "taken by default", "no option", "none", SHIPPED, f"{SHIPPED} of the other runs")
 
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
@@ -59,7 +59,7 @@ def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, st
 def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list[object]:
     """Return the cells of one kind of recordings, as in `HEADER`.
 
-    without: by run, the detector file made from the other runs.
+    `without` has, by run, the detector file made from the other runs.
     """
     taken: set[str] = set()
     errors_mm: list[list[float]] = []
@@ -74,18 +74,15 @@ def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list
 
 
 def measured(label: str, runs: Sequence[Run], bodies: dict[Run, Body]) -> None:
-    """Print a line for each number of other runs, taken from those that follow.
-
-    bodies: with their lengths.
-    """
-    plain = {run: np.array([row["mpjpe_mm"] for row in of_each_view(run, bodies[run])]) for run in runs}
+    """Print a row for each number of other runs in which the bias is measured; `bodies` have the runs' lengths."""
+    plain = {run: np.array([row["mpjpe_mm"] for row in single_view_errors(run, bodies[run])]) for run in runs}
     print_row([label, 0, f"{np.mean(np.concatenate([*plain.values()])):.1f}", "", ""])
     for n in range(1, len(runs)):
         found = {}
         for i, run in enumerate(runs):
             others = tuple((*runs[i + 1 :], *runs[:i])[:n])
             body = with_detector(bodies[run], detector_of(others, {other: bodies[other] for other in others}))
-            found[run] = np.array([row["mpjpe_mm"] for row in of_each_view(run, body)])
+            found[run] = np.array([row["mpjpe_mm"] for row in single_view_errors(run, body)])
         worse = np.concatenate([found[run] - plain[run] for run in runs])
         mean = np.mean(np.concatenate([*found.values()]))
         print_row([label, n, f"{mean:.1f}", f"{(worse > 0).sum()} of {len(worse)}", f"{worse.max():+.1f}"])

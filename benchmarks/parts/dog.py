@@ -59,16 +59,15 @@ Rows = list[dict]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A clip.
-
-    points_m (T, J, 3): joints in a world with z up, in the order of `names`.
-    """
+    """A clip of motion capture."""
 
     name: str
     names: tuple[str, ...]
+    """Names of the J joints."""
     parents: tuple[int, ...]
     fps: float
     points_m: np.ndarray
+    """(T, J, 3): joints in a world with z up, metres."""
 
     def markers(self, body: Body) -> np.ndarray:
         return self.points_m[:, [self.names.index(marker) for marker in body.markers]]
@@ -129,14 +128,13 @@ def _mean_points(body: Body) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """A clip as states (T, D) of the skeleton.
-
-    rms_m (T,): root mean square distance of the skeleton's markers from the recorded ones.
-    """
+    """The skeleton fitted to a clip."""
 
     clip: Clip
     states: np.ndarray
+    """(T, D): states of the skeleton."""
     rms_m: np.ndarray
+    """(T,): root mean square distance of the skeleton's markers from the recorded ones."""
 
 
 def solve(clips: Sequence[Clip]) -> list[SegmentFit]:
@@ -163,7 +161,7 @@ def expected(solved: Sequence[SegmentFit]) -> Body:
 
 
 def expectations(solved: Sequence[SegmentFit]) -> Rows:
-    """Print the measured and widened expectations next to those of the file."""
+    """Return the measured and widened expectations next to those of the file."""
     file, found = body_of(), expected(solved)
     fields = ("mean_rad", "sigma_rad", "acceleration_rad_s2")
     return [
@@ -210,9 +208,9 @@ def narrowest(points_m: np.ndarray, centre_m: np.ndarray) -> tuple[Camera, float
 def write_view(
     clip: Clip, folder: Path, seed: int, skeleton: str = SKELETON, reference: str = "Hips", as_stated: bool = False
 ) -> tuple[FitSettings, float]:
-    """Write detections and camera as files, and return the settings that read them and the field of view.
+    """Write detections and camera as files, and return the settings that read them and the field of view, degrees.
 
-    as_stated: keypoints have the bias and jitter that the skeleton states for a detector.
+    If `as_stated`, keypoints have the bias and jitter that the skeleton states for a detector.
     """
     camera, hfov_deg = side_view(clip, reference)
     in_camera_m = camera.world_to_camera(clip.points_m)

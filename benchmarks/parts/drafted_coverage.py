@@ -93,7 +93,7 @@ def biased(recording: Recording, points_m: np.ndarray, offsets_m: np.ndarray) ->
 
 
 def drafted_body(recording: Recording, points_m: np.ndarray) -> Body:
-    """Raises InputError."""
+    """Return the skeleton drafted from points (T, K, 3); raise InputError if no skeleton follows from them."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drafted.toml"
         _, text = draft_from_points(recording.names, points_m, recording.fps, recording.animal, Path("clip.csv"))

@@ -177,7 +177,7 @@ def independent(off: np.ndarray) -> float:
 def dog_rows(as_stated: bool) -> list[list[str]]:
     """Return a row for each clip: speeds and net accelerations within their intervals, flights, mean force.
 
-    as_stated: the animal's size and keypoints deviate as the skeleton states.
+    If `as_stated`, the animal's size and keypoints deviate as the skeleton states.
     """
     folder, body, rows, reach = recordings("dog-mocap"), load_skeleton("dog-27"), [], radius(INTERVAL)
     with tempfile.TemporaryDirectory() as written:
@@ -209,7 +209,7 @@ def dog_rows(as_stated: bool) -> list[list[str]]:
 def carried_rows(motion: Motion) -> list[list[str]]:
     """Return a row for each run that given forces carry, with as many frames as this motion."""
     rows = []
-    at_rest = {"leaves": 0.0, "lands": 0.0}
+    at_rest = {"lift_off_speed": 0.0, "touch_down_speed": 0.0}
     for name, run, fps in (
         ("gallop", GALLOP, 120.0),
         ("gallop, half a sine", replace(GALLOP, skew=1.0), 120.0),
@@ -307,12 +307,12 @@ def main() -> None:
     if rows:
         head = ["of", "stances", "RMS, body weights", "peak: median", "absolute", "largest"]
         print_table([*head, *(f"{of} in 90 %" for of in HELD)], rows)
-        print("\nRMS with this from the plates:\n")
+        print("\nRMS if the plates give the following:\n")
         parts = ["times", "sum of the feet", "each foot's impulse", "times and impulses"]
         print_table(
             ["of", *parts], [[kind, *(f"{np.sqrt((t[x] ** 2).mean()):.2f}" for x in parts)] for kind, t in tables]
         )
-        print("\nBy clip, and of what share of a body weight the plates' forces are the mean over its stride:\n")
+        print("\nBy clip, with the mean of the plates' forces over its stride, in body weights:\n")
         print_table(["trial", "cameras", "body weights", "RMS"], carried)
     for how, as_stated in (("of its own size and keypoints", False), ("both off as the skeleton states", True)):
         if dogs := dog_rows(as_stated):

@@ -66,7 +66,7 @@ def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: b
     )
 
 
-def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
+def estimated_rig(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
     """Return the rig estimated for cameras without their poses."""
     return solve_extrinsics([without_poses(*of) for of in zip(views, bodies, fps, strict=True)])
 
@@ -75,8 +75,8 @@ def placed(rig: Rig, views: Sequence[View]) -> list[View]:
     return [replace(view, T_camera_world=T) for view, T in zip(views, rig.T_camera_world, strict=True)]
 
 
-def beside(rig: Rig, own: Sequence[View]) -> dict[str, float]:
-    """Return how a rig differs from the views' poses: degrees, and relative distances."""
+def rig_errors(rig: Rig, own: Sequence[View]) -> dict[str, float]:
+    """Return the errors of a rig against the views' own poses: degrees, and relative errors of distances."""
     views, apart = placed(rig, own), []
     for (a, own_a), (b, own_b) in combinations(zip(views, own, strict=True), 2):
         turns = [(v.T_camera_world @ np.linalg.inv(w.T_camera_world))[:3, :3] for v, w in ((a, b), (own_a, own_b))]
@@ -117,13 +117,13 @@ def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
     cameras = cameras_of(clips[0])["all"]
     views = [[run.views[camera] for camera in cameras] for run in clips]
     bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]
-    rig = found(views, bodies, [run.fps for run in clips])
+    rig = estimated_rig(views, bodies, [run.fps for run in clips])
     rows = []
     for run, own, body in zip(clips, views, bodies, strict=True):
         with_found = placed(rig, own)
         solution = solve_trajectory(with_found, body, prior_of(PRIOR), run.fps, ground_near_zero=False)
         turned = replace(solution, joints_m=solution.joints_m @ _world_turn(with_found, own).T)
-        row = {"clips": len(clips), "run": run.folder.name[:28], **shown(beside(rig, own))}
+        row = {"clips": len(clips), "run": run.folder.name[:28], **shown(rig_errors(rig, own))}
         rows.append(row | {"MPJPE mm": f"{errors(run, turned)['mpjpe_mm']:.1f}"})
     return rows
 
@@ -180,7 +180,7 @@ def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rn
 
 
 def causes(runs: Sequence[Run]) -> list[dict]:
-    """Print means over the runs, for one clip at a time."""
+    """Return means over the runs, for one clip at a time."""
     table = []
     for label, (lasting, passing, random) in PARTS.items():
         rows = []
@@ -189,7 +189,7 @@ def causes(runs: Sequence[Run]) -> list[dict]:
             rng = np.random.default_rng(i)
             views = [with_parts(run, view, lasting, passing, random, rng) for view in own]
             body = as_seen(body_of(run.subject), run, runs) if lasting else body_of(run.subject)
-            rows.append(beside(found([views], [body], [run.fps]), own))
+            rows.append(rig_errors(estimated_rig([views], [body], [run.fps]), own))
         means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
         table.append({"detections": label, **shown(means)})
     return table
@@ -204,7 +204,7 @@ def levelled(run: Run, runs: Sequence[Run]) -> dict:
         rotation = turn @ view.T_camera_world[:3, :3]
         views.append(replace(bare, camera=replace(bare.camera, rotation=rotation, translation_m=np.zeros(3))))
     rig = solve_extrinsics([replace(setting, views=tuple(views))], level_rad=LEVEL_RAD)
-    return {"run": run.folder.name[:28], **shown(beside(rig, own))}
+    return {"run": run.folder.name[:28], **shown(rig_errors(rig, own))}
 
 
 # -- out of step --------------------------------------------------------------------------------------------------
@@ -235,13 +235,13 @@ def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
     ]
     as_they_are, rig = solved_at(own), solved_at(mended)
     off = [
-        frames + lags - k - beside
-        for frames, lags, k, beside in zip(
+        frames + lags - k - unshifted
+        for frames, lags, k, unshifted in zip(
             whole, rig.time_offset_frames, put, as_they_are.time_offset_frames, strict=True
         )
     ]
     degrees = {
-        f"rotation of pairs, {name}": f"{beside(of, own[0])['rotation of pairs, median']:.1f}°"
+        f"rotation of pairs, {name}": f"{rig_errors(of, own[0])['rotation of pairs, median']:.1f}°"
         for name, of in (("in step", as_they_are), ("found", rig))
     }
     return {"clips": label, "frames off, worst": f"{np.abs(np.concatenate(off)).max():.2f}", **degrees}
@@ -268,12 +268,12 @@ def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
     own = [[run.views[camera] for camera in cameras] for run in clips]
     bodies, fps = [as_seen(body_of(run.subject), run, runs) for run in clips], [run.fps for run in clips]
     row = {"clips": ", ".join(run.folder.name[:28] for run in clips)}
-    row["as filmed"] = f"{found(own, bodies, fps).disagreement.max():.0f}"
+    row["as filmed"] = f"{estimated_rig(own, bodies, fps).disagreement.max():.0f}"
     for degrees in TOUCHED_DEG:
         apart = []
         for i in range(1, len(cameras), 2):
             last = [turned(view, degrees) if j == i else view for j, view in enumerate(own[-1])]
-            apart.append(found([*own[:-1], last], bodies, fps).disagreement.max())
+            apart.append(estimated_rig([*own[:-1], last], bodies, fps).disagreement.max())
         row[f"turned by {degrees:.0f}°"] = f"{min(apart):.0f} to {max(apart):.0f}"
     return row
 
@@ -293,7 +293,7 @@ def turned(view: View, degrees: float) -> View:
 def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):
     """Return views of the run's motion on another path through the field.
 
-    Their detector marks other points from other sides, offsets_m (SECTORS, J, 2).
+    Their detector marks other points from other sides, at the offsets `offsets_m` (SECTORS, J, 2) in the picture.
     """
     known = np.isfinite(run.truth_m[:, 0, 0])
     motion = run.truth_m[known]
@@ -327,7 +327,7 @@ def _detected(
 
 
 def simulated(run: Run) -> list[dict]:
-    """Print means over the seeds; a row with n clips uses the first n."""
+    """Return means over the seeds; a row with n clips uses the first n."""
     views, body, table = [run.views[camera] for camera in cameras_of(run)["all"]], body_of(run.subject), []
     for any_way in (False, True):
         rows: dict[int, list[dict[str, float]]] = {}
@@ -336,11 +336,11 @@ def simulated(run: Run) -> list[dict]:
             offsets_m = rng.normal(size=(SECTORS, len(body.markers), 2))
             clips = [crossing(run, views, offsets_m, any_way, rng) for _ in range(max(CLIPS))]
             for count in CLIPS:
-                rig = found(clips[:count], [body] * count, [run.fps] * count)
-                rows.setdefault(count, []).append(beside(rig, views))
+                rig = estimated_rig(clips[:count], [body] * count, [run.fps] * count)
+                rows.setdefault(count, []).append(rig_errors(rig, views))
         for count, of in rows.items():
             means = {name: float(np.mean([row[name] for row in of])) for name in of[0]}
-            table.append({"ways": "any" if any_way else "the same", "clips": count, **shown(means)})
+            table.append({"directions": "any" if any_way else "the same", "clips": count, **shown(means)})
     return table
 
 

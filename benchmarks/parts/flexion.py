@@ -70,7 +70,10 @@ def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
 
 
 def beside(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
-    """Return a camera that sees the world turned (3, 3) about a point (3,) as the given camera sees it unturned."""
+    """Return a camera that sees the world turned about a point (3,) as the given camera sees it unturned.
+
+    `turn` (3, 3) is that rotation of the world.
+    """
     assert camera.rotation is not None
     assert camera.translation_m is not None
     offset_m = camera.rotation @ (middle_m - turn @ middle_m)

@@ -59,7 +59,7 @@ TOLERANCE = 1e-5
 
 
 class Faded:
-    """Describe an objective of almost no weight."""
+    """Objective with a negligible weight."""
 
     def __init__(self, term: Objective) -> None:
         self.name, self.ties, self.term = term.name, term.ties, term
