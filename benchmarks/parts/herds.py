@@ -74,7 +74,7 @@ def coverage(models: Sequence[MixedModel], weights: Sequence[float], truth: floa
 def main() -> None:
     arguments = parser_of(__doc__, "--quick").parse_args()
     table = rows(40 if arguments.quick else 1000)
-    print("### Made-up herds\n")
+    print("### Simulated herds\n")
     print_table(list(table[0]), [row.values() for row in table])
 
 

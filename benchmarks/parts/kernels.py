@@ -2,7 +2,7 @@
 
     python benchmarks/parts/kernels.py [CASE ...]
 
-A case is frames x cameras, as in 400x1 (default: 400x1 300x6). All is processor time of one thread. The limit of a
+A case is frames x cameras, such as 400x1 (default: 400x1 300x6). All is processor time of one thread. The limit of a
 kernel is the larger of two times: its floating-point operations at the speed of small matrix products, and the bytes
 that it has to read and write at the speed of copying. Both speeds are measured in the same run, which makes ratios
 comparable on a busy machine. Stages come from the profiler, which adds about a quarter to each.

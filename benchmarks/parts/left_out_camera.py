@@ -114,7 +114,7 @@ def triangulated_prediction(result: Triangulation, view: View) -> Prediction:
 def predictions(
     clip: Clip, seen: Sequence[int], out: int, peer_m: np.ndarray | None, kept: Path | None
 ) -> tuple[dict[str, Prediction], float]:
-    """Return the predictions of each method, and how long the fit took; peer_m has aniposelib's positions."""
+    """Return the predictions of each method, and the seconds that the fit took; peer_m has aniposelib's positions."""
     views, view, made = [clip.views[c] for c in seen], clip.views[out], {}
     solution = solved(clip, views, kept)
     seconds = solution.stage_s["all"]

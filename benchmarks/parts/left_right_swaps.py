@@ -1,4 +1,4 @@
-"""Plant mistakes in real clips: count which are found, false findings in unchanged clips, and errors after correction.
+"""Plant faults in real clips: count which are found, false findings in unchanged clips, and errors after correction.
 
     python benchmarks/parts/left_right_swaps.py [FOLDER ...] [--views 1] [--csv TABLE.csv]
 
@@ -68,17 +68,15 @@ Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A view of a run.
-
-    The file's keypoints are in the order of the body's markers, xy_px (T, J, 2). The truth (T, J, 3) is in the camera's
-    frame, NaN if unknown.
-    """
+    """A view of a run."""
 
     run: Path
     camera: int
     file: Keypoints
+    """Keypoints of the file, in the order of the body's markers."""
     lens: Camera
     truth_m: np.ndarray
+    """True positions (T, J, 3) in the camera's frame, NaN if unknown."""
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -125,16 +123,16 @@ def _everywhere(points: Callable[[View], np.ndarray]) -> Change:
 
 @dataclass(frozen=True)
 class Case:
-    """Describe a mistake.
-
-    change: change of the keypoints. code: code of the expected finding, None if none is expected. told: settings of the
-    fit instead of the right ones, as a function of the view. mends: whether the clip is also fitted with --fix-swaps.
-    """
+    """A fault of a clip's keypoints or settings."""
 
     change: Change
+    """Function that returns the changed keypoints of a view (T, J, 2), and which frames were changed (T,)."""
     code: str | None = None
+    """Code of the expected finding; None if none is expected."""
     told: Callable[[View], dict[str, Any]] = field(default=lambda view: {})
+    """Function that returns the wrong settings of the fit of a view."""
     mends: bool = False
+    """Whether the clip is also fitted with --fix-swaps."""
 
 
 def _other_camera(view: View) -> dict[str, Any]:
@@ -174,7 +172,7 @@ CASES = {
 }
 
 
-def of_run(run: Path, camera: int) -> View:
+def view_in_run(run: Path, camera: int) -> View:
     lens, xy_px, confidence, truth_m = view_of(run, camera)
     file = replace(read_keypoints(run / f"cam{camera}.csv"), names=body_of().markers)
     return View(run, camera, replace(file, xy_px=xy_px, confidence=confidence, fps=meta_of(run)["fps"]), lens, truth_m)
@@ -204,7 +202,7 @@ def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
     return 1000 * float(np.nanmean(joint_errors(aligned(motion.joints_camera_m[frames], truth_m), truth_m)))
 
 
-def of_input(motion: Motion) -> list[Finding]:
+def findings_on_input(motion: Motion) -> list[Finding]:
     """Return the findings on the keypoints that a motion was fitted to."""
     return [one for one in motion.findings if one.code in {SWAP, *(case.code for case in CASES.values())}]
 
@@ -220,7 +218,7 @@ def stretch_of(motion: Motion, one: Finding) -> _Stretch:
 def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
     """Return a mask (T,) of the frames in which a finding with this code names exactly these keypoints."""
     frames = np.zeros(len(motion.frames), dtype=bool)
-    for one in of_input(motion):
+    for one in findings_on_input(motion):
         if one.code == code and (markers is None or markers == stretch_of(motion, one).markers):
             frames[slice(*(np.searchsorted(motion.frames, one.frames) if one.frames else (0, None)))] = True
     return frames
@@ -270,9 +268,9 @@ def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) ->
         "real_flags": float(real[others].mean()) if others.any() else np.nan,
         "wrong": float((named(motion, SWAP) & ~real).mean()),
         "unclear": any(one.code == UNCLEAR for one in motion.findings),
-        "kinds": " ".join(sorted({one.code for one in of_input(motion)})),
+        "kinds": " ".join(sorted({one.code for one in findings_on_input(motion)})),
         "untouched_mm": untouched_mm,
-        "mistakes_s": motion.solution.stage_s["input_findings"],
+        "checks_s": motion.solution.stage_s["input_findings"],
         "solve_s": motion.solution.stage_s["all"],
         "cpu_s": seconds,
         **mm,
@@ -321,8 +319,8 @@ def print_tables(table: pd.DataFrame) -> None:
     if len(untouched):
         wrong = untouched["kinds"].ne("").sum()
         print(
-            f"\nUntouched: something is named in {wrong} of {len(untouched)} views. Looking for mistakes took "
-            f"{untouched['mistakes_s'].sum() / untouched['solve_s'].sum():.2f} times the time of the solution.\n"
+            f"\nUntouched: something is named in {wrong} of {len(untouched)} views. The checks took "
+            f"{untouched['checks_s'].sum() / untouched['solve_s'].sum():.2f} times the time of the solution.\n"
         )
         print_by_run(table)
 
@@ -445,7 +443,7 @@ def dog_rows(folder: Path) -> list[dict[str, Any]]:
 def horse_rows(folder: Path) -> list[dict[str, Any]]:
     settings: dict[str, Any] = {"keypoints": folder / "CollectedData_Byron.csv", "skeleton": "horse-22", "fps": 24.0}
     motion = fit_clip(FitSettings(**settings, hfov_deg=50.0, image_size_px=(288, 162)))
-    return [_others("horse", len(motion.frames), "none", of_input(motion))]
+    return [_others("horse", len(motion.frames), "none", findings_on_input(motion))]
 
 
 def _others(name: str, T: int, prior: str, found: Sequence[Finding]) -> dict[str, Any]:
@@ -467,11 +465,11 @@ def main() -> None:
     parser = parser_of(__doc__, "--csv")
     both = [recordings("cheetah-runs"), recordings("plate-trials")]
     parser.add_argument("folder", type=Path, nargs="*", default=both)
-    parser.add_argument("--views", type=int, default=1, help="every so many views")
-    parser.add_argument("--first", type=int, default=0, help="from this view on")
-    parser.add_argument("--only", help="cases whose name has this in it")
-    parser.add_argument("--folds", action="store_true", help="choose the margin, leaving runs out")
-    parser.add_argument("--others", action="store_true", help="what is named in clips of other animals")
+    parser.add_argument("--views", type=int, default=1, help="every n-th view only (default: all)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first view, from 0")
+    parser.add_argument("--only", help="only cases whose names contain this text")
+    parser.add_argument("--folds", action="store_true", help="choose the margin with each run left out")
+    parser.add_argument("--others", action="store_true", help="list the findings in clips of other animals")
     arguments = parser.parse_args()
     runs = sorted(run for folder in arguments.folder for run in runs_of(folder))
     if not runs:
@@ -482,7 +480,7 @@ def main() -> None:
     views = [(run, camera) for run in runs for camera in meta_of(run)["cameras"]]
     rows = []
     for run, camera in views[arguments.first :: arguments.views]:
-        view = of_run(run, camera)
+        view = view_in_run(run, camera)
         if arguments.folds:
             with tempfile.TemporaryDirectory() as folder:
                 rows += [row for name in FOLDED for row in margin_rows(view, name, CASES[name], Path(folder))]

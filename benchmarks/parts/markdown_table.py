@@ -26,5 +26,5 @@ def print_row(cells: Iterable[object]) -> None:
 
 
 def percent(share: float, digits: int = 0) -> str:
-    """Return a share as in "12 %"."""
+    """Return a share as text, such as "12 %"."""
     return f"{100 * share:.{digits}f} %"

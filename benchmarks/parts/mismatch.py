@@ -64,17 +64,14 @@ def fitted(case: Case, prior: MotionPrior) -> TrajectorySolution:
 
 
 def errors_mm(case: Case, solution: TrajectorySolution) -> tuple[float, float]:
-    """Return MPJPE and MPE."""
+    """Return MPJPE and MPE in mm."""
     found_m = solution.joints_m
     centred, off = (joint_errors(p, case.truth_m) for p in (aligned(found_m, case.truth_m), found_m))
     return 1000 * score(centred).mean, 1000 * score(off).mean
 
 
 def row(case: Case, prior: MotionPrior, plain_mm: tuple[float, float]) -> dict:
-    """Return the row of a fit.
-
-    plain_mm: errors with independent angles.
-    """
+    """Return the row of a fit; `plain_mm` has MPJPE and MPE with independent angles."""
     solution = fitted(case, prior)
     mpjpe, mpe = errors_mm(case, solution)
     worst = max(solution.segments, key=lambda segment: segment.prior_misfit or 0.0)
@@ -105,7 +102,7 @@ def table(title: str, rows: Rows) -> None:
 
 
 def compared(cases: Sequence[Case], priors: Sequence[MotionPrior], plain: MotionPrior) -> Iterator[dict]:
-    """Return a row for each prior of each case."""
+    """Yield a row for each prior of each case."""
     for case in cases:
         alone_mm = errors_mm(case, fitted(case, plain))
         for prior in priors:
@@ -146,7 +143,7 @@ def learned(body: Body, segments: Sequence[tuple[str, np.ndarray, float]], name:
 
 
 def segments_of(folder: Path) -> list[tuple[str, np.ndarray, float]]:
-    """Yield name, states and frames per second of each segment."""
+    """Return the name, states and frame rate of each segment."""
     body = trajectory.body_of("phantom")
     poses = read_pose_segments(folder / "training_positions.csv")
     rates = json.loads((folder / "segments.json").read_text())["fps"]

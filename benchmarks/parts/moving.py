@@ -169,7 +169,7 @@ def driven_rows(run: Run) -> Iterator[dict]:
 
 
 def size_rows(run: Run) -> Iterator[dict]:
-    """Print what determines a driven camera's size: feet with softer or harder constraints, and priors."""
+    """Yield a row on what determines the size in a driven camera: feet that may slip more or less, and priors."""
     body, prior = body_of(run.subject), prior_of(PRIOR)
 
     def size(sigma: float, slip_m_s: float, speed_m_s: float = SPEED_M_S) -> str:
@@ -201,7 +201,7 @@ def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
 
 
 def print_rows(rows: Iterator[dict]) -> list[dict]:
-    """Print each row as soon as it is computed."""
+    """Print each row as soon as it is computed, and return all rows."""
     found = []
     for row in rows:
         if not found:
@@ -226,7 +226,7 @@ def print_summary(rows: Sequence[dict]) -> None:
         f"{within('pan less still', 1.0)}, worst {worst('pan less still'):.2f} mm; sigma of the pose within 3 % in "
         f"{within('pose sigma', 0.03)}, worst {percent(worst('pose sigma'), 1)}; of the place in "
         f"{within('place sigma', 0.03)}, worst {percent(worst('place sigma'), 1)}; "
-        f"mean of what changes inside: {inside}\n",
+        f"mean change of the fraction inside: {inside}\n",
         flush=True,
     )
 
@@ -240,7 +240,7 @@ def main() -> None:
     print_summary(print_rows(row for run in runs for row in pan_rows(run, with_errors=True)))
     print("### A camera driven along\n")
     print_rows(row for run in runs for row in driven_rows(run))
-    print("### What tells the size\n")
+    print("### What determines the size\n")
     print_rows(row for run in runs for row in size_rows(run))
 
 

@@ -222,7 +222,7 @@ def _row(seed: int, report: dict[str, Any], result: dict[str, Any]) -> tuple[obj
 
 
 def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
-    """Write two label files, each with a half of the rows."""
+    """Write two label files, each with half of the rows, and return their paths."""
     rows = labels.read_text(encoding="utf-8").splitlines()
     order = np.random.default_rng(seed).permutation(len(rows) - 3)
     paths = []
@@ -233,7 +233,7 @@ def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
 
 
 def _interpolated(learned: Path, held_out: Path) -> float:
-    """Return the median error (px) of linear interpolation between the learned labels, if both exist."""
+    """Return the median error (px) of linear interpolation between the learned labels, where both exist."""
     known, other = read_label_file(learned)[0], read_label_file(held_out)[0]
     errors = []
     for k in range(len(known.names)):

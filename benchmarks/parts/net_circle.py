@@ -27,16 +27,16 @@ NOISE_PX = 2.0
 
 @dataclass(frozen=True)
 class Circle:
-    """Results of a whole circle.
-
-    training: report of the training. points: scores of the predictions in the frames without labels. predicted, noisy:
-    3D scores over all frames, from fits of predictions and of true points with noise.
-    """
+    """Results from the labels to the compared motion."""
 
     training: dict[str, Any]
+    """Report of the training."""
     points: dict[str, Any]
+    """Scores of the predictions in the frames without labels."""
     predicted: Evaluation
+    """3D scores over all frames, from the fit of the predictions."""
     noisy: Evaluation
+    """The same from the fit of the true points with noise."""
 
     @property
     def predicted_m(self) -> float:

@@ -4,10 +4,10 @@
 
 The motions are those of the runs of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA; a simulated camera
 (60 degrees, 1920 x 1080) stands beside the middle of each run. All keypoints, 3 px of noise, the run's own frame rate
-and 12 m, but for what a row changes. The lengths are those of the expected animal, and the prior is the one that comes
-with recon, which knows these runs; nothing else of the truth is known. MPJPE: mean distance of the joints, both poses
-centred; PA-MPJPE: after the best turn and scale of each frame. Distance: error of the mean distance from the camera,
-as a share of it.
+and 12 m, but for what a row changes. The lengths are those of the expected animal, and the prior is the built-in one,
+which was learned from these runs; nothing else of the truth is known. MPJPE: mean distance of the joints, both poses
+centred; PA-MPJPE: after the best rotation and scale of each frame. Distance: error of the mean distance from the
+camera, as a share of it.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ LEFT_OUT_ABOVE = ("l_eye", "r_eye", "tail1", "tail2")
 
 @dataclass(frozen=True)
 class Condition:
-    """What a clip of one camera is made with."""
+    """Conditions of a simulated clip of one camera."""
 
     name: str
     keypoints: tuple[str, ...] | None = None
     """The keypoints that are detected; None: all."""
     noise_px: float = 3.0
     every: int = 1
-    """Every so many frames are kept."""
+    """Every n-th frame is kept."""
     distance_m: float = 12.0
 
 
@@ -97,7 +97,7 @@ def errors(run: Path, condition: Condition) -> tuple[float, float, float, float]
 def main() -> None:
     """Print the table, medians over the runs."""
     parser = parser_of(__doc__, kind="cheetah-runs")
-    parser.add_argument("--only", default="", help="only conditions whose name has this word")
+    parser.add_argument("--only", default="", help="only conditions whose names contain this text")
     options = parser.parse_args()
     runs, rows = runs_or_exit(parser, options.folder), []
     for condition in CONDITIONS:

@@ -4,7 +4,7 @@
 
 Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, with x scaled, with
 the hind half of a second animal, and with another focal length; every n-th pair as it is, and with a second camera that
-takes a picture a second less than its file says. Stretch: `recon.check.stretch.deviation`. Halves and drift:
+takes one picture per second fewer than its file says. Stretch: `recon.check.stretch.deviation`. Halves and drift:
 `recon.check.halves.offset_of`, and the largest of `recon.check.clocks.drifts_of`, in their standard deviations. Focal
 length: `recon.check.focal.FocalTest.deviation`.
 """
@@ -39,7 +39,7 @@ from recon.fit.result import TrajectorySolution
 
 
 def slow_clock(clip: Clip, given: Given) -> Given:
-    """Return the detections of a camera that takes a picture a second less than its file says."""
+    """Return the detections of a camera that takes one picture per second fewer than its file says."""
     fps, T = clip.meta["fps"], len(given.xy_px)
     at = np.arange(T) * fps / (fps - 1)
     before = at[at <= T - 2].astype(int)
@@ -116,7 +116,7 @@ def beyond_usual(deviations: Sequence[tuple[str, float]], untouched: Sequence[tu
 
 def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
-    parser.add_argument("--views", type=int, default=8, help="every so many views and pairs")
+    parser.add_argument("--views", type=int, default=8, help="every n-th view and pair only (default: %(default)s)")
     arguments = parser.parse_args()
     runs = runs_of(arguments.folder)
     views = [Clip(run, (name,)) for run in runs for name in cameras_of(run)][:: arguments.views]

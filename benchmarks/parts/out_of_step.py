@@ -55,6 +55,7 @@ def remaining(T: int, frames: float) -> np.ndarray:
 
 
 def without(source: Source, rows: np.ndarray) -> Source:
+    """Return a source without the detections of some rows (T,)."""
     keypoints = source.keypoints
     xy_px = np.where(rows[:, None, None], np.nan, keypoints.xy_px)
     return replace(
@@ -64,6 +65,7 @@ def without(source: Source, rows: np.ndarray) -> Source:
 
 
 def rows(run: Run) -> Iterator[dict]:
+    """Yield a row for each of `OFFSETS`."""
     body, prior, fps = body_of(run.subject), prior_of(PRIOR), run.fps
     cameras = [run.named, most_different(run)]
     first, second = (run.sources[camera] for camera in cameras)
@@ -85,18 +87,18 @@ def rows(run: Run) -> Iterator[dict]:
             error_mm,
         )
 
-    for put in OFFSETS:
-        offset, sigma, error_mm = found(taken_later(second, put))
-        own, _, own_error_mm = found(without(second, ~remaining(len(run.truth_m), -put)))
+    for applied in OFFSETS:
+        offset, sigma, error_mm = found(taken_later(second, applied))
+        own, _, own_error_mm = found(without(second, ~remaining(len(run.truth_m), -applied)))
         yield {
             "run": run.folder.name[:28],
-            "put in": f"{put:+.1f}",
-            "found": f"{offset:+.2f} ± {sigma:.2f}",
-            "as they were": f"{own:+.2f}",
-            "off": abs(offset - own - put),
+            "offset applied": f"{applied:+.1f}",
+            "estimated": f"{offset:+.2f} ± {sigma:.2f}",
+            "without the shift": f"{own:+.2f}",
+            "error": abs(offset - own - applied),
             "MPJPE mm": error_mm,
-            "more than as they were": error_mm - own_error_mm,
-            "not sought": errors(run, solved(run, cameras, body))["mpjpe_mm"] if put == 0 else "",
+            "MPJPE increase mm": error_mm - own_error_mm,
+            "MPJPE without estimation mm": errors(run, solved(run, cameras, body))["mpjpe_mm"] if applied == 0 else "",
         }
 
 
@@ -104,8 +106,8 @@ def main() -> None:
     runs = runs_given(__doc__)
     found = [row for run in runs for row in rows(run)]
     print_table(list(found[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in found])
-    worst = {name: max(abs(row[name]) for row in found) for name in ("off", "more than as they were")}
-    print(f"worst: {worst['off']:.2f} frames off, {worst['more than as they were']:.1f} mm MPJPE more or less")
+    worst = {name: max(abs(row[name]) for row in found) for name in ("error", "MPJPE increase mm")}
+    print(f"worst: {worst['error']:.2f} frames of error, {worst['MPJPE increase mm']:.1f} mm change of MPJPE")
 
 
 if __name__ == "__main__":

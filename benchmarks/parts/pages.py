@@ -52,7 +52,7 @@ CHROMIUM = next(
 
 
 SCRUBBED_S, SETTLED_MS = 3.0, 3000.0
-"""Time for which the slider is moved, and time before, in which the page draws what is below the screen."""
+"""Time for which the slider is moved, and time before that in which the page draws what is below the screen."""
 SCRUB = """(seconds) => new Promise((done) => {
   const slider = document.querySelector(".player input[type=range]"), most = Number(slider.max);
   const began = performance.now();
@@ -66,9 +66,9 @@ SCRUB = """(seconds) => new Promise((done) => {
   };
   requestAnimationFrame(move);
 })"""
-"""Moves the slider three times through the clip, to another frame at each refresh; returns the refreshes a second."""
+"""JavaScript that moves the slider three times through the clip, and returns the refreshes per second."""
 SHOWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now()))))"
-"""Returns the time since the page was asked for, when it is drawn."""
+"""JavaScript that returns the time from the request for the page until it is drawn, in ms."""
 
 
 def main() -> None:
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def recon(folder: Path, *arguments: object) -> tuple[float, float]:
-    """Return the seconds of a command by the clock and by the processor."""
+    """Return the wall-clock time and the processor time of a command, in seconds."""
     return seconds([sys.executable, "-m", "recon", *map(str, arguments)], str(folder))
 
 
@@ -151,7 +151,7 @@ def costs(args: argparse.Namespace, folder: Path) -> None:
         "analyse": ("analyse", "out", "--overwrite", "--quiet"),
     }
     allowed = {"report": 2.0, "report --video": 4.0, "analyse": 2.0}
-    recon(folder, *commands["fit"])  # compiled modules and matplotlib's fonts are kept from now on
+    recon(folder, *commands["fit"])  # compiled modules and matplotlib's fonts are cached from now on
     recon(folder, *commands["analyse"])
     used = [{name: recon(folder, *command)[1] for name, command in commands.items()} for _ in range(args.runs)]
     print_header(("40 frames", "s of the processor", "times the fit", "goal"))
@@ -162,6 +162,7 @@ def costs(args: argparse.Namespace, folder: Path) -> None:
 
 
 def pages(args: argparse.Namespace, folder: Path) -> None:
+    """Measure the pages of the rendered film, of a sample, and of twenty samples in a row."""
     points = (SAMPLES / "whole.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.partition(",")[2] for line in points[3:]]
     long = [f"{i},{row}" for i, row in enumerate((rows + rows[::-1]) * 10)]
@@ -216,6 +217,7 @@ def batch_of_copies(clips: int, folder: Path) -> Path:
 
 
 def run(args: argparse.Namespace, folder: Path) -> None:
+    """Compare `recon run` with a command for each stage, and with a second run."""
     if args.model is None:
         raise SystemExit("--model: a network that `recon train` made on the rendered film")
     settings = (*FILM_FIT, "--set", "likelihood-min=0")  # accept all points, however good the network is

@@ -47,7 +47,7 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """One fit."""
+    """Result of one fit."""
 
     label: str
     name: str
@@ -56,7 +56,9 @@ class Outcome:
     pose_mm: float
     position_mm: float
     inside: float
+    """Fraction of the coordinates inside their 90 % intervals."""
     level: str
+    """Level of the verdict."""
     codes: tuple[str, ...]
     """Codes of errors and warnings."""
 
@@ -108,7 +110,7 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
 
 
 def detections(run: Path, camera: str) -> int:
-    """Return how many keypoints a camera sees."""
+    """Return the number of detections of a camera."""
     return int(np.isfinite(Clip(run, (camera,)).given(camera).xy_px[..., 0]).sum())
 
 
@@ -138,8 +140,10 @@ def outcome(settings: dict[str, str], task: Task) -> Outcome | None:
 def main() -> None:
     """Print a row for each kind of cameras, and the fits that are not to be used."""
     parser = parser_of(__doc__, "--jobs", "--set")
-    parser.add_argument("--pairs", type=int, help="only so many pairs of each run")
-    parser.add_argument("--turned", nargs="+", choices=["second", "first"], default=["second"], help="of two cameras")
+    parser.add_argument("--pairs", type=int, help="number of pairs of each run (default: all)")
+    parser.add_argument(
+        "--turned", nargs="+", choices=["second", "first"], default=["second"], help="which of two cameras is turned"
+    )
     parser.add_argument("--every", action="store_true", help="print every fit")
     parser.add_argument("--degrees", nargs="+", type=float, default=[0.0, 1.0, 3.0, 6.0])
     parser.add_argument("--cameras", nargs="+", choices=["one", "two", "all"], default=["one", "two", "all"])

@@ -7,7 +7,7 @@ camera turns to follow the animal, and shakes. The labels of each film, of the s
 which predicts the points of all frames. The camera's rotation is estimated from the film, as by `recon run
 --camera-motion turns`, with the tilt of the first picture given. The still camera's pose is that of its calibration.
 Errors are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the
-film is only drawn.
+film is drawn and nothing else is done.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from recon.testing.film import film_clip, panning_film, render_frames, write_fil
 
 
 def turn_errors_deg(track: Path, truth: np.ndarray) -> np.ndarray:
-    """Return errors (N,) of the estimated rotation from the first frame."""
+    """Return errors (N,) of the estimated rotation since the first frame, in degrees."""
     found = read_camera_track(track)
     rotations, truth = found.T_camera_world[:, :3, :3], truth[found.frames]
     off = (rotations @ rotations[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
@@ -54,8 +54,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--device", default="auto")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--out", type=Path, help="for the film and the networks (default: one that is removed)")
-    parser.add_argument("--film", action="store_true", help="draw the film only")
+    parser.add_argument("--out", type=Path, help="folder for the film and the networks (default: a temporary folder)")
+    parser.add_argument("--film", action="store_true", help="only draw the film")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = args.out or Path(temporary)

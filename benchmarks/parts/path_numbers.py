@@ -119,7 +119,7 @@ def main() -> None:
         near, covered, _ = score(peaks[choice][rows], true_m_s[rows])
         return [f"{near:.0%}", f"{covered:.0%}"]
 
-    def words(choice: tuple[float, float, float]) -> str:
+    def choice_text(choice: tuple[float, float, float]) -> str:
         return ", ".join(f"{number:g}" for number in choice)
 
     every = np.ones(len(views), bool)
@@ -129,13 +129,13 @@ def main() -> None:
         out = names == run
         best = max(CHOICES, key=lambda choice: score(peaks[choice][~out], true_m_s[~out])[2])
         left_out[out] = peaks[best][out]
-        lines.append([run[:26], str(out.sum()), words(best), *cells(best, out), *cells(OWN, out)])
+        lines.append([run[:26], str(out.sum()), choice_text(best), *cells(best, out), *cells(OWN, out)])
     near, covered, _ = score(left_out, true_m_s)
     lines.append(["all, each left out", str(len(views)), "", f"{near:.0%}", f"{covered:.0%}", *cells(OWN, every)])
     best = max(CHOICES, key=lambda choice: score(peaks[choice], true_m_s)[2])
-    lines.append(["none", str(len(views)), words(best), *cells(best, every), *cells(OWN, every)])
+    lines.append(["none", str(len(views)), choice_text(best), *cells(best, every), *cells(OWN, every)])
     heads = "run left out, views, chosen on the others (m/s2; s; s), near, 90 % hold"
-    print_table([*heads.split(", "), f"own ({words(OWN)}): near", "90 % hold"], lines)
+    print_table([*heads.split(", "), f"own ({choice_text(OWN)}): near", "90 % hold"], lines)
 
 
 if __name__ == "__main__":

@@ -22,13 +22,14 @@ from recon.thesis import solver
 from recon.thesis.solver import FrameSolver
 
 FREE_M = 1000.0
-"""A tie that does not hold."""
+"""A tie so loose that it has no effect."""
 TIES_M = (0.01, 0.1, 0.5, FREE_M)
 MORE_PX = 0.2
+"""Largest excess of the median error over that of frames without a tie."""
 
 
 class FirstSolutions:
-    """Keep the first solution of a view, from which every tie begins."""
+    """Solver that keeps the first solution of a view, from which the fit with every tie starts."""
 
     def __init__(self) -> None:
         self.solve_all, self.kept = solver._solve_all, None
@@ -54,14 +55,14 @@ def summary(table: pd.DataFrame) -> list[str]:
 
 
 def words(tie_m: float) -> str:
-    """Return a tie in metres."""
+    """Return a tie in metres as text."""
     return "none" if tie_m >= FREE_M else f"{tie_m:g}"
 
 
 def main() -> None:
     parser = parser_of(__doc__, "--csv", kind="cheetah-runs")
-    parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
-    parser.add_argument("--rows", nargs="+", default=[], metavar="CSV", help="rows of earlier runs with --csv")
+    parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="prefixes of the names of runs to use")
+    parser.add_argument("--rows", nargs="+", default=[], metavar="CSV", help="tables written earlier with --csv")
     parser.add_argument("--ties", nargs="+", type=float, default=TIES_M, metavar="M")
     arguments = parser.parse_args()
     if arguments.rows:

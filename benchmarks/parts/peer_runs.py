@@ -1,6 +1,6 @@
 """Run other programs that triangulate (`peer_programs.py`) in an environment of their own, build/peers.
 
-They are installed with the versions of `PINNED` if they are not; without a network there are no results.
+If they are missing, they are installed in the versions of `PINNED`; without a network there are no results.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PeerClip:
 
 
 def peer_python() -> Path | None:
-    """Return the Python of the other programs, installed if they are not; None if they cannot be."""
+    """Return the Python of the other programs, which are installed if missing; None if that fails."""
     python = ENVIRONMENT / "bin" / "python"
     if works(python):
         return python
@@ -84,7 +84,7 @@ def outside() -> dict[str, str]:
 
 
 def write_clip(path: Path, clip: PeerClip) -> None:
-    """Write what the other programs read of a clip."""
+    """Write the file from which the other programs read a clip."""
     views = clip.views
     points, focal_px = [], [float(np.mean(view.focal_px)) for view in views]
     for view, f in zip(views, focal_px, strict=True):
@@ -99,7 +99,10 @@ def write_clip(path: Path, clip: PeerClip) -> None:
 
 
 def by_peers(python: Path, clips: Sequence[PeerClip], programs: Sequence[str] = PROGRAMS) -> list[dict[str, Result]]:
-    """Return the results of other programs for clips."""
+    """Return the results of other programs for each clip, by program.
+
+    Raises SystemExit if the script of the other programs fails.
+    """
     script = Path(__file__).with_name("peer_programs.py")
     with tempfile.TemporaryDirectory() as folder:
         for number, clip in enumerate(clips):

@@ -2,20 +2,20 @@
 
     python benchmarks/parts/peers.py [FOLDER] [--cases clean late ...] [--quick]
 
-The other programs are aniposelib and Pose2Sim, in an environment of their own (`peer_runs.py`); without a network there
-is a sentence and no table. Each run is a
-folder as in `cheetah_runs.py`, and each case changes its detections or its second camera. All programs get the same
-detections, lenses and poses. The other programs get pixels without lens distortion. aniposelib also gets the pairs of
-keypoints whose distance is constant, and the robust subsets of `recon triangulate`. recon fits as `recon fit` does,
-with the built-in skeleton and without the keypoint bias that was measured on these runs (`--set detector=none`).
+The other programs are aniposelib and Pose2Sim, in an environment of their own (`peer_runs.py`); without a network
+nothing is compared. Each run is a folder as in `cheetah_runs.py`, and each case changes its detections or its second
+camera. All programs get the same detections, lenses and poses. The other programs get pixels without lens distortion.
+aniposelib also gets the pairs of keypoints whose distance is constant, and the robust subsets of `recon triangulate`.
+recon fits as `recon fit` does, with the built-in skeleton and without the keypoint bias that was measured on these runs
+(`--set detector=none`).
 
 The truth is a trajectory estimate of a skeleton from all cameras. This favours programs that have a skeleton, and the
 joints are inside the body, where a detector's keypoint need not be. "Without offsets" is the MPJPE after each joint's
-mean offset over the run was taken off, in a frame that turns with the trunk; "median" is that of all joints' centred
-errors, which a few gross errors do not change. "Delivered" is the share of the truth's
-joints with a position; errors are over these. Two cameras are the named one and the one from the most different
-direction. Times are of the processor, with all checks for recon, and without files, compilation and the search of
-subsets for the others. The script runs in one thread.
+mean offset over the run was subtracted, in a frame that turns with the trunk; "median" is that of all joints' centred
+errors, which a few gross errors do not change. "Delivered" is the share of the truth's joints with a position; errors
+are over these. Two cameras are the named one and the one from the most different direction. Times are of the processor,
+with all checks for recon, and without files, compilation and the search of subsets for the others. The script runs in
+one thread.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def chosen(run: Run, count: str) -> list[View]:
 
 
 def side_by_side(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return a row for each case, with the numbers of all programs in each cell."""
+    """Return a row for each case, with the numbers of all programs in each cell, separated by semicolons."""
     by_case: dict[tuple[str, str], list[Sequence[str]]] = {}
     for row in rows:
         by_case.setdefault((row[0], row[1]), []).append(row[3:])

@@ -43,9 +43,9 @@ def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
     """Displace all cameras but the first."""
     found = [views[0]]
     for view in views[1:]:
-        axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         turn = Rotation.from_rotvec(np.radians(TURN_DEG) * axis).as_matrix()
-        found.append(replace(view, T_camera_world=rigid(turn, SHIFT_M * way) @ view.T_camera_world))
+        found.append(replace(view, T_camera_world=rigid(turn, SHIFT_M * direction) @ view.T_camera_world))
     return found
 
 
@@ -59,6 +59,7 @@ def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
 
 
 def rows(run: Run) -> Iterator[dict]:
+    """Yield the results of a run from the original poses and from displaced poses."""
     body, prior, options = body_of(run.subject), prior_of(PRIOR), TrajectoryOptions()
 
     def solved(views: Sequence[View], refine: bool) -> TrajectorySolution:
@@ -68,8 +69,8 @@ def rows(run: Run) -> Iterator[dict]:
     as_they_are, refined = solved(views, False), solved(views, True)
     first = {
         "poses": "as they are",
-        "beside them": _worst(apart(refined.views, views)),
-        "beside those refined": "",
+        "from the file's": _worst(apart(refined.views, views)),
+        "from those refined in place": "",
         "MPJPE mm": errors(run, refined)["mpjpe_mm"],
         "not refined": errors(run, as_they_are)["mpjpe_mm"],
     }
@@ -81,8 +82,8 @@ def rows(run: Run) -> Iterator[dict]:
         yield {
             "run": run.folder.name[:28],
             "poses": f"displaced, {draw + 1}",
-            "beside them": _worst(apart(found.views, views)),
-            "beside those refined": _worst(far),
+            "from the file's": _worst(apart(found.views, views)),
+            "from those refined in place": _worst(far),
             "MPJPE mm": errors(run, found)["mpjpe_mm"],
             "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
             "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
@@ -93,8 +94,8 @@ def rows(run: Run) -> Iterator[dict]:
 def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body]) -> dict:
     """Refine a rig with all its clips, from the original and from displaced poses.
 
-    Returns degrees and metres, means over the draws, and the errors of the displaced cameras in stated standard
-    deviations.
+    Returns, by column, differences between poses in degrees and metres, as means over the draws, and the errors of the
+    displaced cameras in stated standard deviations.
     """
     own = views[0]
 
@@ -109,28 +110,29 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
     in_place, sigma = refined(own)
     found = [refined(displaced(own, np.random.default_rng(draw))) for draw in range(DRAWS)]
     row: dict = {}
-    for beside, other in (("the file's", own), ("those refined in place", in_place)):
+    for poses, other in (("the file's", own), ("those refined in place", in_place)):
         far = np.array([apart(one, other) for one, _ in found])
-        row[f"beside {beside}: median"] = np.median(far, axis=1).mean(axis=0)
-        row[f"{beside}: worst"] = far.max(axis=1).mean(axis=0)
+        row[f"from {poses}: median"] = np.median(far, axis=1).mean(axis=0)
+        row[f"from {poses}: worst"] = far.max(axis=1).mean(axis=0)
     row["stated, median"] = np.median(sigma[1:].reshape(-1, 2, 3), axis=(0, 2)) * [180 / np.pi, 1]
     return row | {"off / stated": np.sqrt(np.mean([off_in_sigmas(at, own, stated) ** 2 for at, stated in found]))}
 
 
-def of_detector(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+def detected_row(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+    """Return the row of a rig refined with the detections of its clips."""
     cameras = cameras_of(clips[0])["all"]
     views = [[run.views[camera] for camera in cameras] for run in clips]
     row = together(clips, views, [as_seen(body_of(run.subject), run, runs) for run in clips])
     return {"clips": ", ".join(run.folder.name[:28] for run in clips)} | _shown(row)
 
 
-def of_others(runs: Sequence[Run]) -> Iterator[dict]:
-    """Print means over the runs, for one clip at a time."""
+def simulated_rows(runs: Sequence[Run]) -> Iterator[dict]:
+    """Yield a row of means over the runs, each refined alone, for each kind of simulated detections."""
     independent = {"ERROR_TIME_S": 0.0, "KEYPOINT_BIAS_SHARE": 0.0}
     for label, random, constants in (
         ("projections of the truth", 0, {}),
         ("and white noise", 1, {}),
-        ("and white noise, taken for it", 1, independent),
+        ("and white noise, which the fit assumes", 1, independent),
     ):
         rows = []
         for i, run in enumerate(runs):
@@ -152,7 +154,7 @@ def _worst(far: np.ndarray) -> str:
 def main() -> None:
     runs = runs_given(__doc__)
     groups = [[run] for run in runs] + [group for group in rigs(runs) if len(group) > 1]
-    for table in ([of_detector(clips, runs) for clips in groups], list(of_others(runs))):
+    for table in ([detected_row(clips, runs) for clips in groups], list(simulated_rows(runs))):
         print_table(list(table[0]), [list(row.values()) for row in table])
     found = [row for run in runs for row in rows(run)]
     names = list(found[-1])

@@ -1,11 +1,10 @@
-"""How long does a fit take after one correction, when it begins at the earlier motion?
+"""Measure the time of a fit after one correction, started from the earlier motion.
 
     python benchmarks/parts/refit.py [FRAMES ...]
 
 A simulated run around one camera (`long_clips.py`) is fitted, one detection is moved by 40 px, and `refit_clip` fits
-again as `recon fix` does after each click. A second value is the processor's time, which other
-programs on the machine do not lengthen. Difference: mean distance of the joints from the fit from nothing with the same
-correction.
+again as `recon fix` does after each click. The second value is the processor time, which other programs on the machine
+do not lengthen. Difference: mean distance of the joints from those of a fit from scratch with the same correction.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def row(frames: int) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("frames", type=int, nargs="*", default=[60, 600])
-    header = ["frames", "refit, s (processor)", "fit from nothing, s (processor)", "difference, mm"]
+    header = ["frames", "refit, s (processor)", "fit from scratch, s (processor)", "difference, mm"]
     print_table(header, [row(frames) for frames in parser.parse_args().frames])
 
 

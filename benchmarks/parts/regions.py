@@ -1,4 +1,4 @@
-"""Measure the tails of errors relative to the stated covariances, and what correct regions would hold for 28 views.
+"""Measure the tails of errors relative to the stated covariances, and the coverage that correct regions would have.
 
     python benchmarks/parts/regions.py [FOLDER]
 
@@ -6,7 +6,7 @@ The fits are those of all views of the runs in `cameras.py`, each alone, with kn
 measured in the other runs. The degrees of freedom of Student's t are fitted by maximum likelihood, with a view's mean
 over its joints as one error of the pose and one of the position. Each run is tested with the value of the other runs.
 Then errors are drawn as stated, for whole clips with everything their frames share, and with one scale per clip: the
-fraction that the worst of so many views holds, and the size of the errors, if they are as large as stated. Finally,
+coverage of the worst of as many views, and the size of the errors, if they are as large as stated. Finally,
 positions are corrected for the expected bias of the joint minimum (`simulated_coverage.py`).
 """
 
@@ -37,20 +37,21 @@ NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30
 KINDS, LEVELS = ("pose", "place"), (0.9, 0.5)
 DRAWS = 400
 WORST = 0.6
+"""Coverage of the 90 % regions below which views are counted."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Errors of a fit over the known joints.
-
-    off: errors of pose and position in standard deviations. mm: mean errors.
-    """
+    """Errors of a fit over the known joints."""
 
     run: Run
     cameras: str
     off: dict[str, np.ndarray]
+    """Errors in standard deviations, by each of `KINDS`."""
     mm: dict[str, float]
+    """Mean errors in mm, by each of `KINDS`."""
     named: bool
+    """Whether the only camera is the one that the run's meta.json names."""
 
 
 def fits(runs: Sequence[Run]) -> list[Fit]:
@@ -78,7 +79,7 @@ def _mm(error_m: np.ndarray) -> np.ndarray:
 
 
 def likelihood(off: np.ndarray) -> np.ndarray:
-    """Return, for each of `NUMBERS`, the mean logarithm of the density of errors in space relative to a Gaussian's."""
+    """Return, for each of `NUMBERS`, the mean log density of errors in three dimensions relative to a Gaussian's."""
     nu, k = np.array(NUMBERS)[:, None], 3
     scale = gammaln((nu + k) / 2) - gammaln(nu / 2) - k / 2 * np.log(nu - 2)
     found = (scale - (nu + k) / 2 * np.log1p(off**2 / (nu - 2))).mean(axis=1)
@@ -91,6 +92,7 @@ def inside(some: Sequence[Fit], what: str, nu: float) -> str:
 
 
 def heaviness(found: Sequence[Fit]) -> None:
+    """Print the degrees of freedom fitted with each run left out, and the coverage with them on that run."""
     one = [fit for fit in found if fit.cameras == "one"]
     by_fit = {id(fit): {what: likelihood(off) for what, off in fit.off.items()} for fit in one}
 
@@ -104,11 +106,11 @@ def heaviness(found: Sequence[Fit]) -> None:
         gained = sum(float(by_fit[id(fit)][what][best]) for fit in own for what in fit.off)
         shares = [inside(own, what, nu) for what in KINDS for nu in (1e6, NUMBERS[best])]
         rows.append([name, f"{NUMBERS[best]:g}", f"{gained:+.2f}", *shares])
-    head = ["run left out", "nu of the others", "log likelihood beside a Gaussian"]
+    head = ["run left out", "nu of the others", "log likelihood relative to a Gaussian"]
     print_table([*head, *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
     of_all = {what: f"{NUMBERS[most(one, what)]:g}" for what in KINDS}
     best = NUMBERS[most(one, *KINDS)]
-    print(f"\nOf all: {best:g}; of the pose alone {of_all['pose']}, of the place {of_all['place']}.\n")
+    print(f"\nAll runs: {best:g}; pose alone {of_all['pose']}, position alone {of_all['place']}.\n")
     rows = []
     for label in ("one", "two", "all"):
         some = [fit for fit in found if fit.cameras == label]
@@ -149,7 +151,7 @@ def drawn(
 
 
 def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
-    """Print what the regions of the worst views hold if errors are drawn from the stated covariances."""
+    """Print the coverage of the worst views if errors are drawn from the stated covariances."""
     rng, off_m, far = np.random.default_rng(0), [], []
     shares, mm = ({what: [] for what in KINDS} for _ in range(2))
     for run in runs:
@@ -180,12 +182,12 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     sizes({what: np.array(of) for what, of in mm.items()}, [fit for fit in found if fit.cameras == "one"])
     rows = []
     for label, off_mm, too_far in zip(
-        ("as found", "without the pull"), 1000 * np.array(off_m).T, np.array(far).T, strict=True
+        ("as found", "corrected"), 1000 * np.array(off_m).T, np.array(far).T, strict=True
     ):
         cells = [f"{too_far.mean():+.1%}", f"{np.sqrt(np.mean(too_far**2)):.1%}", str(int((too_far > 0).sum()))]
         rows.append([label, *cells, f"{off_mm.mean():.0f}", f"{np.median(off_mm):.0f}"])
-    print("\nThe pull of the joint minimum taken off\n")
-    print_table(["places", "too far", "rms", "views too far", "mpe_mm mean", "median"], rows)
+    print("\nPositions corrected for the bias of the joint minimum\n")
+    print_table(["positions", "too far", "rms", "views too far", "mpe_mm mean", "median"], rows)
 
 
 def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:

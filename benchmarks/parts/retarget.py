@@ -52,7 +52,7 @@ COLUMNS = (
 
 
 def fits(folder: Path, work: Path) -> Iterator[tuple[str, Motion]]:
-    """Return fits of the samples and of the runs."""
+    """Yield the name and the fit of the sample and of each run."""
     samples = ROOT / "data" / "samples"
     yield (
         "sample, whole animal",
@@ -101,7 +101,7 @@ def row(clip: str, solved: Retargeting, seconds: float) -> list[str]:
 
 def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
-    parser.add_argument("--robot", action="append", help="a1, aibo, or a file; several times for several")
+    parser.add_argument("--robot", action="append", help="a1, aibo, or a file; may be repeated")
     parser.add_argument("--picture", type=Path)
     arguments = parser.parse_args()
     robots = [load_robot(name) for name in arguments.robot or builtin_robots()]

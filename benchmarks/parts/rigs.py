@@ -52,7 +52,7 @@ def scored(found: TrajectorySolution, true_m: np.ndarray) -> tuple[float, ...]:
 
 
 def print_refined(animals: Sequence[str], seeds: Sequence[int]) -> None:
-    print_header(("animal", "cameras", "MPE as given, mm", "refined", "taken"))
+    print_header(("animal", "cameras", "MPE as given, mm", "refined", "accepted"))
     for name in animals:
         body, options = load_skeleton(name), TrajectoryOptions(fast=True)
         for seed in seeds:
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.refine:
         print_refined(given.animals, range(given.first_seed, given.first_seed + given.seeds))
         return
-    print_header(("animal", "cameras", "lengths beside, %", "position 90 %", "pose 90 %", "MPJPE, mm", "MPE, mm"))
+    print_header(("animal", "cameras", "deviation of lengths, %", "position 90 %", "pose 90 %", "MPJPE, mm", "MPE, mm"))
     for count in given.cameras:
         for wrong in WRONG:
             every = []

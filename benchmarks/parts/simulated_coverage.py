@@ -66,17 +66,15 @@ STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion.
-
-    points_m, marked_m (n, J, 3): the body's markers at nominal size, relative to the middle of the path, and the points
-    that the detector marks.
-    """
+    """A simulated or recorded motion."""
 
     body: Body
     prior: MotionPrior
     fps: float
     points_m: np.ndarray
+    """Positions (n, J, 3) of the body's markers at nominal size, relative to the middle of the path."""
     marked_m: np.ndarray
+    """Positions (n, J, 3) of the points that the detector marks."""
 
 
 @cache
@@ -144,7 +142,7 @@ def recorded(animal: str, rng: np.random.Generator) -> Motion:
 
 
 def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) -> np.ndarray:
-    """Return noise (n, ...) of unit variance that stays similar for a number of neighbouring frames."""
+    """Return noise (n, ...) of unit variance with a correlation time of `alike` frames."""
     keep = (alike - 1.0) / (alike + 1.0)
     noise = rng.normal(size=shape)
     for t in range(1, len(noise)):
@@ -227,7 +225,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
     problem, states = solved.problem, solved.estimate.states
 
     def at(states: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Return half the log determinant, the variance of the distance, and the states' derivative by the distance."""
+        """Return half the log determinant, the variance of the distance, and the states' derivative."""
         middle_m = setting.body.tree.pose(states).points_m.mean(axis=1)
         by_state = np.zeros(states.shape)
         by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)
@@ -276,7 +274,7 @@ def main() -> None:
         )
     solved = [row for row in rows if "rank" in row]
     print(f"{given.recorded or given.skeleton}: {len(solved)} of {len(rows)} clips with a pose in every frame\n")
-    head = ["clips", "number", "misfit", *_SHARES, "too far", "true one nearer", "ranks uniform, p"]
+    head = ["clips", "number", "misfit", *_SHARES, "too far", "truth nearer", "ranks uniform, p"]
     head += ["mode", "p without", "mpjpe_mm"]
     end_on = [row for row in solved if row["end on"]]
     few = [row for row in solved if row["seen"] < 0.6]

@@ -1,6 +1,6 @@
 """Time commands as whole processes, compared with Python with only the imports that each command needs.
 
-python benchmarks/parts/startup.py [RUNS]
+    python benchmarks/parts/startup.py [RUNS]
 
 The two take turns, RUNS times (15 by default), after a first pair that does not count. The ratios are those of a pair,
 so that other load on the machine slows both down.
@@ -34,7 +34,7 @@ COMMANDS = (
 
 
 def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
-    """Return the time by the clock and by the processor (NaN if the system does not state it)."""
+    """Return the wall-clock time and the processor time (NaN if unknown) of a command, in seconds."""
     compiled = {"PYTHONPYCACHEPREFIX": f"{folder}/compiled"}  # compiled once, like an installed package
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | compiled
     began = time.perf_counter()
@@ -55,8 +55,8 @@ def compared(
 ) -> tuple[float, float, float, float, float]:
     """Return medians over pairs.
 
-    They are the seconds of `recon ARGUMENTS` by the clock and by the processor, those of Python with the imports, and
-    the ratios of a pair's seconds and of the processor's.
+    They are the wall-clock and processor seconds of `recon ARGUMENTS`, the wall-clock seconds of Python with the
+    imports, and the ratios of a pair's wall-clock and processor times.
     """
     pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
     taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]

@@ -3,8 +3,8 @@
     python benchmarks/parts/stated_errors.py [FOLDER] [--quick] [--set path=free ...]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
-meta.json. Every view is fitted like `recon fit` without further options, so the animal's size is not known. quick: only
-the camera that meta.json names.
+meta.json. Every view is fitted like `recon fit` without further options, so the animal's size is not known. --quick:
+only the camera that meta.json names.
 """
 
 from __future__ import annotations

@@ -74,40 +74,42 @@ Rows = list[dict]
 
 @dataclass(frozen=True)
 class Job:
-    """Describe one view and how it is fitted.
-
-    subject: with the animal's own lengths, multiplied by scale. change: a key of `CHANGES`, or "projected" for the
-    truth's projections as detections.
-    """
+    """One view and how it is fitted."""
 
     run: Path
     camera: int
     subject: bool = True
+    """Whether the lengths are the animal's own."""
     scale: float = 1.0
+    """Factor on all lengths."""
     prior: str = PRIOR
     options: dict = field(default_factory=dict)
+    """Options of the fit and constants by name."""
     change: str = "nothing"
+    """Key of `CHANGES`, or "projected" for the truth's projections as detections."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Errors of a fit.
-
-    Errors (T, J) are in m, centred and not. inside_relative, inside_place (T, J): whether the truth is in the 90 %
-    regions. sigma_m (T,): RMS over the joints of the relative standard deviation. too_far_m: mean distance of the
-    animal's middle from the camera minus the true one. visible: fraction of the truth in the picture. reference_px:
-    median distance of the truth's projections from the detections.
-    """
+    """Errors of a fit."""
 
     job: Job
     centred_m: np.ndarray
+    """Errors (T, J) with both poses centred."""
     off_m: np.ndarray
+    """Errors (T, J) in the camera's frame."""
     inside_relative: np.ndarray
+    """1.0 (T, J) where the centred truth is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     inside_place: np.ndarray
+    """The same (T, J) without centring."""
     sigma_m: np.ndarray
+    """Relative standard deviation (T,), RMS over the joints."""
     too_far_m: float
+    """Mean distance of the animal's middle from the camera minus the true one."""
     visible: float
+    """Fraction of the truth in the picture."""
     reference_px: float
+    """Median distance of the truth's projections from the detections."""
     flags: tuple[tuple[str, ...], ...]
     status: str
     size: float
@@ -423,7 +425,7 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def rates(runs: Sequence[Path]) -> dict[str, Rows]:
-    """Print errors of velocities and accelerations relative to their standard deviations by `recon.gait.clip`."""
+    """Return errors of velocities and accelerations, and the standard deviations that `recon.gait.clip` states."""
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
@@ -641,7 +643,7 @@ def scaling_row(T: int, cameras: int) -> dict:
         "seconds": seconds,
         "ms a frame": 1000 * seconds / T,
         "peak memory MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "of it before MB": before,
+        "before the fit MB": before,
         "mpjpe_mm": float(np.nanmean(errors_mm(solution, joints_m))),
         "worst frame mm": float(np.nanmax(errors_mm(solution, joints_m))),
         "flagged": sum(map(bool, solution.flags)),

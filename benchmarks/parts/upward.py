@@ -5,8 +5,8 @@
 The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are used with all cameras of a run,
 and the cheetah-runs also with every pair. Off: the angle between the two directions, degrees. Stated: its standard
 deviation about the less certain axis, which has nearly all of the error; if it is right, the median error is 0.67 of
-it, and nine in ten errors are below 1.64 of it. Refused: above 10 degrees the program does not turn the world. The
-script runs in one thread.
+it, and nine in ten errors are below 1.64 of it. Refused: if it is above 10 degrees, the program does not turn the
+world. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -67,7 +67,15 @@ def main() -> None:
                 within = np.quantile(off[which] / sigma[which], [0.5, 0.9])
                 deg = (f"{x:.1f}" for x in (np.median(off[which]), off[which].max(), np.median(sigma[which])))
                 rows.append((label, f"{which.sum()} of {len(each)}", *deg, *(f"{x:.2f}" for x in within)))
-    header = ("clips", "number", "off, median", "off, worst", "stated, median", "off / stated, median", "nine in ten")
+    header = (
+        "clips",
+        "number",
+        "off, median",
+        "off, worst",
+        "stated, median",
+        "off / stated, median",
+        "90th percentile",
+    )
     print_table(header, rows)
 
 

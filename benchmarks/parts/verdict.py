@@ -9,7 +9,7 @@ but one by least squares in logarithms, and tested on that run. The last row is 
 The effect of missing pixel information is fitted to the residuals, since unchanged clips have little of it; so is the
 spread. The code has a larger spread for full pixel information, for clips of 15 frames.
 
-Mistakes that double an error, and the verdicts on them, are in `wrong_inputs.py` and `left_right_swaps.py`.
+Wrong inputs that double an error, and the verdicts on them, are in `wrong_inputs.py` and `left_right_swaps.py`.
 """
 
 from __future__ import annotations

@@ -94,18 +94,19 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """Content of a camera's files, and how the truth relates to it.
-
-    The relation is the frame of the truth for each frame of the clip, and the world of the camera file, x' = R x + t.
-    """
+    """Content of a camera's files, and how the truth relates to it."""
 
     keypoints: Keypoints
     camera: Camera
     frame: Callable[[np.ndarray], np.ndarray] = lambda frames: frames
+    """Function from frames of the clip to frames of the truth."""
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
     t: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """With R, the world of the camera file: x' = R x + t for a point x of the truth."""
     told: dict[str, Any] = field(default_factory=dict)
+    """Settings of the fit that the change replaces."""
     really: Seen | None = None
+    """Where the keypoints really come from, if not from this camera."""
 
     @property
     def xy_px(self) -> np.ndarray:
@@ -177,15 +178,15 @@ Change = Callable[[Clip, Given], Given]
 
 @dataclass(frozen=True)
 class Case:
-    """Describe a mistake.
-
-    codes: findings that state it. both: the first of two cameras is changed, too.
-    """
+    """A wrong input, or a right one if its name begins with "right"."""
 
     change: Change
     codes: tuple[str, ...] = ()
+    """Codes of the findings that state it."""
     two: bool = False
+    """Whether clips have two cameras."""
     both: bool = False
+    """Whether the first of two cameras is changed, too."""
 
 
 def about(axis: str, degrees: float) -> np.ndarray:
@@ -282,7 +283,7 @@ def paws_on_shadow(clip: Clip, given: Given) -> Given:
 
 
 def rolling(shutter_s: float) -> Change:
-    """Return a change that takes the last row of the picture later than the first, by shutter_s."""
+    """Return a change that takes the last row of the picture `shutter_s` seconds later than the first."""
 
     def change(clip: Clip, given: Given) -> Given:
         late = shutter_s * clip.meta["fps"] * given.xy_px[..., 1:] / given.size_px[1]
@@ -386,7 +387,7 @@ def in_unit(per_m: float) -> Change:
     return change
 
 
-def of_other_clip(clip: Clip, given: Given) -> Given:
+def from_other_clip(clip: Clip, given: Given) -> Given:
     """Take the next run of the same kind, by a camera with a picture of the same size, if there is one."""
     runs = sorted(path.parent for path in clip.run.parent.glob("*/meta.json"))
     for run in runs[runs.index(clip.run) + 1 :] + runs[: runs.index(clip.run)]:
@@ -399,7 +400,7 @@ def of_other_clip(clip: Clip, given: Given) -> Given:
     return given
 
 
-def of_other_camera(clip: Clip, given: Given) -> Given:
+def from_other_camera(clip: Clip, given: Given) -> Given:
     other = clip.given(clip.others[0])
     xy_px, later = other.xy_px[: len(given.xy_px)], int(other.keypoints.frames[0] - given.keypoints.frames[0])
     really = Seen(clip.run, other.camera, later)
@@ -463,7 +464,7 @@ def hidden(which: Callable[[str], bool]) -> Change:
 
 
 def some_keypoints(count: int) -> Change:
-    """So many keypoints of the file, chosen at random; the others are never detected."""
+    """Return a change that keeps `count` keypoints, chosen at random, and removes the others in all frames."""
 
     def change(clip: Clip, given: Given) -> Given:
         seen = clip.rng.choice(len(given.keypoints.names), count, replace=False)
@@ -565,8 +566,8 @@ CASES = {
     "unit cm": Case(in_unit(100.0), ("camera_unit",)),
     "unit feet": Case(in_unit(3.28084), ("camera_unit", "ground_elsewhere")),
     "lengths x 1.5": Case(lengths_15, ("subject_unlike_species",)),
-    "of another clip": Case(of_other_clip),
-    "of another camera": Case(of_other_camera, ("other_camera_named", "ground_elsewhere")),
+    "of another clip": Case(from_other_clip),
+    "of another camera": Case(from_other_camera, ("other_camera_named", "ground_elsewhere")),
     "shifted by half the clip": Case(lambda c, g: g.seen(np.roll(g.xy_px, len(g.xy_px) // 2, axis=0))),
     "shuffled": Case(shuffled, ("gross_outliers",)),
     "30 % gross outliers": Case(gross_outliers(0.3), ("gross_outliers",)),
@@ -619,7 +620,10 @@ PLAIN = {"untouched": False, "two cameras": True}
 
 
 def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
-    """Fit a clip with a mistake; raise InputError."""
+    """Return the fit of a clip with the change of a case, and the files' content of the first camera.
+
+    Raises InputError if the fit is refused.
+    """
     first, *rest = [clip.given(name) for name in clip.cameras]
     if case.both or not case.two:
         first = case.change(clip, first)
@@ -659,7 +663,7 @@ def errors(off_m: np.ndarray) -> tuple[float, float]:
     )
 
 
-def of_what_was_seen(seen: Seen, motion: Motion) -> dict[str, float]:
+def errors_in_camera(seen: Seen, motion: Motion) -> dict[str, float]:
     """Return errors in the frame of the camera that really saw the keypoints, since one camera cannot show more."""
     assert seen.camera.rotation is not None
     assert seen.camera.translation_m is not None
@@ -700,7 +704,7 @@ def row(clip: Clip, name: str) -> dict[str, Any]:
     codes = [one.code for one in motion.findings if one.severity != "note" or one.code == "missing_as_constant"]
     assert motion.verdict is not None
     said = {"codes": " ".join(sorted({*codes})), "level": motion.verdict.level}
-    seen = {} if given.really is None else of_what_was_seen(given.really, motion)
+    seen = {} if given.really is None else errors_in_camera(given.really, motion)
     return found | measured(clip, given, motion) | seen | said
 
 
@@ -779,9 +783,9 @@ def horse_as_cheetah() -> str:
 
 def main() -> None:
     parser = parser_of(__doc__, "--jobs", "--csv")
-    parser.add_argument("--cases", help="those whose name has one of these in it, with commas between them")
-    parser.add_argument("--views", type=int, default=1, help="every so many clips")
-    parser.add_argument("--findings", action="store_true", help="which findings each case has")
+    parser.add_argument("--cases", help="only cases whose names contain one of these texts, separated by commas")
+    parser.add_argument("--views", type=int, default=1, help="every n-th clip only (default: all)")
+    parser.add_argument("--findings", action="store_true", help="list the findings of each case")
     arguments = parser.parse_args()
     wanted = [n for n in CASES if arguments.cases is None or any(part in n for part in arguments.cases.split(","))]
     as_they_are = [name for name, two in PLAIN.items() if any(CASES[other].two == two for other in wanted)]

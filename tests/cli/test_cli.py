@@ -881,7 +881,7 @@ def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypat
 
 
 def test_only_short_clips_have_a_playback_by_default(tmp_path, fitted, monkeypatch):
-    """That of a longer clip is made when it is opened; an earlier one in its folder is gone."""
+    """The playback of a longer clip is made when it is opened; an earlier one in its folder is gone."""
     out, opened = tmp_path / "clip", []
     monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.parent, path.name)))
     settings, motion = replace(read_config(fitted[0] / CONFIG, {}), playback="auto"), Motion.load(fitted[0])
