@@ -27,12 +27,12 @@ intervals with force plates and motion capture.
 
 The leg's length is the median height of the body above the ground, which is the length in Froude numbers.
 
-Strides: an animal whose four feet all stand for half a stride or more stands still, and that time is no stride. A
-missed stance joins two strides into one, and a stance that is cut in two splits one stride. A stride counts if its
-duration is within `AGREE` of the median over all feet's strides at its time or, without such strides, over the strides
-before and after; the only stride of a clip is compared with the period of the motion, if this is known. The stride's
-duration is the mean over the strides that count or, in a clip without any, the period of the feet's motion relative to
-the body, if the clip holds enough of it.
+Strides: an animal whose four feet all stand for half a stride or more stands still, and that time is not part of a
+stride. A missed stance joins two strides into one, and a stance that is cut in two splits one stride. A stride counts
+if its duration is within `AGREE` of the median over all feet's strides at its time or, without such strides, over the
+strides before and after; the only stride of a clip is compared with the period of the motion, if this is known. The
+stride's duration is the mean over the strides that count or, in a clip without any, the period of the feet's motion
+relative to the body, if the clip holds enough of it.
 """
 
 from __future__ import annotations

@@ -717,7 +717,7 @@ def spine_flexion(
 def angle_sigma(angle_of: Angle, points_m: Array, sigma_m: Array) -> Array:
     """Return the linear standard deviation (T,) of an angle between three points (T, 3, 3) with errors sigma_m.
 
-    The derivatives by the nine coordinates are central differences with a step of a micrometre.
+    The derivatives with respect to the nine coordinates are central differences with a step of a micrometre.
     """
     step, variance = 1e-6, np.zeros(len(points_m))
     for shift_m in step * np.eye(9).reshape(9, 3, 3):

@@ -189,7 +189,7 @@ def _grouped(single: Sequence[_Block]) -> list[_Block]:
 
 
 def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float]:
-    """Return effects, their covariance and minus twice the restricted likelihood for three standard deviations."""
+    """Return effects, their covariance and minus twice the restricted log-likelihood, for three sigmas."""
     animal, run, stride = sigmas**2
     columns = blocks[0].columns.shape[-1] // blocks[0].animals
     moments, log_determinant = np.zeros((columns, columns)), 0.0

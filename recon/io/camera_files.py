@@ -186,8 +186,7 @@ def require_separate_pose(path: Path, table: Mapping[str, Any], record: CameraRe
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
     """Return the key under which a table states its lens, and the lens's name: recon's if known, otherwise the file's.
 
-    The result is None if the table states no lens. Contradictory statements are returned as one text, which is not a
-    lens.
+    The name is None if the table states no lens. Contradictory names are joined to one text, which names no lens.
     """
     stated: dict[str, str] = {}
     for name in LENS_KEYS:

@@ -41,7 +41,7 @@ class Project:
 
     @property
     def folder(self) -> Path:
-        """Folder of the configuration."""
+        """Return the folder of the configuration."""
         return self.config.parent
 
 

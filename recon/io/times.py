@@ -33,7 +33,7 @@ PHASE_SHARED = 0.5
 _WINDOW = 16
 """Number of times from which the rate is first estimated."""
 PER_SECOND = {"ns": 1e9, "us": 1e6, "µs": 1e6, "ms": 1e3}
-"""Units of times other than seconds, and how many of them are a second."""
+"""Units of times other than seconds, and how many of them make a second."""
 EPOCH_S = 9e8, 1e10
 """Range of time stamps in seconds since 1970, from the year 1998 on."""
 
@@ -130,7 +130,7 @@ def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
 def seconds(cells: Iterable[object]) -> np.ndarray | None:
     """Return ISO 8601 time stamps as seconds after the first, or None if any cell is not a time stamp.
 
-    Times of the day, as 00:01:02.500, are seconds after midnight.
+    Times of the day, such as 00:01:02.500, are seconds after midnight.
     """
     texts = [str(cell).strip() for cell in cells]
     clocks = [re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)", text) for text in texts]

@@ -152,7 +152,8 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
     first_frame : int
         Number of the first of these frames.
     previous_frames : int or None
-        Number of frames before them; None if more follow.
+        Number of frames decoded before them; None if frames after them were not read, so that the number of frames
+        that the file states cannot be checked.
     """
     name, stated = Path(path).name, probe(path).stated_frames
     counted = "Frames are numbered in the order of decoding, as in DeepLabCut, so keypoints keep their frames"
@@ -309,7 +310,7 @@ def require_codec(path: Path) -> str:
 def _local(path: Path) -> str:
     """Return a file name that FFmpeg does not mistake for a protocol, as in run10:30.mp4 or a folder called http:.
 
-    Raise InputError for a name that OpenCV cannot take: it crashes at bytes that are not UTF-8.
+    Raises InputError for a name that OpenCV cannot take: it crashes at bytes that are not UTF-8.
     """
     return utf8_path(path)
 

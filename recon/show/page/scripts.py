@@ -17,7 +17,7 @@ _EXPORT = re.compile(r"^export (?=class |function |const )", re.MULTILINE)
 
 @cache
 def script(name: str, folder: str = "player") -> str:
-    """Return the script of a module after all modules that it imports."""
+    """Return the script of a module, preceded by those of all modules that it imports."""
     parts: dict[str, str] = {}
     _add(name, FOLDER / folder, parts)
     content = "\n".join(parts.values())
@@ -26,7 +26,7 @@ def script(name: str, folder: str = "player") -> str:
 
 @cache
 def style(name: str, folder: str = "player") -> str:
-    """Return a style sheet."""
+    """Return the text of a style sheet."""
     return (FOLDER / folder / f"{name}.css").read_text(encoding="utf-8")
 
 
