@@ -136,9 +136,9 @@ def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | Non
     """Return, by the number of the view, findings on keypoints of another camera, or of another picture of it."""
     findings = {}
     for number, source in enumerate(motion.sources):
-        camera, other = source.camera.name, named[number]
-        if other is not None:
-            findings[number] = finding("other_camera_named", camera=camera, given=camera, other=other)
+        camera, named_camera = source.camera.name, named[number]
+        if named_camera is not None:
+            findings[number] = finding("other_camera_named", camera=camera, given=camera, other=named_camera)
             continue
         baseline = baseline_of(clip, number, motion.solution.states, motion.solution.size)
         picture = unit_square_finding(baseline) or other_picture_finding(baseline)
