@@ -116,7 +116,7 @@ def _has_error(findings: Sequence[Finding]) -> bool:
 
 
 def _as_solved(clip: ClipProblem, solution: TrajectorySolution) -> ClipProblem:
-    """Return the problem with the weight of the prior, and the knowledge of the ground, of its solution."""
+    """Return the problem with the prior's weight in a solution, and a ground near z = 0 only if feet stand there."""
     weights = [segment.prior_weight for segment in solution.segments]
     is_elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
     return replace(
@@ -133,7 +133,7 @@ def _is_unlike_prior(solution: TrajectorySolution, fps: float) -> bool:
 
 
 def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | None]) -> dict[int, Finding]:
-    """Return, by the number of the view, findings on keypoints of another camera, or of another picture of it."""
+    """Return findings on keypoints of another camera, or of another picture of the camera, by the view's number."""
     findings = {}
     for number, source in enumerate(motion.sources):
         camera, named_camera = source.camera.name, named[number]
@@ -156,7 +156,11 @@ def _feet_glide(moves: Sequence[Finding]) -> bool:
 def _explain_by_only_view(
     motion: Motion, clip: ClipProblem, baseline: Baseline, moves: Sequence[Finding]
 ) -> list[Finding]:
-    """Return `moves`, or, if the path at most jolts, what a clip of one camera says about its cause."""
+    """Return `moves`, or findings on a single camera's view that explain them.
+
+    A jolting path, and nothing else, may be explained by a hind half that is another animal's. If there are no moves,
+    the lens, the stretch and the focal length are tested as well.
+    """
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     if any(item.code != "path_jolts" for item in moves):

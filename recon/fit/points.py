@@ -134,11 +134,11 @@ class _NormalEquations(NamedTuple):
     hessian: Array
     """(N, D, D): curvature of the cost in the states."""
     gradient: Array
-    """(N, D)."""
+    """(N, D): gradient of the cost in the states."""
     size_hessian: Array
     """(N, D + 1): mixed curvature in the size's logarithm and the states, then its own curvature."""
     size_gradient: Array
-    """(N,)."""
+    """(N,): gradient of each frame's cost in the size's logarithm."""
 
 
 def _normal_equations(

@@ -138,7 +138,7 @@ class ReprojectionErrors(NamedTuple):
     """Errors of the detections of J markers in N frames of one camera."""
 
     cost: Array
-    """(N,)."""
+    """(N,): cost of each frame."""
     in_sigmas: Array
     """(N, J, 2): errors in standard deviations, 0 for markers that are not seen."""
     squares: Array
@@ -148,7 +148,7 @@ class ReprojectionErrors(NamedTuple):
     unbiased_px: Array
     """(N, J, 2): projected markers without keypoint bias."""
     by_point: Array
-    """(N, J, 2, 3): derivatives of these by the markers; empty if not asked for."""
+    """(N, J, 2, 3): derivatives of `unbiased_px` with respect to the markers in the world; empty unless requested."""
 
 
 class Term(Protocol):

@@ -577,7 +577,7 @@ class _ClipArrays:
         return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
 
     def fill(self, name: str, rows: slice, values: Array) -> None:
-        """Set the values of a segment, whose frames are `rows`. They may be kept, and rounded in place."""
+        """Set the values of a segment, whose frames are `rows`; the array may be kept, and rounded in place."""
         if name in SINGLE:
             _round_to_single(values)
         if values.shape == self.shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large

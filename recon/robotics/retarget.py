@@ -630,7 +630,7 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
 
 
 class _Swings(NamedTuple):
-    """How N samples of a foot lie between its stances, each (N,)."""
+    """Times of N samples of a foot relative to its stances, (N,) each."""
 
     last_standing: Array
     """Index of the last standing sample so far, -1 without any."""
@@ -639,13 +639,13 @@ class _Swings(NamedTuple):
     since_s: Array
     """Time since the last standing sample."""
     until_s: Array
-    """Time until the next one."""
+    """Time until the next standing sample."""
     duration_s: Array
-    """Duration of the swing."""
+    """Duration of the swing, or that of the longest swing for samples in stance and swings that the clip cuts."""
 
 
 def _swings(time_s: Array, standing: Bools) -> _Swings:
-    """Return how the samples of a foot lie between its stances."""
+    """Return the times of a foot's samples relative to its stances."""
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
