@@ -20,7 +20,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError
 from recon.check.codes import FLAGS, SWAPPED, finding, sort_findings
 from recon.check.constants import MANY_FRAMES
-from recon.check.inputs import FASTEST_M_S, GROSS
+from recon.check.inputs import FASTEST_M_S, GROSS, MOVES
 from recon.clip import UNLIKELY, Source
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -66,6 +66,13 @@ SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Factor within which a camera's height suggests a unit, because an animal's size, and so the height, is uncertain."""
+UNEXPLAINED = ("fit_explains_little", "motion_unexplained")
+"""Codes of fits that do not explain the detections."""
+FROM_MOTION = (*MOVES, "path_jolts")
+"""Codes of causes that are read off the fitted motion.
+
+A motion that does not explain the detections shows no cause: frames in the wrong order look like a treadmill.
+"""
 SUBJECT_SIGMAS = 3.0
 """Deviation of an animal's lengths from those of its kind, in standard deviations of the existing sizes."""
 
@@ -77,7 +84,10 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     rules: tuple[Rule, ...] = (no_pose,)
     if motion.solved.any():
         rules = (*RULES, *TRAJECTORY_RULES) if isinstance(solution, TrajectorySolution) else RULES
-    return sort_findings([*given_findings, *(item for rule in rules for item in rule(motion))])
+    findings = [*given_findings, *(item for rule in rules for item in rule(motion))]
+    if any(item.code in UNEXPLAINED for item in findings):
+        findings = [item for item in findings if item.code not in FROM_MOTION]
+    return sort_findings(findings)
 
 
 # -- both methods ------------------------------------------------------------------------------------------------------

@@ -232,6 +232,17 @@ def test_findings_come_in_the_order_of_their_codes(small_trajectory):
     assert {"few_frames", "second_solution", "camera_taken_level"} <= {*codes}
 
 
+def test_a_motion_that_does_not_explain_the_detections_shows_no_treadmill(small_trajectory):
+    belt = finding("treadmill", slide_m_s=3.0, speed_m_s=0.1)
+    unexplained = finding("motion_unexplained", prior="cats", misfit=3.1, share=0.17)
+
+    def codes(*findings: Finding) -> set[str]:
+        return {item.code for item in findings_of(replace(small_trajectory, findings=findings))}
+
+    assert "treadmill" in codes(belt)
+    assert codes(belt, unexplained) == codes(unexplained)
+
+
 def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
     motion = Motion.load(whole_results)
 
