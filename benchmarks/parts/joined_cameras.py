@@ -24,7 +24,7 @@ from recon.fit.posterior import radius
 from recon.gait.clip import analyse
 from recon.gait.gait import INTERVAL
 from recon.gait.kinematics import frame_times, series_kinematics
-from recon.gait.quantities import shared_sigmas
+from recon.gait.quantities import shared_sigma_columns
 
 
 def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:
@@ -39,7 +39,7 @@ def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:
         "animal": run.name,
         "group": "all",
     }
-    row = labels | {"verdict": "", "strides": 0, "reference": motion.reference} | shared_sigmas(motion)
+    row = labels | {"verdict": "", "strides": 0, "reference": motion.reference} | shared_sigma_columns(motion)
     row |= {SPEED: speed.value, f"{SPEED}_sigma": speed.sigma, f"{SPEED}_own_sigma": speed.own_sigma}
     return row | {f"{SPEED}_measurement_sigma": measurement_sigma(speed), f"{SPEED}_source": speed.source}
 

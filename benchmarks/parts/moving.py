@@ -80,7 +80,7 @@ def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
     )
 
 
-def doubtful(pan: View, fps: float, seed: int) -> View:
+def with_pose_errors(pan: View, fps: float, seed: int) -> View:
     """Return a pan whose camera poses have errors, with their standard deviation."""
     T, rng = len(pan.xy_px), np.random.default_rng(seed)
     seconds = (np.arange(T) - T / 2)[:, None] / fps
@@ -96,7 +96,7 @@ def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:
     body, prior = body_of(run.subject), prior_of(PRIOR)
     for camera, view in run.views.items():
         still, pan, lost = panned(view, run.fps)
-        pan = doubtful(pan, run.fps, camera) if with_errors else pan
+        pan = with_pose_errors(pan, run.fps, camera) if with_errors else pan
         solutions = [solve_trajectory([one], body, prior, run.fps) for one in (still, pan)]
         a, b = (errors(run, solution) for solution in solutions)
         apart = np.linalg.norm(solutions[1].joints_m - solutions[0].joints_m, axis=-1)

@@ -24,7 +24,7 @@ from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
+from recon.gait.gait import Gait, Stride, interval_of, rejection_text
 from recon.gait.quantities import GaitQuantity
 from recon.show.plain import picked, to_json
 from recon.show.tables import DICTIONARY, LONG, TABLES, WORKBOOK, write_analysis
@@ -186,9 +186,9 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
-    doubtful = [] if gait is None else [doubtful_text(stride) for stride in gait.doubtful]
-    yield from doubtful[:MOST_REASONS]
-    if (count_more := len(doubtful) - MOST_REASONS) > 0:
+    rejections = [] if gait is None else [rejection_text(stride) for stride in gait.rejected_strides]
+    yield from rejections[:MOST_REASONS]
+    if (count_more := len(rejections) - MOST_REASONS) > 0:
         yield f"{counted(count_more, 'more stride')} left out for similar reasons."
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."

@@ -47,7 +47,7 @@ from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigmas
+from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigma_columns
 from recon.show.page.compare_page import compare_page
 from recon.show.page.own_page import COMPARE_PAGE, PAGE
 from recon.show.page.pages import median_error_px
@@ -412,7 +412,7 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     `_measurement_sigma` also leaves out the scatter of the strides; `_run_sigma` is its part that all cameras share.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
-    row |= shared_sigmas(analysis.motion)
+    row |= shared_sigma_columns(analysis.motion)
     for name in QUANTITIES:
         quantity = quantities.get(name)
         value, sigma, unshared = (

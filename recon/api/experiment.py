@@ -37,8 +37,10 @@ SPEED = "speed_m_s"
 MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _SLOPE_NAMES = {SPEED: "per m/s of speed"}
 """Names of covariates' slopes in the table, if they are not made from the covariate's name."""
-_LEAST_SIGMA, _LEAST_SHARE = 1e-9, 0.01
-"""Smallest standard deviation of a camera's independent error, and smallest relative to that of all its errors."""
+_LEAST_SHARE = 0.01
+"""Smallest standard deviation of a camera's independent error, relative to that of all its errors."""
+_LEAST_SIGMA = 1e-9
+"""Smallest standard deviation, and smallest magnitude of a value, that is divided by."""
 _FIELD = re.compile(r"\{(\w*)\}")
 
 
@@ -173,7 +175,7 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     ----------
     clips : DataFrame
         The columns clip, camera, run, animal, group, verdict, strides, size_sigma, and if known size_prior_sigma and
-        focal_sigma (`recon.gait.quantities.shared_sigmas`); of each quantity the value, `_sigma`, `_own_sigma`,
+        focal_sigma (`recon.gait.quantities.shared_sigma_columns`); of each quantity the value, `_sigma`, `_own_sigma`,
         `_measurement_sigma`, `_source`, and if known `_run_sigma`, the part of `_measurement_sigma` that the cameras
         of a run share. Other columns are taken from the first camera.
     quantities : mapping

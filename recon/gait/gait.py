@@ -319,7 +319,7 @@ class Gait(Brief):
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: _GaitName
-    doubtful: tuple[Stride, ...] = ()
+    rejected_strides: tuple[Stride, ...] = ()
     """Strides whose durations contradict the other feet. They are not in `strides`."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
@@ -565,7 +565,7 @@ def gait(tracks: Tracks) -> Gait:
     """Find stances, strides and the gait's name; each foot's strides are compared with those of all feet."""
     all_stances = stances(tracks)
     all_strides = strides(tracks, all_stances)
-    counted, doubtful = _counted(all_strides, pose_period_s(tracks) if len(all_strides) == 1 else np.nan)
+    counted, rejected = _counted(all_strides, pose_period_s(tracks) if len(all_strides) == 1 else np.nan)
     lengths, durations = [s.length_m for s in counted], [s.duration_s for s in counted]
     lasts_s, sigma_s = _stride_time(tracks, counted)
     touch_downs = sorted((s for s in all_stances if s.begins), key=lambda s: s.start_s)
@@ -584,7 +584,7 @@ def gait(tracks: Tracks) -> Gait:
         duty_factor={foot: median([s.duty_factor for s in counted if s.foot == foot]) for foot in tracks.feet},
         speed_m_s=mean(tracks.body_speed_m_s),
         name=name_gait(all_stances, counted, lasts_s, why_unknown),
-        doubtful=doubtful,
+        rejected_strides=rejected,
     )
 
 
@@ -634,7 +634,7 @@ def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[St
 
     The only stride of a clip is compared with the period of the motion in seconds, unless this is NaN.
     """
-    counted, doubtful = [], []
+    counted, rejected = [], []
     start_s, end_s, lasts_s = (
         np.array([getattr(s, field) for s in all_strides]) for field in ("start_s", "end_s", "duration_s")
     )
@@ -648,11 +648,11 @@ def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[St
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
-            doubtful.append(replace(stride, others_s=others_s))
-    return tuple(counted), tuple(doubtful)
+            rejected.append(replace(stride, others_s=others_s))
+    return tuple(counted), tuple(rejected)
 
 
-def doubtful_text(stride: Stride) -> str:
+def rejection_text(stride: Stride) -> str:
     """Return a sentence on why a stride does not count."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
     return f"{text}: around its time the motion repeats after {stride.others_s:.3f} s"

@@ -106,12 +106,19 @@ def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
 
 
 def shared_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation of lengths from the errors that the whole clip shares."""
+    """Return the relative standard deviation of lengths from the errors of the size and of the focal length.
+
+    All lengths of a clip share these errors.
+    """
     return float(np.hypot(_size_sigma(motion), _focal_sigma(motion)))
 
 
-def shared_sigmas(motion: Motion) -> dict[str, float]:
-    """Return the parts of `shared_sigma`, and the size's before the fit: all relative standard deviations."""
+def shared_sigma_columns(motion: Motion) -> dict[str, float]:
+    """Return the columns of a clip from which `recon compare` joins cameras, all relative standard deviations.
+
+    `size_sigma` is that of lengths (`shared_sigma`), `size_prior_sigma` that of the size before the fit, and
+    `focal_sigma` that of the speed from the focal length alone.
+    """
     size_sigma, prior_sigma = _size_sigma(motion), getattr(motion.solution, "size_prior_sigma", None) or 0.0
     return {
         "size_sigma": shared_sigma(motion),

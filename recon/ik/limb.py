@@ -15,7 +15,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
-from recon.gait.gait import AGREE, Gait, Stride, doubtful_text
+from recon.gait.gait import AGREE, Gait, Stride, rejection_text
 from recon.gait.kinematics import MIN_POINTS, angle_kinematics, jitter_errors
 from recon.gait.phase import Portrait, phase_portrait
 from recon.ik.animal_chain import (
@@ -284,7 +284,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
         gait = ClipAnalysis(motion).gait
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
-        notes = [doubtful_text(stride) for stride in gait.doubtful if stride.foot == label]
+        notes = [rejection_text(stride) for stride in gait.rejected_strides if stride.foot == label]
         stride, lasts_s = next((s for s in gait.strides if s.foot == label), None), stride_lasts_s(gait)
     path = _path_of(motion, limb, stride, lasts_s)
     return replace(path, notes=tuple(notes))

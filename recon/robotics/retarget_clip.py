@@ -47,7 +47,7 @@ from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws
-from recon.gait.gait import doubtful_text
+from recon.gait.gait import rejection_text
 from recon.ik.drive import control_columns
 from recon.io.writing import write_rows
 from recon.robotics import physics
@@ -250,7 +250,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
 
 def _notes(done: Retargeting) -> list[str]:
     window = done.window
-    notes = [doubtful_text(stride) for stride in done.animal.gait.doubtful]
+    notes = [rejection_text(stride) for stride in done.animal.gait.rejected_strides]
     if window.source == "return":
         notes.append(
             "the clip has no complete stride: the repeating stride is the part after which the feet come closest to "

@@ -19,13 +19,13 @@ from recon.gait.gait import (
     SLOW,
     Stance,
     classify,
-    doubtful_text,
     gait,
     ground_plane,
     match_stances,
     pose_gait,
     pose_period_s,
     pose_tracks,
+    rejection_text,
     stances,
     strides,
 )
@@ -302,7 +302,7 @@ def test_a_stride_across_standing_still_is_none():
     went, stopped = (gait(pose_tracks(Pose3D(NAMES, m, np.arange(len(m))), FPS)) for m in (pose.xyz_m, stops))
     assert len(stopped.strides) == len(went.strides) - 4
     assert stopped.stride_s == pytest.approx(went.stride_s, rel=0.01)
-    assert stopped.doubtful == ()
+    assert stopped.rejected_strides == ()
 
 
 def test_an_animal_that_stands_has_no_gait():
@@ -372,8 +372,8 @@ def test_half_a_stance_is_no_stride_in_a_clip_without_others():
     short = (t > 0.35) & (t < 0.72)
     found = pose_gait(replace(pose, xyz_m=xyz[short], frames=pose.frames[short]), FPS)
     assert not found.strides
-    assert [doubt.foot for doubt in found.doubtful] == ["RF"]
-    assert found.doubtful[0].duration_s < 0.2
+    assert [stride.foot for stride in found.rejected_strides] == ["RF"]
+    assert found.rejected_strides[0].duration_s < 0.2
     assert found.stride_s == pytest.approx(0.4, rel=1.6 * PERIOD_SIGMA)
 
 
@@ -386,22 +386,22 @@ def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
     xyz[(t > 0.75) & (t < 1.0), foot, 2] += 0.4
     xyz[np.argmin(np.abs(t - 0.48)), foot, 0] += 0.15
     clean = pose_gait(pose, FPS)
-    assert not clean.doubtful
+    assert not clean.rejected_strides
     found = pose_gait(replace(pose, xyz_m=xyz), FPS)
-    assert {doubt.foot for doubt in found.doubtful} == {"RF"}
-    took = sorted(doubt.end_s - doubt.start_s for doubt in found.doubtful)
+    assert {stride.foot for stride in found.rejected_strides} == {"RF"}
+    took = sorted(stride.end_s - stride.start_s for stride in found.rejected_strides)
     assert took[0] < 0.2
     assert took[-1] > 0.6
     assert found.stride_frequency_hz == pytest.approx(2.5, rel=0.01)
     assert len(found.strides) >= 8
-    text = doubtful_text(found.doubtful[0])
+    text = rejection_text(found.rejected_strides[0])
     assert text.startswith("RF's stride from ")
     assert says(text, "does not count")
     assert "repeats after 0.4" in text
     others = [NAMES.index(FEET[other]) for other in ("LH", "RH", "LF")]
     xyz[(t[:, None] < 0.7) & np.isin(np.arange(len(NAMES)), others)] = np.nan
     later = pose_gait(replace(pose, xyz_m=xyz), FPS)
-    assert later.doubtful[0].duration_s < 0.2
+    assert later.rejected_strides[0].duration_s < 0.2
     assert later.stride_s == pytest.approx(0.4, rel=0.01)
 
 

@@ -29,7 +29,7 @@ from recon.cli.show import report
 from recon.fit.motion import Motion
 from recon.io.video import video_writer
 from recon.show.console import TO_DO
-from recon.show.page.pages import Neighbours, _sections, _without_unseen, clip_page, doubtful_frames, inline
+from recon.show.page.pages import Neighbours, _sections, _without_unseen, clip_page, flagged_frames, inline
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
 
@@ -133,7 +133,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         assert text in page.text
     assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames per second" in page.text
     assert "left and right" not in page.text  # no frame has that flag
-    assert list(doubtful_frames(results)) == [(3, "13", "no data"), (5, "15", "data poor, ambiguous depth")]
+    assert list(flagged_frames(results)) == [(3, "13", "no data"), (5, "15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
     assert headings[:6] == [
         "From the side, from above and from ahead",

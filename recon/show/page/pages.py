@@ -144,7 +144,8 @@ def clip_page(
     analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
     player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
     quality = quality_tables(motion)
-    doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
+    flagged = list(flagged_frames(motion))
+    reason = "" if motion.verdict is None else motion.verdict.reason
     findings = list(enumerate(report["findings"]))
     further = [(number, item) for number, item in findings if item["text"] not in reason]
     return rendered(
@@ -169,8 +170,8 @@ def clip_page(
         quality=quality,
         worst=None if player is None else worst_keypoint(quality[number]),
         sections=[] if analysis is None else list(_sections(analysis)),
-        doubtful=doubtful[:SHOWN],
-        more_doubtful=max(0, len(doubtful) - SHOWN),
+        flagged=flagged[:SHOWN],
+        more_flagged=max(0, len(flagged) - SHOWN),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
         summary=[(label, text) for label, text in report["lines"] if label not in ("verdict", "expected")],
         assumptions=report["assumptions"]["sentences"],
@@ -209,7 +210,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
         yield from analysis_sentences(analysis)
 
 
-def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
+def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
     """Yield runs of frames with the same flags: first row, frame numbers, and the flags as text."""
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
@@ -339,18 +340,18 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
 
     The content is: the cells of the clip's row of summary.csv; the reason of its verdict, if there is one; its numbers
     with their 90 % intervals, and the mean keypoint error if it is far above the median; the address of its page,
-    relative to the summary, with forward slashes; the number of its doubtful frames (None without a result) and their
+    relative to the summary, with forward slashes; the number of its flagged frames (None without a result) and their
     fraction; its thumbnail; its state, which is the verdict or the reason why there is none; and its rank, which puts
     the clips to look at first.
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
         motion = Motion.load(folder)
-        doubtful, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
+        flagged, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
         error_px = median_error_px(motion)
         cells = {**cells, "median_px": f"{error_px:.4g}" if math.isfinite(error_px) else ""}
     except (OSError, InputError):  # the fit failed, or its files were damaged later
-        doubtful, thumbnail = None, []
+        flagged, thumbnail = None, []
         cells = {**cells, "median_px": ""}
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
     numbers = dict[str, list[str]]()
@@ -365,8 +366,8 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         "reason": cells["reason"] if state == cells["verdict"] and cells["reason"] != NOTHING_AGAINST else "",
         "numbers": numbers,
         "page": f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None,
-        "doubtful": doubtful,
-        "share": (doubtful or 0) / max(1.0, float(cells["frames"] or 0)),
+        "flagged": flagged,
+        "share": (flagged or 0) / max(1.0, float(cells["frames"] or 0)),
         "thumbnail": thumbnail,
         "state": state,
         "has_far_mean": has_far_mean,
