@@ -683,29 +683,43 @@ LIMITS = (
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
     """Return the checks of `LIMITS` for a calibration."""
-    camera, used = calibration.camera, calibration.used
-    width, height = camera.image_size_px
-    values, sigma = calibration.parameters, calibration.sigma
-    covered = coverage(calibration)
+    measured = _pictures_measured(calibration) | _lens_measured(calibration)
+    return tuple(_CalibrationCheck(*limit, value=float(measured[limit[0]])) for limit in LIMITS)
+
+
+def _pictures_measured(calibration: Calibration) -> dict[str, float]:
+    """Return the values of `LIMITS` that describe the pictures: their number, errors, and where the board was."""
+    used, (width, height) = calibration.used, calibration.camera.image_size_px
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
+    # normals of the boards, all towards the camera; their first two coordinates are sines of the tilt
     normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
-    y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
-    measured = {
+    angles = np.arccos(np.clip(normals @ normals.T, -1, 1))
+    least_variance = np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]
+    return {
         "images": len(used),
         "dropped": 100 * (1 - len(used) / len(calibration.views)),
         "rms": calibration.rms_px / max(1.0, max(width, height) / 1920),
-        "coverage": 100 * covered.mean(),
+        "coverage": 100 * coverage(calibration).mean(),
         "border": 100 * max(0.0, *gaps),
-        "tilt": math.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)).max()),
-        "tilt axes": math.degrees(math.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]))),
+        "tilt": math.degrees(angles.max()),
+        "tilt axes": math.degrees(math.sqrt(max(0.0, least_variance))),
+    }
+
+
+def _lens_measured(calibration: Calibration) -> dict[str, float]:
+    """Return the values of `LIMITS` that describe the lens: its parameters, and where it has no rays."""
+    values, sigma = calibration.parameters, calibration.sigma
+    width, height = calibration.camera.image_size_px
+    y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
+    has_ray = calibration.camera.rays(np.stack((x, y), axis=-1))[1]
+    return {
         "focal length": 100 * max(sigma[0] / values["fx"], sigma[1] / values["fy"]),
         "principal point": 100 * max(sigma[2:4]) / width,
         "aspect": 100 * abs(values["fx"] / values["fy"] - 1),
         "centre": 100 * math.hypot(values["cx"] - (width - 1) / 2, values["cy"] - (height - 1) / 2) / width,
-        "folded": 100 * (1 - camera.rays(np.stack((x, y), axis=-1))[1].mean()),
+        "folded": 100 * (1 - has_ray.mean()),
     }
-    return tuple(_CalibrationCheck(*limit, value=float(measured[limit[0]])) for limit in LIMITS)
 
 
 def coverage(calibration: Calibration) -> Bools:

@@ -87,33 +87,36 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     first = _by_gain(gain_m2, distance_px, distance_px > GROSS_SIGMAS * sigma_px, is_first, limit)
     cells = [*first, *_spread(gain_m2, is_next, tau, limit - len(first))]
     falls_m = _error_fall_m(motion, gain_m2)
-    ellipses = _ellipses(motion, cells)
     return [
         ToCorrect(
-            int(motion.frames[t]) - motion.sources[v].later_frames,
-            pictures[v].name,
-            motion.names[j],
-            _pair(found_px[v, t, j]),
-            float(likelihood[v, t, j]),
-            (float(expected_px[v, t, j, 0]), float(expected_px[v, t, j, 1])),
-            ellipses[i],
-            float(distance_px[v, t, j]),
-            _reason(int(reason_code[v, t, j]), bool(outliers[v, t, j]), bool(np.isfinite(found_px[v, t, j, 0]))),
-            float(falls_m[v, t, j]),
+            frame=int(motion.frames[t]) - motion.sources[v].later_frames,
+            camera=pictures[v].name,
+            keypoint=motion.names[j],
+            found_px=_pair(found_px[v, t, j]),
+            likelihood=float(likelihood[v, t, j]),
+            expected_px=(float(expected_px[v, t, j, 0]), float(expected_px[v, t, j, 1])),
+            ellipse_px=ellipse_px,
+            distance_px=float(distance_px[v, t, j]),
+            reason=_reason(
+                int(reason_code[v, t, j]),
+                is_outlier=bool(outliers[v, t, j]),
+                is_detected=bool(np.isfinite(found_px[v, t, j, 0])),
+            ),
+            error_fall_m=float(falls_m[v, t, j]),
         )
-        for i, (v, t, j) in enumerate(cells)
+        for (v, t, j), ellipse_px in zip(cells, _ellipses(motion, cells), strict=True)
     ]
 
 
 _USED, _UNLIKELY, _LEFT_OUT = 0, 1, 2
 
 
-def _reason(code: int, is_outlier: bool, is_found: bool) -> Reason:
+def _reason(code: int, is_outlier: bool, is_detected: bool) -> Reason:
     if code != _USED:
         return "low likelihood" if code == _UNLIKELY else "left out"
     if is_outlier:
         return "far"
-    return "uncertain" if is_found else "missing"
+    return "uncertain" if is_detected else "missing"
 
 
 def _all_detections(source: Source) -> tuple[Array, Array, Array]:

@@ -290,18 +290,8 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
     pose_m = pose.xyz_m[in_pose][:, joint_rows]
     truth_m = truth.xyz_m[in_truth][:, [truth.names.index(name) for name in names]]
     common = common_joints(pose_m, truth_m)
-
     pose_name, truth_name = str(pose.source or "pose"), str(truth.source or "truth")
-    problems = []
-    if not names:
-        examples = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
-        problems.append(Problem(pose_name, "joints", f"none in common ({examples})", f"joints of {truth_name}"))
-    if not len(frames):
-        examples = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
-        problems.append(Problem(pose_name, "frames", f"none in common ({examples})", f"frames of {truth_name}"))
-    if not problems and not common.any():
-        problems.append(Problem(pose_name, "positions", "no joint known on both sides in any frame", "at least one"))
-    raise_problems(problems)
+    raise_problems(_nothing_in_common(pose, truth, names, frames, common))
     centred, share_inside = aligned(pose_m, truth_m), {}
     thresholds_m = _thresholds_m(np.where(common[..., None], truth_m, np.nan)[common.any(axis=1)])
     if sigmas_m is not None:
@@ -335,6 +325,26 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
         frames_only_in_truth=frame_ranges(np.setdiff1d(truth.frames, frames)),
         notes=tuple(map(sentence, mismatches(pose_m, truth_m, names))),
     )
+
+
+def _nothing_in_common(
+    pose: Pose3D, truth: Pose3D, names: Sequence[str], frames: np.ndarray, common: np.ndarray
+) -> list[Problem]:
+    """Return the problem of two sides without a joint, a frame or a point in common.
+
+    `names` and `frames` are those on both sides; `common` (T, J) states which points are known on both.
+    """
+    pose_name, truth_name = str(pose.source or "pose"), str(truth.source or "truth")
+    problems = []
+    if not names:
+        examples = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
+        problems.append(Problem(pose_name, "joints", f"none in common ({examples})", f"joints of {truth_name}"))
+    if not len(frames):
+        examples = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
+        problems.append(Problem(pose_name, "frames", f"none in common ({examples})", f"frames of {truth_name}"))
+    if not problems and not common.any():
+        problems.append(Problem(pose_name, "positions", "no joint known on both sides in any frame", "at least one"))
+    return problems
 
 
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
