@@ -6,7 +6,7 @@ model's markers to the points on the skin that a network marks). The scorer of a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -180,7 +180,24 @@ def _expected_angles(segment: _Segment) -> list[str]:
 
 
 def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
-    segments, used = list[str](), set[str]()
+    used = set[str]()
+    yield from _segment_problems(file, used, source)
+    yield from _marker_problems(file, used, source)
+    named = {"forward": file.forward, "feet": file.feet.values()} | {f"limbs.{k}": v for k, v in file.limbs.items()}
+    named |= {f"anatomy.{joint}": joint_markers for joint, joint_markers in file.anatomy.items()}
+    markers = sorted(marker.name for _, marker in _both_sides(file.markers))
+    yield from anatomy_problems(file.anatomy, source)
+    yield from unknown(source, [(field, name) for field, names in named.items() for name in names], markers)
+    if file.mass is not None:
+        yield from _mass_problems(file.mass.share, [segment.name for _, segment in _both_sides(file.segments)], source)
+    if file.forward[0] == file.forward[1]:
+        yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
+    yield from foot_problems(file.feet, source)
+
+
+def _segment_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[Problem]:
+    """Yield problems of the names, joints, parents and angles of the segments; add the names to `used`."""
+    segments = list[str]()
     for i, segment in _both_sides(file.segments):
         row = f"segments[{i}]"
         yield from _name_problems(segment, row, used, source)
@@ -201,27 +218,26 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
                 wanted = f"{' and '.join(expected) or 'no angle'}, since its joint is {segment.joint}"
                 yield Problem(source, f"{row}.{angle}", state, wanted)
         segments.append(segment.name)
-    markers = []
-    for i, marker in _both_sides(file.markers):
+
+
+def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[Problem]:
+    """Yield problems of the names, segments and number of the markers; add the names to `used`."""
+    segments = {segment.name for _, segment in _both_sides(file.segments)}
+    markers = [*_both_sides(file.markers)]
+    for i, marker in markers:
         yield from _name_problems(marker, f"markers[{i}]", used, source)
         if marker.segment not in segments:
             yield Problem(source, f"markers[{i}].segment", repr(marker.segment), "the name of a segment")
-        markers.append(marker.name)
     if len(markers) < MIN_JOINTS:
         yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not determine a pose")
-    named = {"forward": file.forward, "feet": file.feet.values()} | {f"limbs.{k}": v for k, v in file.limbs.items()}
-    named |= {f"anatomy.{joint}": joint_markers for joint, joint_markers in file.anatomy.items()}
-    yield from anatomy_problems(file.anatomy, source)
-    yield from unknown(source, [(field, name) for field, names in named.items() for name in names], sorted(markers))
-    if file.mass is not None:
-        shares = file.mass.share
-        yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
-        for name in sorted(segments):
-            if name not in shares and other_side(name) not in shares:
-                yield Problem(source, f"mass.share.{name}", "none", "share and standard deviation, as [0.05, 0.01]")
-    if file.forward[0] == file.forward[1]:
-        yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
-    yield from foot_problems(file.feet, source)
+
+
+def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: str) -> Iterator[Problem]:
+    """Yield problems of shares of the mass that belong to no segment, and of segments without a share."""
+    yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
+    for name in sorted(segments):
+        if name not in shares and other_side(name) not in shares:
+            yield Problem(source, f"mass.share.{name}", "none", "share and standard deviation, as [0.05, 0.01]")
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:

@@ -67,11 +67,7 @@ def convert(settings: ConvertSettings) -> Answer:
     3D positions are written in metres, z up, except in formats with other conventions; see recon convert --list.
     """
     if settings.show_list:
-        every = (*CONVERTED, *_robot_formats())
-        rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
-        names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
-        first = "If several formats share an extension, the first is used unless --to names another."
-        return Answer([by_name(names, row) for row in rows], [table_of(*names, rows=rows), first])
+        return _list_of_formats()
     source, out = settings.source, settings.out
     if source is None or out is None:
         actual = "nothing" if source is None else "one file"
@@ -89,7 +85,8 @@ def convert(settings: ConvertSettings) -> Answer:
         lambda: choose_format(out, settings.to),
         lambda: output.require((out.name,)),
     )
-    notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
+    _require_content(source, data, motion, target)
+    notes = data.notes
     written: Any = data
     if "bones" in target.writes and motion is not None:
         companions = [out.with_suffix(extension) for extension in target.companions]
@@ -97,20 +94,10 @@ def convert(settings: ConvertSettings) -> Answer:
         written = rig_of(motion, data.fps, settings.body_mass_kg)
         data, notes = written.pose, notes + written.notes
         notes += (f"Also written: {', '.join(map(str, companions))}.",) if companions else ()
-    elif "bones" in target.writes:
-        wanted = f"a folder of results of recon fit: {target.title} needs rotations of bones"
     elif isinstance(data, Keypoints):
-        if "2D" not in target.writes:
-            wanted = f"3D positions for {target.title}: fit the clip first (recon fit)"
-        data, missing = mark_missing(data)
-        written = data
-        for name, stored in (("missing_zero_zero", "(0, 0)"), ("missing_constant", "one constant")):
-            if count := missing[name].sum():
-                notes += (f"{count} points that were stored as {stored} are treated as missing.",)
-    elif "3D" not in target.writes:
-        wanted = f"2D keypoints for {target.title}"
-    if wanted or target.write is None:
-        raise InputError(Problem(source, "content", content, wanted))
+        written, missing_notes = _with_missing_points(data)
+        data, notes = written, (*notes, *missing_notes)
+    assert target.write is not None
     with output.staged_file() as staged:
         target.write(written, staged)
     content_text = (
@@ -121,6 +108,39 @@ def convert(settings: ConvertSettings) -> Answer:
     lines = [*notes, f"{out}: {target.title}, {content_text}, {frames}, {fps}"]
     verdict = {} if motion is None else {"verdict": verdict_fields(motion)}
     return Answer({"out": out, "format": target.name, "notes": notes} | verdict, lines)
+
+
+def _list_of_formats() -> Answer:
+    """Return the table of the formats that can be written."""
+    every = (*CONVERTED, *_robot_formats())
+    rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
+    names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
+    first = "If several formats share an extension, the first is used unless --to names another."
+    return Answer([by_name(names, row) for row in rows], [table_of(*names, rows=rows), first])
+
+
+def _require_content(source: Path, data: Keypoints | Pose3D, motion: Motion | None, target: Format) -> None:
+    """Raise InputError if a format cannot hold what a file contains."""
+    if "bones" in target.writes:
+        fits = motion is not None
+        expected = f"a folder of results of recon fit: {target.title} needs rotations of bones"
+    elif isinstance(data, Keypoints):
+        fits, expected = "2D" in target.writes, f"3D positions for {target.title}: fit the clip first (recon fit)"
+    else:
+        fits, expected = "3D" in target.writes, f"2D keypoints for {target.title}"
+    if not fits or target.write is None:
+        content = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
+        raise InputError(Problem(source, "content", content, expected))
+
+
+def _with_missing_points(keypoints: Keypoints) -> tuple[Keypoints, list[str]]:
+    """Return keypoints without points that stand for missing ones, and notes on them."""
+    keypoints, missing = mark_missing(keypoints)
+    stored = {"missing_zero_zero": "(0, 0)", "missing_constant": "one constant"}
+    counts = {text: missing[name].sum() for name, text in stored.items()}
+    return keypoints, [
+        f"{count} points that were stored as {text} are treated as missing." for text, count in counts.items() if count
+    ]
 
 
 def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:

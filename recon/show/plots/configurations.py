@@ -103,11 +103,8 @@ def composites(
         cmap, norm = style.time_colours(time_s[rows])
         colours = [cmap(norm(instant_s)) for instant_s in time_s[rows]]
         for axes, horizontal, vertical in panels:
-            for pose, colour in zip(points, colours, strict=True):
-                for limb, joints in limbs.items():
-                    dashes, line_width, _ = STYLES[sides.get(limb)]
-                    line_style = {"color": colour, "lw": line_width, "linestyle": dashes, "zorder": 2}
-                    axes.plot(*pose[list(joints)][:, [horizontal, vertical]].T, **line_style)
+            for pose, colour in zip(points[..., [horizontal, vertical]], colours, strict=True):
+                _draw_pose(axes, pose, limbs, colour, sides)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=2 if axes is cells["top"] else 4)
         # The scale follows the shared axis, which must be long enough for the height: otherwise poses would be cut.
@@ -117,11 +114,8 @@ def composites(
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
             if inside.any():
-                inside_points = points[inside].reshape(-1, 3)
-                low_m, high_m = np.nanmin(inside_points, axis=0), np.nanmax(inside_points, axis=0)
                 for axes, horizontal in ((cells["side"], 0), (cells["front"], 1)):
-                    ends = np.tile([*(low_m + high_m)[:2] / 2, 0.0], (2, 1))
-                    ends[:, horizontal] = low_m[horizontal], high_m[horizontal]
+                    ends = _ends_of_ground(points[inside].reshape(-1, 3), horizontal)
                     height_m = -plane.above(ends @ R + origin)
                     axes.plot(ends[:, horizontal], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
         cells["side"].tick_params(labelbottom=False)
@@ -146,6 +140,23 @@ def composites(
         )
         bar.ax.plot(time_s[rows], np.full(len(rows), 0.5), "k|", ms=5, transform=bar.ax.get_xaxis_transform())
     return figure
+
+
+def _draw_pose(
+    axes: Axes, pose: Array, limbs: Mapping[str, Sequence[int]], colour: Any, sides: Mapping[str, Side | None]
+) -> None:
+    """Draw the limbs of a pose (J, 2)."""
+    for limb, joints in limbs.items():
+        dashes, line_width, _ = STYLES[sides.get(limb)]
+        axes.plot(*pose[list(joints)].T, color=colour, lw=line_width, linestyle=dashes, zorder=2)
+
+
+def _ends_of_ground(points_m: Array, horizontal: int) -> Array:
+    """Return the ends (2, 3) of the line under points (N, 3), along one axis and in their middle along the other."""
+    low_m, high_m = np.nanmin(points_m, axis=0), np.nanmax(points_m, axis=0)
+    ends = np.tile([*(low_m + high_m)[:2] / 2, 0.0], (2, 1))
+    ends[:, horizontal] = low_m[horizontal], high_m[horizontal]
+    return ends
 
 
 def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
