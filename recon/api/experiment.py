@@ -475,7 +475,7 @@ class Experiment:
                 weights = np.eye(len(model.model.names))[column]
                 row = groups["group"].astype(str) == group
                 columns = [f"{model.name}{end}" for end in ("", "_sigma", "_low", "_high")]
-                groups.loc[row, columns] = model.model.contrast(weights, model.shared)
+                groups.loc[row, columns] = list(model.model.contrast(weights, model.shared))
         return groups
 
 
