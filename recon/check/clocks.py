@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.check.agreement import drift_by_rays
 from recon.check.codes import EFFECTS, finding
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.check.one_step import Detections, Step, one_steps
@@ -85,6 +84,8 @@ def drift_findings(
 
 def _is_refuted_by_rays(clip: ClipProblem, solution: TrajectorySolution, camera: int, drift_frames: float) -> bool:
     """Return whether rays alone, without the animal's lengths, show less than half of a drift."""
+    from recon.check.agreement import drift_by_rays  # fits of one camera do not import it
+
     segment = solution.longest_segment
     assert segment is not None
     views, markers_m = [view.part(segment.rows) for view in clip.views], solution.markers_m[segment.rows]
