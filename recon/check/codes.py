@@ -59,8 +59,9 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
     camera
         Name of the camera that the finding is about; None means all cameras, or the clip.
     numbers
-        The numbers and names that the code's text states.
+        The numbers and names that the code's text states. Several names are a sequence, which the text lists.
     """
+    numbers = {name: tuple(value) if isinstance(value, list) else value for name, value in numbers.items()}
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 

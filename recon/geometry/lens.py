@@ -8,7 +8,7 @@ into pixels. As in OpenCV's documentation (modules calib3d and fisheye):
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 To add a model, write a class with `distort` and `max_radius`, add it to `LENS_MODELS`, and add a line to
-tests/geometry/test_camera.py.
+tests/geometry/test_camera.py. OpenSfM's names of lenses are in `recon.io.camera_files`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Lens:
     aliases: ClassVar[tuple[str, ...]] = ()
     """Names in ROS (`distortion_model`) and other files."""
     colmap: ClassVar[Mapping[str, str]] = {}
-    """COLMAP's models of this kind, with their parameters in order."""
+    """COLMAP's models of this kind, with their parameters in order: f or fx fy, cx, cy, and names of `coefficients`."""
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
     """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.boards`), if any."""
     calibrated: ClassVar[int] = 0

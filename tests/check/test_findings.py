@@ -227,9 +227,17 @@ def test_of_one_camera_no_name_is_said():
 
 
 def test_findings_come_in_the_order_of_their_codes(small_trajectory):
-    codes = [one.code for one in findings_of(small_trajectory)]
-    assert codes == sorted(codes, key=[*CODES].index)
-    assert {"few_frames", "second_solution", "camera_taken_level"} <= {*codes}
+    given = [(one.severity, one.code) for one in findings_of(small_trajectory)]
+    order, severities = [*CODES], ["error", "warning", "note"]
+    assert given == sorted(given, key=lambda item: (severities.index(item[0]), order.index(item[1])))
+    assert {"few_frames", "second_solution", "camera_taken_level"} <= {code for _, code in given}
+
+
+def test_a_list_of_names_reads_and_is_saved_like_a_tuple():
+    listed, paired = (
+        finding("keypoints_do_not_fit", keypoints=names) for names in (["nose", "tail"], ("nose", "tail"))
+    )
+    assert listed == paired
 
 
 def test_a_motion_that_does_not_explain_the_detections_shows_no_treadmill(small_trajectory):
