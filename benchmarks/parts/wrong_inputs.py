@@ -319,7 +319,7 @@ def follows(clip: Clip, given: Given) -> Given:
 
 
 def belt_drifts(clip: Clip, given: Given) -> Given:
-    """Film the animal on a belt that first keeps pace with it, and in the end is a fifth slower."""
+    """Film the animal on a belt that keeps pace with it at first, and is a fifth slower at the end."""
     path_px = path_of(given)
     slower = np.linspace(0, 0.2, len(path_px))[:, None]
     drift_px = np.cumsum(slower * np.gradient(path_px, axis=0), axis=0)

@@ -118,7 +118,7 @@ _OTHER_PROGRAMS = (
 """Patterns in calibrations that cannot be read, and a description of their format."""
 DLT_COEFFICIENTS = 11
 ARGUS_NUMBERS = 12
-"""Numbers of a camera in Argus' profile: number, focal length, size, centre, aspect and five coefficients."""
+"""Number of values of a camera in Argus' profile: index, focal length, size, centre, aspect, five coefficients."""
 
 
 def _unsupported_format(path: Path) -> str | None:
@@ -131,7 +131,7 @@ def _unsupported_format(path: Path) -> str | None:
 
 
 def _numbers_text(path: Path) -> str:
-    """Return a hint if the file has DLT coefficients, a column of 11 numbers each, or Argus' profile, a row each."""
+    """Return a hint if the file has DLT coefficients (a column for each camera) or Argus' profiles (a row for each)."""
     if not path.is_file() or path.stat().st_size > MAX_DLT_BYTES:
         return ""
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]

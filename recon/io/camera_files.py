@@ -121,7 +121,7 @@ def record_of(name: object, location: str, table: Mapping[str, Any], **changes: 
 
 
 def without_inner(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a camera's table in which the values of inner tables, such as `intrinsics`, stand beside the others."""
+    """Return a camera's table into which the values of its inner tables, such as `intrinsics`, are merged."""
     names = {plain_key(name) for name in INNER_KEYS}
     inner = [
         key
