@@ -1,4 +1,4 @@
-// Controls: buttons, keys, the address (#t=seconds), and what in the page's text leads to a frame or a keypoint.
+// Controls: buttons, keys, the address (#t=seconds), and links in the page's text to frames and keypoints.
 
 import { SPEEDS } from "./cursor.js";
 

@@ -1,5 +1,5 @@
 // Views: strips over time under the pictures. All have one time axis, show the cursor, and move it when clicked.
-// What does not move is drawn once; the cursor is a line over it, so that scrubbing draws nothing again.
+// What does not move is drawn once; the cursor is a line over it, so that scrubbing redraws nothing else.
 import { FONT, colours, penOf } from "./theme.js";
 
 const DASHES = { left: [5, 3], right: [], middle: [] };
