@@ -28,7 +28,7 @@ from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
-from recon.io.deeplabcut import points_of_table
+from recon.io.deeplabcut import UNNAMED, points_of_table
 from recon.io.formats import as_keypoints
 from recon.io.times import seconds, since_first, with_times
 
@@ -42,7 +42,10 @@ ROLES: dict[str, tuple[str, ...]] = {
     "frame": ("frame", "frames", "frame_idx", "frame_index", "frame_id", "frame_number", "framenumber", "fnum"),
     "time": ("time", "times", "seconds", "timestamp", "timestamps", "t"),
     "bodypart": ("bodypart", "body_part", "keypoint", "node", "joint", "marker", "landmark", "part", "point", "name"),
-    "individual": ("individual", "animal", "track", "track_id", "instance", "subject"),
+    "individual": (
+        *("individual", "individuals", "animal", "animal_id", "track", "track_id", "trackid", "identity", "instance"),
+        *("object_id", "subject"),
+    ),
     "x": ("x",),
     "y": ("y",),
     "z": ("z",),
@@ -179,7 +182,18 @@ def recognises_long(path: Path) -> bool:
         header = next(csv.reader(text.splitlines()[skipped : skipped + 1], delimiter=separator), [])
     except (UnicodeDecodeError, csv.Error):
         return False
-    return _layout([*dict.fromkeys(header)], _by_name) is not None
+    columns = [*dict.fromkeys(_with_named_index(header))]
+    # a wide table without frames is refused for that
+    return any(_layout(names, _by_name) is not None for names in (columns, ["frame", *columns]))
+
+
+def _with_named_index(header: list[str]) -> list[str]:
+    """Return the header of a wide table whose first column, which pandas leaves unnamed, has the frame numbers."""
+    named = ["frame", *header[1:]]
+    layouts = [_layout([*dict.fromkeys(names)], _by_name) for names in (header, named)]
+    roles = {role for bodypart, role in layouts[1].columns if not bodypart} if layouts[1] else set()
+    is_index = header[:1] in ([""], [UNNAMED]) and layouts[0] is None and roles <= {"frame", "fps"}
+    return named if layouts[1] and is_index else header
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
@@ -187,6 +201,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
     rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
     header = header[: common.width_of([header])]
+    header = header if columns else _with_named_index(header)
     table, problems = [], []
     for line, row in common.cut_blank(rows, len(header)):
         table.append(row)
@@ -302,6 +317,8 @@ def _required_layout(path: Path, table: Columns, column_map: Mapping[str, str] |
     if layout is None or absent:
         expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
         detail = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
+        if not absent and column_map is None and _layout(["frame", *table], _by_name):
+            detail, expected = f"no frame and no time in {detail}", "a column frame, or a column time in seconds"
         raise InputError(Problem(path, "columns", detail, expected))
     return layout
 
@@ -355,9 +372,19 @@ def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.nd
     """
     clock = role.get("frame", role.get("time", ""))
     stamps = seconds(cells.table[clock][row] for row in cells.rows) if "frame" not in role else None
+    texts = [str(cells.table[clock][row]).strip() for row in cells.rows] if stamps is None else []
+    unread = next((text for text in texts if re.match(r"\d+\D\d+\D\d", text) and ":" in text), None)
+    if unread is not None and "frame" not in role:
+        expected = "seconds, or time stamps as 2024-05-01T12:00:00.5 or 12:00:00.5"
+        raise InputError(Problem(cells.path, clock, f"'{unread}'", expected))
     ticks = cells.numbers(clock) if stamps is None else stamps
     if stamps is None and "frame" not in role:
-        ticks = since_first(ticks, (_by_name(clock) or ("", "", None))[2] if is_by_name else None)
+        unit = (_by_name(clock) or ("", "", None))[2] if is_by_name else None
+        ticks = since_first(ticks, unit)
+        step_s = float(np.median(np.diff(np.unique(ticks)))) if len({*ticks.tolist()}) > 1 else 0.0
+        if step_s > 1.0 and unit is None:
+            expected = "times in seconds, at most 1 s apart; if these are milliseconds, name the column time_ms"
+            raise InputError(Problem(cells.path, clock, f"times {step_s:g} s apart", expected))
     for i in np.flatnonzero(np.isnan(ticks)):
         location = f"line {cells.rows[i] + 2}, {clock}"
         cells.problems.append(Problem(cells.path, location, "nothing", "a frame number, or seconds"))

@@ -29,6 +29,8 @@ HEADERS = (
     ("bodyparts", "coords"),
     ("individuals", "bodyparts", "coords"),
 )
+UNNAMED = "Unnamed: 0"
+"""Name that pandas gives to the column of its row numbers when it reads a table that it wrote."""
 COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
 # Individual to which DeepLabCut assigns bodyparts that belong to no animal, such as the corners of the arena.
 UNIQUE_BODYPARTS = "single"
@@ -50,7 +52,9 @@ def recognises_csv(path: Path) -> bool:
     """Return whether a text file has DeepLabCut's header rows."""
     with path.open("rb") as file:
         head = re.sub(rb'(?i)^"?sep=."?[,;\s]*[\r\n]+', b"", file.read(64).removeprefix(b"\xef\xbb\xbf"))
-    return re.match(rb'[\s,;]*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;|\t\r\n]|$)', head) is not None
+    return (
+        re.match(rb'(Unnamed: 0)?[\s,;]*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;|\t\r\n]|$)', head) is not None
+    )
 
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
@@ -63,12 +67,13 @@ def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _without_blank_start(rows: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
-    """Yield rows without the blank columns before the first cell of the header."""
-    blank: int | None = None
+    """Yield rows without the columns before the first cell of the header: blank ones, and row numbers of pandas."""
+    before: int | None = None
     for line, row in rows:
-        if blank is None:
-            blank = next((j for j, cell in enumerate(row) if cell.strip()), 0)
-        yield line, row[blank:] if not any(cell.strip() for cell in row[:blank]) else row
+        if before is None:
+            before = next((j for j, cell in enumerate(row) if cell.strip() not in ("", UNNAMED)), 0)
+        is_empty = all(cell.strip() in ("", UNNAMED) or cell.strip().isdigit() for cell in row[:before])
+        yield line, row[before:] if is_empty else row
 
 
 def _without_blank_columns(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -128,24 +128,44 @@ def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
 
 
 def seconds(cells: Iterable[object]) -> np.ndarray | None:
-    """Return ISO 8601 time stamps as seconds after the first, or None if any cell is not a time stamp.
+    """Return time stamps as seconds after the first, or None if any cell is not a time stamp.
 
-    Times of the day, such as 00:01:02.500, are seconds after midnight.
+    Time stamps are ISO 8601, or have a date in any format that is the same in all cells. Times of the day, as
+    00:01:02.500 or 01:02.500, are seconds after midnight.
     """
     texts = [str(cell).strip() for cell in cells]
-    clocks = [re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)", text) for text in texts]
-    if texts and all(clocks):
-        parts = [[float(part.replace(",", ".")) for part in clock.groups()] for clock in clocks if clock is not None]
-        return np.array(parts) @ [3600.0, 60.0, 1.0]
+    clocks = _clocks(texts)
+    if clocks is not None:
+        return clocks
     stamps = [_stamp(text) for text in texts]
     if not stamps or any(stamp is None for stamp in stamps):
-        return None
+        return _clocks_of_one_day(texts)
     known = [stamp for stamp in stamps if stamp is not None]
     first = known[0][0]
     try:
         return np.array([(moment - first).total_seconds() + fraction for moment, fraction in known])
     except TypeError:  # some times have a time zone, others have none
         return None
+
+
+def _clocks(texts: Sequence[str]) -> np.ndarray | None:
+    """Return times of the day in seconds after midnight, or None if any text is no time of the day."""
+    clocks = [re.fullmatch(r"(?:(\d{1,2}):)?([0-5]?\d):([0-5]\d(?:[.,]\d+)?)", text) for text in texts]
+    # two numbers can be hours and minutes, unless the second has a fraction
+    if not texts or not all(clock and (clock[1] or re.search("[.,]", clock[3])) for clock in clocks):
+        return None
+    parts = [[float((part or "0").replace(",", ".")) for part in clock.groups()] for clock in clocks if clock]
+    return np.array(parts) @ [3600.0, 60.0, 1.0]
+
+
+def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
+    """Return times of one day behind a date in any format, in seconds after the first, or None."""
+    matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
+    found = [match for match in matches if match is not None]
+    if len(found) < len(texts) or len({(match[1], match[3]) for match in found}) != 1:
+        return None
+    clocks = _clocks([match[2] for match in found])
+    return None if clocks is None else clocks - clocks[0]
 
 
 def _stamp(text: str) -> tuple[datetime, float] | None:
@@ -239,7 +259,8 @@ def _count_with_gaps(times_s: np.ndarray) -> tuple[np.ndarray, float] | None:
     The rate is estimated from the first times and refined while more are added, so that no count is lost.
     """
     steps_s = np.diff(times_s)
-    period_s, start_s = float(steps_s[steps_s < 1.5 * np.median(steps_s)].mean()), float(times_s[0])
+    usual_s = steps_s[steps_s <= 1.5 * np.median(steps_s)]
+    period_s, start_s = float(usual_s.mean()), float(times_s[0])
     count = min(_WINDOW, len(times_s))
     while True:
         if not period_s > 0:

@@ -512,7 +512,13 @@ def test_times_of_a_variable_rate():
         nearest_frames(Path("a"), times, 20.0)
 
 
-@pytest.mark.parametrize("stamp", ["2026-05-04T12:59:{:010.7f}+02:00", "2026-05-04 12:59:{:06.3f}", "{:.2f}"])
+@pytest.mark.parametrize(
+    "stamp",
+    [
+        *("2026-05-04T12:59:{:010.7f}+02:00", "2026-05-04 12:59:{:06.3f}", "{:.2f}"),
+        *("04.05.2026 12:59:{:06.3f}", "5/4/2026 12:59:{:06.3f} AM", "59:{:06.3f}"),
+    ],
+)
 def test_a_table_of_times(stamp, tmp_path):
     """ISO 8601 as Bonsai writes them, with milliseconds only, and seconds of which several are the same; --fps counts
     in place of the rate that rounded times say."""
@@ -526,6 +532,37 @@ def test_a_table_of_times(stamp, tmp_path):
     given = read_keypoints(tmp_path / "clip.csv", fps=float(fps))
     assert given.fps == pytest.approx(fps, rel=1e-6)
     assert np.diff(given.frames).tolist() == [1] * 39
+
+
+@pytest.mark.parametrize(
+    ("column", "times", "found", "expected"),
+    [
+        ("time", ["0", "17", "33", "50"], "times 17 s apart", "time_ms"),
+        ("time", ["00:00:00:00", "00:00:00:01"], "'00:00:00:00'", "time stamps"),
+        ("time", ["04.05.2026 23:59:59.9", "05.05.2026 00:00:00.0"], "'04.05.2026 23:59:59.9'", "time stamps"),
+    ],
+)
+def test_times_that_cannot_be_read(column, times, found, expected, tmp_path):
+    """Milliseconds without a unit, frames in a time code, and midnight in a date of which the format is not known."""
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"{column},nose_x,nose_y", *(f"{time},1,2" for time in times)]))
+    with refusal((path, column, [found], expected)):
+        read_keypoints(path)
+
+
+@pytest.mark.parametrize("index", ["", "Unnamed: 0"])
+def test_an_index_of_pandas(index, tmp_path):
+    """DeepLabCut's table, read by pandas and written again, has a column of row numbers; a wide one has the frames
+    there."""
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"{index},{TABLE[0]}", *(f"{i},{row}" for i, row in enumerate(TABLE[1:]))]))
+    assert read_keypoints(path).xy_px[:, 0].tolist() == [[1.5, 2.25], [5, 6]]
+    path.write_text(f"{index},nose_x,nose_y\n3,1,2\n5,3,4\n")
+    wide = read_keypoints(path)
+    assert (wide.frames.tolist(), wide.xy_px.tolist()) == ([3, 5], [[[1, 2]], [[3, 4]]])
+    path.write_text("nose_x,nose_y,tail_x,tail_y\n1,2,3,4\n")
+    with refusal((path, "columns", ["no frame and no time", "nose_x"], "a column frame")):
+        read_keypoints(path)
 
 
 TABLE = ["scorer,net,net,net,net", "bodyparts,nose,nose,tail,tail", "coords,x,y,x,y", "0,1.5,2.25,3,4", "1,5,6,,8.5"]
