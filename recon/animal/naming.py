@@ -41,6 +41,8 @@ _LIMB_OF = {
     **dict.fromkeys(("hip", "stifle", "hock", "tarsus"), "back"),
 }
 """Words of joints that only the fore or only the hind limbs have."""
+_LEG_WORDS = {*_LIMB_OF, "paw", "foot", "hoof", "hand", "knee", "ankle", "toe", "fetlock", "stiffle"}
+"""Words of a leg before which a letter for fore or hind may stand: LFpaw, RHhock."""
 _SEPARATORS = "_-. "
 _FILLERS = {"of", "the", "limb"}
 """Words that do not distinguish names."""
@@ -282,7 +284,11 @@ def _words(name: str) -> list[str]:
     A word that another word implies is left out: front in LF_carpus, tip in hoof_tip.
     """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
-    lower: list[str] = [word.lower() for word in words]
+    whole = [word.lower() for word in words]
+    lower: list[str] = []
+    for word in whole:
+        is_code = word[:1] in ("f", "h", "b") and word[1:] in _LEG_WORDS
+        lower += [word[0], word[1:]] if is_code else [word]
     same = [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]
     implied = {_LIMB_OF[word] for word in same if word in _LIMB_OF} | ({"tip"} if "paw" in same else set())
     return [word for word in same if word not in implied]

@@ -79,11 +79,11 @@ FLAT = 0.12
 """Height, in lengths of the animal, within which feet reach the ground."""
 
 
-_ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
+_ROUGHLY = {"croup": "tail_base", "rump": "tail_base", "sacrum": "tail_base"}
 """Keypoints whose markers are near enough for a draft, but not for a fit."""
 
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
-_REAR_WORDS = re.compile("tail|rump|croup|hip|pelvis", re.IGNORECASE)
+_REAR_WORDS = re.compile("tail|rump|croup|sacrum|hip|pelvis", re.IGNORECASE)
 """Names of keypoints at the front and at the rear, which show the front of an animal that stays in place."""
 _FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
 _NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)

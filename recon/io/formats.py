@@ -8,6 +8,7 @@ then use the format.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -491,7 +492,13 @@ def individuals(path: str | Path) -> tuple[str, ...]:
 
 
 _UNREAD = (
-    (b"Format Version,", "an export of Motive (OptiTrack)", "TRC or C3D: in Motive, export the take as one of them"),
+    (b"Format Version", "an export of Motive (OptiTrack)", "TRC or C3D: in Motive, export the take as one of them"),
+    (b"Trajectories", "an export of Vicon Nexus", "C3D, or TRC: in Nexus, export the trial as one of them"),
+    (b"NO_OF_FRAMES", "an export of Qualisys", "C3D: in Qualisys Track Manager, export to C3D"),
+    *(
+        (b"\x80" + version, "a pickle, as DeepLabCut writes raw detections", "its table: .h5 or .csv")
+        for version in (b"\x03", b"\x04", b"\x05")
+    ),
     (b"<?xml", "an XML file", None),
     (b"%PDF", "a PDF", None),
     (b"PK\x03\x04", "a ZIP archive, or a document of Office", "CSV: save the table as CSV"),
@@ -516,6 +523,8 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
     for start, name, instead in _UNREAD:
         if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
             return name, instead or expected
+    if re.search(rb'"version"\s*:\s*"AlphaPose', head):
+        return "AlphaPose's results in the layout of another program", "AlphaPose's own: run it without --format"
     return _describe_head(head), expected
 
 

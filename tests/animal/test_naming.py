@@ -174,6 +174,8 @@ def test_a_bundled_map_has_a_name_however_it_is_written(tmp_path):
         ("lh_hoof_tip", "l_back_paw"),
         ("HLPaw", "l_back_paw"),
         ("thoracic_left_wrist", "l_front_ankle"),
+        ("LFcarpus", "l_front_ankle"),
+        ("RHhock", "r_back_ankle"),
         ("right_pelvic_limb_paw", "r_back_paw"),
         ("TailSet", "tail_base"),
         ("L_B_Elbow", None),  # a hind leg has none

@@ -200,6 +200,8 @@ def test_the_quadruped_has_the_names_of_the_cheetah_and_of_every_map_of_its_kind
         ("paw-near", "paw-off"),
         ("eye.L", "eye.R"),
         ("hipL", "hipR"),
+        ("leftear", "rightear"),
+        ("LFpaw", "RFpaw"),
         ("LHip", "RHip"),
         ("earL_tip", "earR_tip"),
         ("front_l_paw_pitch", "front_r_paw_pitch"),

@@ -718,6 +718,11 @@ def test_alphapose(tmp_path):
     ("content", "expected"),
     [
         (b"Format Version,1.23,Take Name,a\n", ("an export of Motive (OptiTrack)", "TRC or C3D")),
+        (b"\xef\xbb\xbfFormat Version;1.23;Take Name;a\n", ("an export of Motive (OptiTrack)", "TRC or C3D")),
+        (b"Trajectories\n200\n,,dog:nose,,\n", ("Vicon Nexus", "C3D, or TRC")),
+        (b"NO_OF_FRAMES\t3\n", ("Qualisys", "C3D")),
+        (b"\x80\x04\x95\x00\x00", ("a pickle", ".h5 or .csv")),
+        (b'{"0.jpg": {"version": "AlphaPose v0.3", "bodies": []}}', ("AlphaPose's results", "AlphaPose's own")),
         (b"%PDF-1.7 and more", ("a PDF", "DeepLabCut CSV")),
     ],
 )
