@@ -106,8 +106,8 @@ class ClipProblem:
 
     They make the expected spread as wide as that of the animal.
     """
-    rotations_rad: Array | None = None
-    """Standard deviations (2, 3) of the rotations of two refined cameras about each axis; None for usual ones."""
+    pose_means: Array | None = None
+    """Means (2, 6) of the priors of two refined cameras' errors; None for 0."""
     acceleration_scale: Array | None = None
     """Factors on the expected standard deviations of the states' accelerations, (D,); None for 1."""
 
@@ -313,6 +313,8 @@ class ClipProblem:
         sideslip = [self._lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
         poses = {} if shifts_m is None else self._pose_sigmas(shifts_m)
         corrections = [self._lasting(terms.extrinsic_correction(i), sigmas) for i, sigmas in poses.items()]
+        if self.pose_means is not None:
+            corrections = [replace(u, mean=mean) for u, mean in zip(corrections, self.pose_means, strict=True)]
         if not options.refine_cameras:
             corrections, biases = [], [*biases, *corrections]
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
@@ -373,9 +375,7 @@ class ClipProblem:
             return {}
         if self.size_sigma > ROUGH_SIZE_SIGMA:
             return {1: np.repeat([constants.CALIBRATED_RAD, shifts_m[1]], 3)}
-        usual_rad = np.full((2, 3), constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD)
-        rotations_rad = usual_rad if self.rotations_rad is None else self.rotations_rad
-        return {i: np.append(rotations_rad[i], np.full(3, constants.SHARE_OF_PAIR * shifts_m[1])) for i in range(2)}
+        return dict.fromkeys(range(2), constants.SHARE_OF_PAIR * np.repeat([constants.CALIBRATED_RAD, shifts_m[1]], 3))
 
     @property
     def _single_length_sigmas(self) -> Array:

@@ -5,7 +5,8 @@ only in the animal's apparent size, and it is often open which of the two camera
 tails: about each axis of each camera, the rotation is that of usual calibrations or, with probability
 `constants.TURNED_SHARE`, much larger. An explanation says about which axes the cameras are turned. Under each
 explanation the likelihood and the prior of the errors are Gaussian, so the marginal likelihood and the posterior of the
-errors have a closed form.
+errors have a closed form. The poses are then the mean over all explanations, which has the smallest expected error: if
+it is open which of the two cameras is turned, each is turned by half.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from recon.base.arrays import Array, Bools, Index
 from recon.fit import constants
 from recon.fit.least_squares import LeastSquares
-from recon.fit.terms import extrinsic_correction
+from recon.fit.terms import SIZE, extrinsic_correction
 
 _ROTATIONS = np.tile([True, True, True, False, False, False], 2)
 """Which of the twelve errors of two poses are rotations."""
@@ -67,27 +68,30 @@ class PairPoses:
         return np.asarray(np.einsum("e,eij->ij", self.weight, products))
 
     @property
-    def first_is_turned(self) -> bool:
-        """Return whether the first camera is turned with a probability above `constants.FIRST_TURNED`."""
-        return float(self.weight @ self.is_turned[:, 0].any(axis=1)) > constants.FIRST_TURNED
+    def expected(self) -> Array:
+        """Return the expected errors (12,) over all explanations."""
+        return self.weight @ self.mean
 
-    def rotations_rad(self) -> Array:
-        """Return the standard deviations (2, 3) of the two cameras' rotations about each axis, rad.
 
-        The first camera defines the world unless it is turned. If it is open which of the two is turned, the second one
-        is assumed to be.
-        """
-        turned = np.einsum("e,eca->ca", self.weight, self.is_turned)
-        if not self.first_is_turned:
-            turned = np.array([np.zeros(3), np.minimum(turned.sum(axis=0), 1.0)])
-        usual_rad = constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD
-        return np.sqrt(turned * constants.MISPLACED_RAD**2 + (1.0 - turned) * usual_rad**2)
+@dataclass(frozen=True, eq=False)
+class WeighedPair:
+    """Explanations of the errors of two cameras' poses that are shared unknowns of a problem."""
+
+    poses: PairPoses
+    columns: Index
+    """(12,): columns of the errors among the shared unknowns."""
+    precision: Array
+    """(12, 12): marginal precision of the errors in the problem, including that of their prior."""
+    prior_mean: Array
+    """(12,): mean of the errors' prior that puts the problem's minimum at the errors expected over all explanations."""
 
 
 def pair_poses(
     problem: LeastSquares, shared: Mapping[str, Array], normal: tuple[Array, Array], variance_factor: float
-) -> tuple[PairPoses, Index, Array] | None:
-    """Return the weighed explanations of two cameras' poses, the poses' columns, and their marginal precision.
+) -> WeighedPair | None:
+    """Return the weighed explanations of two cameras' poses.
+
+    The animal's size is one error of the whole clip: it counts once for any number of frames, as the poses do.
 
     Parameters
     ----------
@@ -105,17 +109,31 @@ def pair_poses(
         return None
     S, gradient = normal
     columns = np.concatenate([np.arange(len(S), dtype=np.intp)[problem.columns[name]] for name in names])
-    rest = np.delete(np.arange(len(S)), columns)
-    by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[np.ix_(rest, columns)]).T
-    precision = S[np.ix_(columns, columns)] - by_rest @ S[np.ix_(rest, columns)]
+    unknowns = {unknown.name: unknown for unknown in problem.shared}
     value = np.concatenate([shared[name] for name in names])
-    pull = gradient[columns] - by_rest @ gradient[rest] - precision @ value
-    expected = np.concatenate([unknown.sigma for unknown in problem.shared if unknown.name in names])
-    likelihood = precision - np.diag(expected**-2.0)
-    usual_sigma = expected * np.sqrt(variance_factor)
-    usual_sigma[_ROTATIONS] = constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD
-    poses = PairPoses.weigh(likelihood / variance_factor, pull / variance_factor, usual_sigma)
-    return poses, columns, precision
+    mean = np.concatenate([unknowns[name].mean for name in names])
+    sigma = np.concatenate([unknowns[name].sigma for name in names])
+
+    def likelihood(S: Array, gradient: Array) -> tuple[Array, Array, Array]:
+        """Return the marginal precision of the errors, and the curvature and gradient at 0 of their likelihood."""
+        rest = np.delete(np.arange(len(S)), columns)
+        by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[np.ix_(rest, columns)]).T
+        precision = S[np.ix_(columns, columns)] - by_rest @ S[np.ix_(rest, columns)]
+        pull = gradient[columns] - by_rest @ gradient[rest] - precision @ value + mean * sigma**-2.0
+        return precision, precision - np.diag(sigma**-2.0), pull
+
+    sized_S, sized_gradient = S.copy(), gradient.copy()  # of a size that counts once
+    if SIZE in unknowns:
+        column, added = problem.columns[SIZE], (variance_factor - 1.0) * unknowns[SIZE].sigma ** -2.0
+        sized_S[column, column] += added
+        sized_gradient[column] += added * (shared[SIZE] - unknowns[SIZE].mean)
+    _, curvature, pull = likelihood(sized_S, sized_gradient)
+    usual_sigma = sigma * np.sqrt(variance_factor)
+    poses = PairPoses.weigh(curvature / variance_factor, pull / variance_factor, usual_sigma)
+    precision, curvature, pull = likelihood(S, gradient)
+    # at the minimum, the gradient of the prior is the negative gradient of the likelihood
+    prior_mean = poses.expected + sigma**2 * (curvature @ poses.expected + pull)
+    return WeighedPair(poses, columns, precision, prior_mean)
 
 
 def with_uncertain_poses(
@@ -128,8 +146,7 @@ def with_uncertain_poses(
     weighed = pair_poses(problem, shared, normal, variance_factor)
     if weighed is None:
         return normal[0]
-    poses, columns, precision = weighed
     value = np.concatenate([shared[extrinsic_correction(i)] for i in range(2)])
-    S = normal[0].copy()
-    S[np.ix_(columns, columns)] += variance_factor * np.linalg.inv(poses.covariance_about(value)) - precision
+    S, both = normal[0].copy(), np.ix_(weighed.columns, weighed.columns)
+    S[both] += variance_factor * np.linalg.inv(weighed.poses.covariance_about(value)) - weighed.precision
     return S

@@ -50,7 +50,7 @@ from recon.fit import constants
 from recon.fit.banded import Normal, Window, eliminated
 from recon.fit.body_shape import Shape
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.pair_poses import PairPoses, pair_poses, with_uncertain_poses
+from recon.fit.pair_poses import WeighedPair, pair_poses, with_uncertain_poses
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, PRIOR_TERMS, SIZE, Reprojection, size_of
 from recon.geometry.kinematics import ROOT, YAW
 
@@ -226,7 +226,7 @@ def _with_likely_bias(
     return S, expected_precision, (scale - 1.0) * variance_m2[::3] if solved_bias is None else 0.0
 
 
-def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> PairPoses | None:
+def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> WeighedPair | None:
     """Return the explanations of the poses of two cameras at a minimum, or None if both poses are not unknowns."""
     problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     problem = _with_free_nuisance(problem)
@@ -234,8 +234,7 @@ def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: fl
     normals = problem.normals(estimate.states, shared)() if normal is None else [normal]
     reduced = np.sum([window.reduced() for window in eliminated(normals, bounded=True)], axis=0)
     S, _, _ = _with_likely_bias(problem, estimate, reduced, variance_factor)
-    weighed = pair_poses(problem, shared, (S, reduced[:, -1]), variance_factor)
-    return None if weighed is None else weighed[0]
+    return pair_poses(problem, shared, (S, reduced[:, -1]), variance_factor)
 
 
 def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:

@@ -247,8 +247,9 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
         if part.options.refine_cameras:
             segment = _solve_with_noise(part.without_ground(), segment)
             if part.options.refine_first:
-                part = _with_likely_rotations(part, segment)
+                part = _with_likely_poses(part, segment)
                 segment = _solve_with_noise(part.without_ground(), segment)
+                part = _with_likely_poses(part, segment)
             segment = _solve_round(part, segment)
         else:
             segment = _solve_with_noise(part, segment)
@@ -269,10 +270,10 @@ def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     return replace(fit, iterations=estimate.iterations)
 
 
-def _with_likely_rotations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with the rotations of two cameras that a solution with usual rotations makes likely."""
-    poses = pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames)
-    return clip if poses is None else replace(clip, rotations_rad=poses.rotations_rad())
+def _with_likely_poses(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
+    """Return the problem whose minimum has the expected poses of two cameras over all explanations of a solution."""
+    weighed = pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames)
+    return clip if weighed is None else replace(clip, pose_means=weighed.prior_mean.reshape(2, 6))
 
 
 def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> TrajectorySolution:

@@ -117,5 +117,5 @@ def test_the_second_of_two_cameras_is_as_uncertain_as_calibrations_are():
         assert (extrinsic_correction(1) in sigmas) == is_uncertain
         if is_uncertain:
             between = np.array([constants.CALIBRATED_RAD] * 3 + [0.02] * 3)
-            for camera in range(2):  # each has half the variance
-                np.testing.assert_allclose(sigmas[extrinsic_correction(camera)], np.sqrt(0.5) * between)
+            for camera in range(2):
+                np.testing.assert_allclose(sigmas[extrinsic_correction(camera)], constants.SHARE_OF_PAIR * between)

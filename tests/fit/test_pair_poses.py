@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from recon.animal.prior import load_prior
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import LeastSquares, SharedUnknown
-from recon.fit.pair_poses import PairPoses, with_uncertain_poses
+from recon.fit.pair_poses import PairPoses, pair_poses, with_uncertain_poses
 from recon.fit.posterior import pair_poses_of, with_reestimated_noise
 from recon.fit.terms import SIZE, Reprojection, extrinsic_correction
 from recon.fit.trajectory import solve_segments
@@ -35,56 +37,71 @@ def test_poses_that_nothing_shows_are_as_likely_turned_as_expected():
     assert shares == pytest.approx(np.full((2, 3), constants.TURNED_SHARE))
     variance = constants.TURNED_SHARE * constants.MISPLACED_RAD**2 + (1 - constants.TURNED_SHARE) * USUAL_RAD**2
     assert np.diagonal(poses.covariance_about(np.zeros(12)))[[0, 1, 8]] == pytest.approx(np.full(3, variance))
-    assert not poses.first_is_turned
-    turned, usual = poses.rotations_rad()[1], poses.rotations_rad()[0]
-    assert usual == pytest.approx(np.full(3, USUAL_RAD))
-    assert turned == pytest.approx(np.full(3, np.sqrt(2 * variance - USUAL_RAD**2)))
+    np.testing.assert_array_equal(poses.expected, np.zeros(12))
 
 
 def test_a_turn_that_the_detections_show_is_that_of_its_camera():
     measured = dict.fromkeys(range(12), 0.0)
-    for index, is_first in ((PAN, True), (SECOND_PAN, False)):
+    for index in (PAN, SECOND_PAN):
         poses = PairPoses.weigh(*likelihood(measured | {index: np.radians(3.0)}, np.radians(0.1)), USUAL)
-        expected = poses.weight @ poses.mean
-        assert np.degrees(expected[index]) == pytest.approx(3.0, abs=0.01)
-        assert np.degrees(expected[PAN + SECOND_PAN - index]) == pytest.approx(0.0, abs=0.01)
-        assert poses.first_is_turned is is_first
-        assert poses.rotations_rad()[0 if is_first else 1, 1] > 0.99 * constants.MISPLACED_RAD
+        assert np.degrees(poses.expected[index]) == pytest.approx(3.0, abs=0.01)
+        assert np.degrees(poses.expected[PAN + SECOND_PAN - index]) == pytest.approx(0.0, abs=0.01)
 
 
-def test_if_it_is_open_which_camera_is_turned_the_first_defines_the_world_and_both_are_uncertain():
+def test_if_it_is_open_which_camera_is_turned_each_is_turned_by_half_and_both_are_uncertain():
     """Only the difference of the two pans is measured."""
     difference = np.zeros(12)
     difference[[PAN, SECOND_PAN]] = -1.0, 1.0
     precision, angle_rad = np.outer(difference, difference) * np.radians(0.1) ** -2, np.radians(3.0)
     poses = PairPoses.weigh(precision, -angle_rad * difference * np.radians(0.1) ** -2, USUAL)
-    first_rad, second_rad = poses.rotations_rad()
-    assert not poses.first_is_turned
-    assert first_rad[1] == pytest.approx(USUAL_RAD)
-    assert second_rad[1] == pytest.approx(constants.MISPLACED_RAD, rel=0.01)
-    value = angle_rad * np.eye(12)[SECOND_PAN]
-    sigma_deg = np.degrees(np.sqrt(np.diagonal(poses.covariance_about(value))))
-    assert sigma_deg[PAN] == pytest.approx(sigma_deg[SECOND_PAN], rel=0.05)
-    assert 1.8 < sigma_deg[PAN] < 2.3  # 3 degrees or 0, as likely
+    assert np.degrees(poses.expected[[PAN, SECOND_PAN]]) == pytest.approx([-1.5, 1.5], abs=0.02)
+    sigma_deg = np.degrees(np.sqrt(np.diagonal(poses.covariance_about(poses.expected))))
+    assert sigma_deg[PAN] == pytest.approx(sigma_deg[SECOND_PAN])
+    assert 1.4 < sigma_deg[PAN] < 1.8  # 3 degrees or 0, as likely
+
+
+def random_problem(correlation: float) -> tuple[LeastSquares, np.ndarray]:
+    """Return a problem of a size and two poses, and the precision of its shared unknowns."""
+    unknowns = [SharedUnknown(SIZE, np.ones(1), np.array([0.1]))]
+    names = extrinsic_correction(0), extrinsic_correction(1)
+    unknowns += [SharedUnknown(name, np.zeros(6), USUAL[:6] / np.sqrt(correlation)) for name in names]
+    problem = LeastSquares(None, [], [], unknowns)  # pyright: ignore[reportArgumentType]
+    rows = np.random.default_rng(0).normal(size=(20, 13))
+    return problem, 1e4 * rows.T @ rows + np.diag(np.concatenate([unknown.sigma for unknown in unknowns]) ** -2.0)
 
 
 def test_the_poses_of_a_problem_become_as_uncertain_as_all_explanations_leave_them():
-    names, correlation = [extrinsic_correction(0), extrinsic_correction(1)], 4.0
-    unknowns = [SharedUnknown(SIZE, np.ones(1), np.array([0.1]))]
-    unknowns += [SharedUnknown(name, np.zeros(6), USUAL[:6] / np.sqrt(correlation)) for name in names]
-    problem = LeastSquares(None, [], [], unknowns)  # pyright: ignore[reportArgumentType]
-    random = np.random.default_rng(0)
-    rows = random.normal(size=(20, 13))
-    S = 1e4 * rows.T @ rows + np.diag(np.concatenate([unknown.sigma for unknown in unknowns]) ** -2.0)
+    correlation = 4.0
+    problem, S = random_problem(correlation)
     shared, gradient = problem.expected(), np.zeros(13)
     changed = with_uncertain_poses(problem, shared, (S, gradient), correlation)
     before, after = np.linalg.inv(S), np.linalg.inv(changed)
-    prior = np.diag(unknowns[1].sigma.tolist() * 2) ** 2
-    likelihood_precision = np.linalg.inv(before[1:, 1:]) - np.linalg.inv(prior)
+    prior = np.diag(np.tile(problem.shared[1].sigma, 2)) ** 2
+    lasting = S + np.diag([(correlation - 1.0) * 0.1**-2.0, *np.zeros(12)])  # the size counts once, too
+    likelihood_precision = np.linalg.inv(np.linalg.inv(lasting)[1:, 1:]) - np.linalg.inv(prior)
     poses = PairPoses.weigh(likelihood_precision / correlation, np.zeros(12), USUAL)
     np.testing.assert_allclose(correlation * after[1:, 1:], poses.covariance_about(np.zeros(12)), rtol=1e-6, atol=1e-15)
     by_poses = np.linalg.solve(before[1:, 1:], before[1:, 0])  # the size follows the poses as before
     np.testing.assert_allclose(np.linalg.solve(after[1:, 1:], after[1:, 0]), by_poses, rtol=1e-5, atol=1e-9)
+
+
+def test_with_the_mean_of_its_prior_a_problem_has_its_minimum_at_the_expected_poses():
+    problem, S = random_problem(4.0)
+    gradient = 0.003 * S[:, 2]  # shows a turn, and the explanations differ from the minimum
+    weighed = pair_poses(problem, problem.expected(), (S, gradient), 4.0)
+    assert weighed is not None
+    prior_pull = np.append(0.0, -weighed.prior_mean / np.tile(problem.shared[1].sigma, 2) ** 2)
+    minimum = np.asarray(-np.linalg.solve(S, gradient + prior_pull), dtype=float)
+    assert np.abs(weighed.poses.expected).max() > 1e-3
+    np.testing.assert_allclose(minimum[1:], weighed.poses.expected, rtol=1e-8, atol=1e-12)
+    # from there, with this mean, the result is the same
+    means = {unknown.name: unknown.mean for unknown in problem.shared}
+    means |= {extrinsic_correction(i): weighed.prior_mean[6 * i : 6 * i + 6] for i in range(2)}
+    shared = [replace(unknown, mean=means[unknown.name]) for unknown in problem.shared]
+    values = {SIZE: 1.0 + minimum[:1]} | {extrinsic_correction(i): minimum[6 * i + 1 : 6 * i + 7] for i in range(2)}
+    again = pair_poses(replace(problem, shared=shared), values, (S, np.zeros(13)), 4.0)
+    assert again is not None
+    np.testing.assert_allclose(again.prior_mean, weighed.prior_mean, rtol=1e-8, atol=1e-12)
 
 
 def test_a_first_camera_that_defines_the_world_stays_certain():
