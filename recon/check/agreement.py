@@ -76,7 +76,7 @@ _OFFSET_ROWS = 200
 _COMPARED = 0.3
 """Smallest fraction of the comparable points that a time offset has to leave."""
 _ROBUST = 3.0
-"""Distance in standard deviations at which a ray counts half in a point."""
+"""Number of standard deviations at which the robust weight of a residual is 0.5."""
 _POINT_ROUNDS = 3
 """Rounds of reweighting in which outliers lose their weight in a point."""
 _OFFSET_ROUNDS = 3

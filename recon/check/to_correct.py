@@ -47,7 +47,7 @@ class ToCorrect:
     expected_px: tuple[float, float]
     """Position expected from the pose."""
     ellipse_px: tuple[float, float, float]
-    """Half axes of the ellipse of one standard deviation about the expected position, and the angle of the longer one
+    """Semi-axes of the ellipse of one standard deviation about the expected position, and the angle of the longer one
     to the x axis, in degrees.
     """
     distance_px: float
@@ -183,7 +183,7 @@ def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
 def _ellipses(motion: Motion, cells: list[tuple[int, int, int]]) -> list[tuple[float, float, float]]:
     """Return the ellipses of one standard deviation about expected keypoints, for cells (v, t, j).
 
-    Each consists of the longer and the shorter half axis in pixels, and the angle of the longer one in degrees.
+    Each consists of the semi-major and the semi-minor axis in pixels, and the angle of the major axis in degrees.
     """
     solution = motion.solution
     ellipses = np.empty((len(cells), 3))

@@ -59,7 +59,7 @@ _MEAN_OF_NORM = 0.92
 _LEAST_M2 = 1e-8
 """Least variance; below it a variance due to the size alone is rounding."""
 _MEAN_OF_SIGMA = 0.8
-"""Mean distance of a quantity from its middle, in standard deviations."""
+"""Mean absolute deviation of a normal quantity from its mean, in standard deviations."""
 
 
 @dataclass(frozen=True)

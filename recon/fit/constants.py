@@ -7,7 +7,7 @@ set other values. docs/benchmarks.md shows their effect.
 # -- detections ---------------------------------------------------------------------------------------------------
 
 ROBUST_C = 3.0
-"""Number of standard deviations at which a residual counts half; a round number."""
+"""Number of standard deviations at which the robust weight of a residual is 0.5; a round number."""
 KEYPOINT_BIAS_SHARE = 0.6
 """Fraction of a keypoint's distance from its marker that stays constant over a clip."""
 COMMON_BIAS_SHARE = 0.4

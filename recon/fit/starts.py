@@ -19,7 +19,7 @@ from recon.fit.least_squares import Estimate
 from recon.geometry.kinematics import ROOT, YAW
 
 _MISFIT_M = 0.15
-"""Distance from a ray at which a joint of the mean pose counts half: that of a leg's swing."""
+"""Distance of a joint of the mean pose from its ray at which the robust loss is half the square: a leg's swing."""
 
 
 def position_on_rays(joints_m: Array, rays: Array) -> Array:
@@ -77,8 +77,9 @@ def _dot(a: Array, b: Array) -> Array:
 def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
     """Return the deviations of points (..., J, 3) from their rays.
 
-    They are vectors q / r, (..., J, 3), of the points' directions q by their distances r; the cosines c (..., J)
-    between q and the rays d (0 where missing); and the part of d across q, m = d - c q, whose length is the sine.
+    They are the directions q of the points (unit vectors) divided by their distances r, (..., J, 3); the cosines c
+    (..., J) between q and the rays d (0 where missing); and the part of d across q, m = d - c q, (..., J, 3), whose
+    length is the sine.
     """
     square, rays = _dot(points_m, points_m), np.nan_to_num(rays)
     cosine = _dot(points_m, rays) / np.sqrt(square)

@@ -23,7 +23,7 @@ from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
 LARGEST = 1e9
-"""Largest number in a camera; larger numbers are damage."""
+"""Largest number in a camera; larger numbers mean a damaged file."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
     "distortion": ((), "the lens coefficients"),
@@ -241,7 +241,7 @@ class Camera(Brief):
 
     @property
     def has_extrinsics(self) -> bool:
-        """Return whether the camera's position is known."""
+        """Return whether the camera's pose is known."""
         return self.rotation is not None
 
     @property

@@ -77,7 +77,7 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
 
 
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Return the rotation about each axis, (..., 3, 3) three times.
+    """Return the rotations about x, y and z by angles (..., 3), (..., 3, 3) each.
 
     R = I + sin G + (1 - cos) G G (Rodrigues) and dR = G R, where G is the cross-product matrix of an axis.
     """

@@ -66,7 +66,7 @@ MODEL_FILE = "model.pt"
 CHANNELS = 6
 """Three colours, and their differences from the still background."""
 GREY, SPREAD, DIFFERENCE = 115.0, 64.0, 64.0
-"""Levels that are scaled to 0 and 1, and the difference that is scaled to 1."""
+"""Level that is scaled to 0, and the differences from it and from the background that are scaled to 1."""
 STRIDE = 4
 """Pixels between neighbouring cells of the grid; cell (0, 0) is at pixel (0, 0)."""
 WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
@@ -83,7 +83,7 @@ LEAST_SIGMA = 0.15
 BLUR = 0.8
 """Standard deviation of the blur, in cells of the grid."""
 FAR = 4.0
-"""Distance, in cells, at which probability counts that is further away from its point: see `variance`."""
+"""Largest distance, in cells, of probability from its point in `variance`; larger distances are clipped to it."""
 _REACH = 3
 """Number of cells on each side over which the blur extends."""
 NOWHERE = -1e4
@@ -296,7 +296,7 @@ def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
 
     The variance is that of the probability (B, K, h, w) around each point, minus the variance of the Gaussian that the
-    network is trained on. Probability further away than `FAR` counts as if it were at `FAR`.
+    network is trained on. Probability farther away than `FAR` counts as if it were at `FAR`.
     """
     spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
     return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2

@@ -143,7 +143,7 @@ class Leg:
 
     @property
     def _pqr(self) -> tuple[float, float, float]:
-        """Return p, q, and r + n^2."""
+        """Return p, q and r + n^2 of the inverse of the knee, as defined in the module's docstring."""
         l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
         return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
 

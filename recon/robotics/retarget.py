@@ -368,7 +368,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Return a spline through the states of `Quadruped.tree`; a repeating stride is without its displacement."""
+        """Return a spline through the states of `Quadruped.tree`, without the displacement of a repeating stride."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:

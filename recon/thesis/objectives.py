@@ -54,7 +54,7 @@ class FrameOptions:
     keypoint_sigma_max_px: float = 12.0
     """Largest value of `keypoint_sigma_m` in the picture, pixels."""
     robust_c: float = 4.5
-    """Number of standard deviations at which a residual counts half."""
+    """Number of standard deviations at which the robust penalty of a point is half the square."""
     path: Literal["smooth", "free"] = "smooth"
     """Path of the reference joint: as smooth as an animal moves (`recon.thesis.path`), or free in every frame."""
     path_sigma_m: float = 0.5
