@@ -39,7 +39,7 @@ class Finding:
 
 Level = Literal["do not use", "check", "use"]
 LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
-"""Levels in the order in which clips should be looked at."""
+"""Levels of a verdict, in the order in which clips should be looked at."""
 
 
 _NOTHING = 0.1

@@ -80,7 +80,7 @@ _TEMPERATURES = (8.0, 3.0)
 _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS = 1e-3, 8
 """Relative decrease of the cost at which the search with one temperature ends, and its largest number of iterations."""
 _MORE_ROUNDS = 3
-"""Further rounds if the prior has lost most of its weight, until noise and contacts have settled again."""
+"""Further rounds if the motion is unlike those of the prior, until noise and contacts have settled again."""
 _FRAMES_AT_ONCE = 4096
 """Number of frames to convert at once."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
