@@ -24,14 +24,14 @@ S^-1 is the covariance of s, -Y S^-1 that of x with s, and H^-1 + Y S^-1 Y' that
 A long clip is processed in pieces (`eliminated`). Frames before a piece are eliminated exactly. Let L21 be the rows of
 L from the last W frames of a piece to the first W of the next, and z = L^-1 b: the next piece gets -L21 L21' on H and
 -L21 z on a right-hand side. B' H^-1 B is the sum over all pieces of (L^-1 B)' (L^-1 B) in their own rows. On the way
-back, a piece also includes the same number of frames of the next piece, which represent all later frames, because the
-influence of later frames decays exponentially.
+back, a piece takes along the next piece, which represents all later frames, because the influence of later frames
+decays exponentially.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -48,6 +48,8 @@ _IN_BLOCKS = 8
 """Number of right-hand sides from which matrix products are faster than LAPACK's solver, which takes them one by
 one.
 """
+_FRAMES_AT_ONCE = 64
+"""Number of frames whose blocks are rearranged at once: few enough for the processor's cache."""
 _KEPT = 1 << 24
 """Largest number of values in the windows that are kept until the shared unknowns are known: 128 MB."""
 
@@ -80,27 +82,49 @@ class Window:
     rows: slice
     piece: Normal
     factor: _Factor
+    """Columns of L of the n frames, with the rows of the W frames after them."""
     whitened: Array
-    """(n + frames of the next piece, D, 1 + P): L^-1 of the gradient and the border."""
+    """(n, D, 1 + P): L^-1 of the gradient and the border."""
+    following: Window | None = None
+    """The next piece of m frames, which represents all later frames; None for the last piece."""
+
+    @property
+    def rows_taken_along(self) -> slice:
+        """Return the rows of these frames and of those of the next piece."""
+        last = self if self.following is None else self.following
+        return slice(self.rows.start, last.rows.stop)
 
     def solved(self) -> Array:
         """Return H^-1 of the gradient and the border, (n, D, 1 + P)."""
-        return self.unwhiten(self.whitened)
+        later = None if self.following is None else self.following.whitened
+        return self._unwhiten(self.whitened, later)
 
     def unwhiten(self, white: Array) -> Array:
-        """Return L^-T of whitened values of these frames and those of the next piece, (n, D, ...).
+        """Return L^-T of whitened values (n + m, D, ...) of these frames and those of the next piece, (n, D, ...).
 
         See `_Factor.unwhiten`.
         """
-        return self.factor.unwhiten(white)[: len(self.piece.gradient)]
+        n = len(self.whitened)
+        return self._unwhiten(white[:n], white[n:])
+
+    def _unwhiten(self, white: Array, later: Array | None) -> Array:
+        if self.following is None or later is None:
+            return self.factor.unwhiten(white)
+        x_later = self.following.factor.unwhiten(later)
+        (n, D), W = white.shape[:2], self.factor.width // white.shape[1]
+        white = white.copy()
+        by_later = self.factor.below_end().T @ x_later[:W].reshape(W * D, -1)
+        white[n - W :] -= by_later.reshape(white[n - W :].shape)
+        return self.factor.unwhiten(white, overwrite=True)
 
     def marginal_blocks(self) -> Array:
         """Return the blocks of the inverse, (n, W+1, D, D): see `_Factor.marginal_blocks`."""
-        return self.factor.marginal_blocks()[: len(self.piece.gradient)]
+        later = None if self.following is None else self.following.factor.first_marginals()
+        return self.factor.marginal_blocks(later)
 
     def reduced(self) -> Array:
         """Return the window's contribution to [S, c - Y' b], (P, P + 1); the sum over all windows gives both."""
-        flat = self.whitened[: len(self.piece.gradient)].reshape(-1, self.whitened.shape[-1])
+        flat = self.whitened.reshape(-1, self.whitened.shape[-1])
         by_frames = flat.T @ flat
         corner, gradient = self.piece.corner - by_frames[1:, 1:], self.piece.shared_gradient - by_frames[1:, 0]
         return np.concatenate([corner, gradient[:, None]], axis=1)
@@ -147,39 +171,43 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
     damping, bounded
         As in `factored`, which also describes the errors.
     """
-    remaining, start, carry = iter(pieces), 0, None
+    remaining, start, carry, last = iter(pieces), 0, None, None
     piece = next(remaining, None)
     while piece is not None:
         next_piece, n = next(remaining, None), len(piece.gradient)
-        blocks, right_side = piece.blocks, np.concatenate([piece.gradient[..., None], piece.border], axis=2)
-        if next_piece is not None:
-            blocks = np.concatenate([blocks, next_piece.blocks[:n]])
-            next_right = [next_piece.gradient[:n, :, None], next_piece.border[:n]]
-            right_side = np.concatenate([right_side, np.concatenate(next_right, axis=2)])
+        W = 0 if next_piece is None else piece.blocks.shape[1] - 1
+        right_side = np.concatenate([piece.gradient[..., None], piece.border], axis=2)
+        blocks = [piece.blocks] if next_piece is None else [piece.blocks, next_piece.blocks[:W]]
         if carry is not None:
-            blocks = blocks if next_piece is not None else blocks.copy()
             on_blocks, on_right = carry
+            first = piece.blocks[: len(on_right)].copy()
             for row in range(len(on_right)):
                 for column in range(row + 1):
-                    blocks[column, row - column] += on_blocks[row, :, column]
+                    first[column, row - column] += on_blocks[row, :, column]
+            blocks = [first, piece.blocks[len(on_right) :], *blocks[1:]]
             right_side[: len(on_right)] += on_right
-        factor = factored(blocks, damping, bounded)
-        white = factor.whiten(right_side)
+        all_damping = np.broadcast_to(damping, (n + W, piece.gradient.shape[1]))
+        factor = _factored_of(blocks, all_damping, bounded).first_frames(n)
+        white = factor.whiten(right_side, overwrite=True)
         if next_piece is not None:
-            carry = _carried(factor, white, n)
-        yield Window(slice(start, start + n), piece, factor, white)
-        start, piece = start + n, next_piece
+            carry = _carried(factor, white)
+        window = Window(slice(start, start + n), piece, factor, white)
+        if last is not None:
+            yield replace(last, following=window)
+        last, start, piece = window, start + n, next_piece
+    if last is not None:
+        yield last
 
 
-def _carried(factor: _Factor, white: Array, n: int) -> tuple[Array, Array]:
-    """Return the contribution of a window's first n frames, once eliminated, to the next window.
+def _carried(factor: _Factor, white: Array) -> tuple[Array, Array]:
+    """Return the contribution of a window's frames, once eliminated, to the next window.
 
     The contribution is (W, D, W, D) to H and (W, D, ...) to the right-hand sides.
     """
-    D, width = white.shape[1], factor.width
-    coupling = factor.below(n * D - width)
+    (n, D), width = white.shape[:2], factor.width
+    coupling = factor.below_end()
     W = width // D
-    on_right = -coupling @ white[n - W : n].reshape(width, -1)
+    on_right = -coupling @ white[n - W :].reshape(width, -1)
     return (-coupling @ coupling.T).reshape(W, D, W, D), on_right.reshape(W, D, -1)
 
 
@@ -203,7 +231,7 @@ def add_normal(
 
 @dataclass(frozen=True)
 class _Factor:
-    """Cholesky factor of the system of T frames; `factored` creates it."""
+    """Cholesky factor of the system of T frames, or its first T frames; `factored` creates it."""
 
     band: Array
     """((W+1)D, TD): L in LAPACK's lower band storage."""
@@ -214,28 +242,34 @@ class _Factor:
         """Return the number of rows in one block of L, in which no row extends beyond the preceding block."""
         return max(len(self.band) - self.D, self.D)
 
-    def whiten(self, right: Array) -> Array:
-        """Return L^-1 b of right-hand sides (T, D, ...)."""
-        return self._solved(right, "N")
+    def first_frames(self, n: int) -> _Factor:
+        """Return the columns of the first n frames, with the rows of the W frames after them."""
+        return _Factor(self.band[:, : n * self.D], self.D)
 
-    def unwhiten(self, white: Array) -> Array:
+    def whiten(self, right: Array, *, overwrite: bool = False) -> Array:
+        """Return L^-1 b of right-hand sides (T, D, ...), which may be overwritten."""
+        return self._solved(right, "N", overwrite)
+
+    def unwhiten(self, white: Array, *, overwrite: bool = False) -> Array:
         """Return x = L^-T z of z (T, D, ...): for a white z, the covariance of x is the inverse of H."""
-        return self._solved(white, "T")
+        return self._solved(white, "T", overwrite)
 
-    def _solved(self, right: Array, transposed: Literal["N", "T"]) -> Array:
+    def _solved(self, right: Array, transposed: Literal["N", "T"], overwrite: bool) -> Array:
         flat = np.reshape(right, (self.band.shape[1], -1))
         if flat.shape[1] >= _IN_BLOCKS:
-            return self._solved_in_blocks(flat, transposed).reshape(right.shape)
+            solution = flat if overwrite else np.array(flat, dtype=float, order="C")
+            self._solve_in_blocks(solution, transposed)
+            return solution.reshape(right.shape)
         return dtbtrs(self.band, flat, uplo="L", trans=transposed)[0].reshape(right.shape)
 
-    def _solved_in_blocks(self, right: Array, transposed: Literal["N", "T"]) -> Array:
-        """Return `_solved` of (TD, K), computed in block rows that are as wide as the band.
+    def _solve_in_blocks(self, solution: Array, transposed: Literal["N", "T"]) -> None:
+        """Solve for right-hand sides (TD, K) in place, in block rows that are as wide as the band.
 
         Each column of the band begins at the diagonal. Read with a stride that is shorter by one, the band is a
         triangle of L.
         """
         size, count = self.band.shape
-        solution, starts = np.array(right, dtype=float, order="C"), [*range(0, count, size)]
+        starts = [*range(0, count, size)]
         row_stride, column_stride = self.band.strides
         strides = row_stride, column_stride - row_stride
         for first in starts if transposed == "N" else reversed(starts):
@@ -251,7 +285,6 @@ class _Factor:
                 if len(rest):
                     block[-self.width :] -= self.below(stop - self.width)[: len(rest)].T @ rest
                 block[:] = dtrsm(1.0, factor, block.T, side=1, lower=1).T
-        return solution
 
     def below(self, column: int) -> Array:
         """Return the block of L below its diagonal block that begins at a column, (width, width)."""
@@ -260,17 +293,30 @@ class _Factor:
         columns = column + np.arange(self.width)
         return np.where(is_in_band, self.band[np.minimum(down, len(self.band) - 1), columns], 0.0)
 
+    def below_end(self) -> Array:
+        """Return the block of L between the last W frames and the W frames after them, (width, width)."""
+        return self.below(self.band.shape[1] - self.width)
+
     @cached_property
     def _rows_below(self) -> Integers:
         """Return the distances of the entries of `below` from the diagonal, in rows, (width, width)."""
         return self.width + np.subtract.outer(np.arange(self.width), np.arange(self.width))
 
-    def marginal_blocks(self) -> Array:
+    def marginal_blocks(self, later: Array | None = None) -> Array:
         """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).
 
         [t, k] is the covariance of frame t + k (rows) with frame t (columns). The covariances of single frames are [:,
-        0]; blocks with t + k >= T are zero.
+        0]; blocks with t + k >= T are zero, unless the covariance (WD, WD) of the W frames after the last one is given.
         """
+        return self._marginals(later)[0]
+
+    def first_marginals(self) -> Array:
+        """Return the covariance (WD, WD) of the first W frames."""
+        width = len(self.band) - self.D
+        return self._marginals(None)[1][:width, :width]
+
+    def _marginals(self, later: Array | None) -> tuple[Array, Array]:
+        """Return `marginal_blocks`, and the covariance ((W+1)D, (W+1)D) of the first frames."""
         D, P = self.D, len(self.band)
         T = self.band.shape[1] // D
         columns = self.band.T.reshape(T, D, P)
@@ -278,18 +324,20 @@ class _Factor:
         for j in range(D):
             rows[:, j, j:] = columns[:, j, : P - j]
         window = np.zeros((P, P))  # Z of the frames t, later; a frame after the last one is zero
-        later = window[: P - D, : P - D]
+        covariance_later = window[: P - D, : P - D]
+        if later is not None:
+            covariance_later[:] = later
         for t in range(T - 1, -1, -1):
             root = dtrtri(rows[t, :, :D].T, lower=1)[0].T  # L_tt' is an upper triangle
             gain = -root @ rows[t, :, D:]
-            across = gain @ later
+            across = gain @ covariance_later
             block = root @ root.T + across @ gain.T
-            window[D:, D:] = later
+            window[D:, D:] = covariance_later
             window[:D, :D] = (block + block.T) / 2  # an antisymmetric rounding error would grow from frame to frame
             window[:D, D:] = across
             window[D:, :D] = across.T
             rows[t] = window[:D]
-        return rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1)
+        return rows.reshape(T, D, P // D, D).transpose(0, 2, 3, 1), window
 
 
 def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False) -> _Factor:
@@ -310,8 +358,13 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
         If the damped matrix is not positive definite to rounding, unless `bounded`.
     """
     T, _, D, _ = blocks.shape
-    band = lower_band(blocks)
-    band[0] += np.broadcast_to(damping, (T, D)).ravel()
+    return _factored_of([blocks], np.broadcast_to(damping, (T, D)), bounded)
+
+
+def _factored_of(parts: Sequence[Array], damping: Array, bounded: bool) -> _Factor:
+    """Return `factored` of blocks in several parts, one after the other in time, with a damping (T, D)."""
+    band = lower_band(*parts)
+    band[0] += damping.ravel()
     try:
         band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
         if not np.isfinite(band[0]).all():  # LAPACK does not report NaN
@@ -319,18 +372,27 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
     except np.linalg.LinAlgError:
         if not bounded:
             raise
-        diagonal = np.diagonal(blocks[:, 0], axis1=1, axis2=2)
-        return factored(blocks, _UNKNOWN * np.maximum(diagonal, 1.0) + damping)
-    return _Factor(band, D)
+        diagonal = np.concatenate([np.diagonal(blocks[:, 0], axis1=1, axis2=2) for blocks in parts])
+        return _factored_of(parts, _UNKNOWN * np.maximum(diagonal, 1.0) + damping, bounded=False)
+    return _Factor(band, damping.shape[1])
 
 
-def lower_band(blocks: Array) -> Array:
-    """Return LAPACK's lower band storage, ((W+1)D, TD) in Fortran order: band[i - j, j] = H[i, j] for i >= j."""
-    T, n_blocks, D, _ = blocks.shape
-    P = n_blocks * D
-    columns = np.zeros((T, D, P))  # one column of H each, from its diagonal down
-    for j in range(D):
-        columns[:, j, : P - j] = blocks[..., j].reshape(T, P)[:, j:]
+def lower_band(*parts: Array) -> Array:
+    """Return LAPACK's lower band storage, ((W+1)D, TD) in Fortran order: band[i - j, j] = H[i, j] for i >= j.
+
+    The blocks of H may come in several parts, one after the other in time.
+    """
+    _, n_blocks, D, _ = parts[0].shape
+    T, P, first = sum(map(len, parts)), n_blocks * D, 0
+    columns = np.empty((T, D, P))  # one column of H each, from its diagonal down
+    for blocks in parts:
+        for start in range(0, len(blocks), _FRAMES_AT_ONCE):
+            flat = blocks[start : start + _FRAMES_AT_ONCE].reshape(-1, P, D)
+            own = columns[first : first + len(flat)]
+            for j in range(D):
+                own[:, j, : P - j] = flat[:, j:, j]
+                own[:, j, P - j :] = 0.0
+            first += len(flat)
     band = columns.reshape(T * D, P).T
     last = min(P, T * D)
     band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # entries outside the matrix
