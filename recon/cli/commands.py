@@ -24,6 +24,7 @@ import typer
 from typer.core import TyperCommand
 
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.memory import keep_freed_memory
 from recon.base.settings import Option, SettingInfo, Settings, on_command_line, unknown_setting
 from recon.cli.answers import Answer, progress_bar, terminal
 
@@ -114,6 +115,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
 
     def call(as_json: bool, quiet: bool, **arguments: Any) -> None:
         """Run the function; raise InputError with everything that is wrong with the command's own settings."""
+        keep_freed_memory()
         console = terminal(quiet=quiet, stderr=as_json)
         keywords: dict[str, Any] = {"console": console} if "console" in takes else {}
         values = _values_of_set(arguments.pop(_SET, None) or [], infos)

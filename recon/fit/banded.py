@@ -388,10 +388,10 @@ def lower_band(*parts: Array) -> Array:
     for blocks in parts:
         for start in range(0, len(blocks), _FRAMES_AT_ONCE):
             flat = blocks[start : start + _FRAMES_AT_ONCE].reshape(-1, P, D)
-            own = columns[first : first + len(flat)]
+            in_order = columns[first : first + len(flat)]
             for j in range(D):
-                own[:, j, : P - j] = flat[:, j:, j]
-                own[:, j, P - j :] = 0.0
+                in_order[:, j, : P - j] = flat[:, j:, j]
+                in_order[:, j, P - j :] = 0.0
             first += len(flat)
     band = columns.reshape(T * D, P).T
     last = min(P, T * D)
