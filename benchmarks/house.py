@@ -99,7 +99,7 @@ most much now of off once one only other others own said so some still such than
 this those thus told too us very what when where which while who whose why with within yet
 """
 FUNCTION_WORDS = frozenset(_WORDS.split())
-"""Words that do not describe a value, and therefore are no names."""
+"""Words that do not describe a value, and are therefore not allowed as names."""
 PUBLISHED = {
     "recon/animal/prior_fit.py": {"apart"},  # the option of `recon prior fit`
     "recon/api/prior_fit.py": {"apart"},  # its option

@@ -51,7 +51,7 @@ Command = tuple[str, list[str]]
 
 
 def sample_commands(samples: Path) -> Iterator[Command]:
-    """Return the commands on the samples."""
+    """Yield the commands on the samples."""
 
     def fit(name: str, keypoints: str, camera: str, *options: str) -> Command:
         return name, ["fit", str(samples / keypoints), "--camera", str(samples / camera), *options, "--out", name]
@@ -88,7 +88,7 @@ def sample_commands(samples: Path) -> Iterator[Command]:
 
 
 def recorded_commands() -> Iterator[Command]:
-    """Return fits of each camera of each run, of neighbouring pairs and of all cameras of a run; the cheapest first."""
+    """Yield fits of each camera of each run, of neighbouring pairs and of all cameras of a run; the cheapest first."""
     runs = [
         (file.parent, json.loads(file.read_text())) for file in sorted(recordings("cheetah-runs").glob("*/meta.json"))
     ]
@@ -150,7 +150,7 @@ def run_commands(plan: Path) -> None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Compare one file of both results."""
+    """Comparison of one file of both results."""
 
     file: str
     values: int

@@ -136,7 +136,7 @@ def run(patterns: list[Path], out: Path, *more: object) -> tuple[float, dict[str
 
 
 def ended(out: Path) -> int:
-    """Return the clips that the summary lists as ended."""
+    """Return the number of clips that the summary lists as ended."""
     try:
         with (out / "summary.csv").open(newline="") as file:
             return sum(row["status"] != "pending" for row in csv.DictReader(file))

@@ -188,7 +188,7 @@ def rows(video: Path, cases: Sequence[str]):
 
 
 LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
-"""Focal lengths of camera files relative to the true one; the last is 90 degrees for 60."""
+"""Focal lengths of camera files relative to the true one; the last is that of 90 degrees instead of 60."""
 LENS_HEADER = ("video", "pan", "file", "frames", "found, off by", "sigma", "worst °", "sigma there °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",

@@ -67,7 +67,7 @@ class Clip:
 
     @cached_property
     def true_px(self) -> Array:
-        """Projections of the truth, (V, T, J, 2), NaN outside the picture."""
+        """Return the projections of the truth, (V, T, J, 2), NaN outside the picture."""
         projections = []
         for view in views_of(self.motion.sources):
             xy_px, is_valid = view.project(self.truth_m)
@@ -77,7 +77,7 @@ class Clip:
 
     @cached_property
     def cells(self) -> list[Cell]:
-        """Detections that can be replaced."""
+        """Return the detections that can be replaced."""
         is_known = np.isfinite(self.true_px[..., 0]) & self.motion.solved[:, None]
         return [(v, t, j) for v, t, j in np.argwhere(is_known).tolist()]
 
@@ -154,7 +154,7 @@ class Linearised:
         self.covariance_px2, self.joints_by_px = self.covariances()
 
     def projections(self, part: ClipProblem, size: float, states: Array) -> tuple[Array, Array]:
-        """Return the derivatives (N, 2, D) of the projected keypoints by the states of their frames, and the pixels."""
+        """Return the Jacobians (N, 2, D) of projected keypoints for the states of their frames, and the pixels."""
         detected = part.body.detected.pose_with_jacobian(states)
         world_m = part.in_world(detected.points_m, size)
         derivatives, projected_px = [], []

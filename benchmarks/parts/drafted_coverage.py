@@ -119,7 +119,7 @@ def row(recording: Recording, cameras: int, skeleton: str | None, seed: int) -> 
     detected_m = biased(recording, recording.points_m, offsets_m) - middle_m
     seen = [seen_by(camera, detected_m, random) for camera in ring[::step][:cameras]]
     order = [names.index(marker) if marker in names else -1 for marker in body.markers]
-    views = [of_markers(view, order) for view in seen]
+    views = [view_of_markers(view, order) for view in seen]
     solution = solve_trajectory(
         views, body, prior_from_body(body), recording.fps, TrajectoryOptions(fast=True), ground_near_zero=True
     )
@@ -141,7 +141,7 @@ def row(recording: Recording, cameras: int, skeleton: str | None, seed: int) -> 
     }
 
 
-def of_markers(view: View, order: Sequence[int]) -> View:
+def view_of_markers(view: View, order: Sequence[int]) -> View:
     """Return the view of the body's markers; those without a keypoint are missing."""
     known = np.array(order) >= 0
     xy_px = np.where(known[:, None], view.xy_px[:, order], np.nan)

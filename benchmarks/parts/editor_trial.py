@@ -49,7 +49,7 @@ ON_SCREEN = f"""([x, y]) => {{
   const is_inside = left > 0 && top > 0 && left < box.width && top < box.height;
   return [box.left + left, box.top + top, is_inside];
 }}"""
-"""Where a position of the picture is on the screen, and whether it is inside the shown part."""
+"""JavaScript that returns where a position of the picture is on the screen, and whether it is in the shown part."""
 
 
 def recon(*arguments: object) -> None:
@@ -74,7 +74,7 @@ def served(*arguments: object) -> Iterator[str]:
 
 
 class User:
-    """Act on the page with keyboard and mouse, and count the actions."""
+    """User who acts on the page with keyboard and mouse, and whose actions are counted."""
 
     def __init__(self, page: Any, rng: np.random.Generator) -> None:
         self.page, self.rng = page, rng

@@ -123,7 +123,8 @@ def methods(chain: SerialChain) -> dict[str, Method]:
 def step_times_s(chain: SerialChain) -> dict[str, float]:
     """Return the processor time of a step at random configurations within the limits, by method, seconds.
 
-    The methods take turns, and the time is the lowest tenth: what else runs on the machine makes steps slower only.
+    The methods take turns, and the time is the tenth percentile: other programs on the machine can only make
+    steps slower.
     """
     rng, every = np.random.default_rng(SEED), methods(chain)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (STEPS, chain.n))
@@ -387,7 +388,7 @@ def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Fram
 
 
 def print_fits(folder: Path) -> None:
-    """Print fits for all chains but the 8U chain in space, whose phi and rates jump when a link is upright."""
+    """Print fits for all chains but the 8U chain in 3D, whose phi and rates jump when a link is upright."""
     for kind in ("2D", "whole animal"):
         legs = real_legs(folder)[kind]
         data = [frames_of(leg) for leg in legs]

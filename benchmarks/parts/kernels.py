@@ -44,7 +44,7 @@ STAGES = {
     "cost": "cost (within all)",
     "step": "banded steps (within all)",
 }
-"""Functions of the solver, by what they do."""
+"""Name of each stage of a fit, by the solver's function."""
 
 
 @dataclass(frozen=True)

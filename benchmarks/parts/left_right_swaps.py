@@ -290,7 +290,7 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
 
 
 def print_tables(table: pd.DataFrame) -> None:
-    """Print the tables. "Worse" is the error of a view after the correction relative to the error before."""
+    """Print the tables. "Worst" is the largest error of a view after the correction relative to that before."""
     head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of these real"]
     print_header([*head, "error / untouched", "mended / untouched", "worst: mended / not"])
     for name, of_case in table.groupby("case", sort=False):
@@ -400,8 +400,8 @@ def print_folds(table: pd.DataFrame) -> None:
     """Print, for each run, the margin chosen on all other runs, and its results on this run.
 
     The chosen margin is the smallest one with which, in the other runs, at most `FALSE` of the frames are named wrongly
-    and no clip becomes `WORSE` by the correction, unchanged or with a planted exchange, multiplied by `SPARE`. The last
-    row is for all runs.
+    and the correction increases the error of no clip, unchanged or with a planted exchange, by more than the factor
+    `WORSE`. It is multiplied by `SPARE`. The last row is for all runs.
     """
     head = ["left out", "margin", "named wrongly", "with exchanges", "worst mended / not", "ten frames", "fore legs"]
     print_header([*head, "hind legs", "whole clip", "one or other"])

@@ -2,7 +2,7 @@
 
 python benchmarks/parts/long_clips.py [CASE ...] [--against CHECKOUT]
 
-A case is frames x cameras, as in 4000x6, or the number of frames of which 120 are seen, in three segments, as in
+A case is frames x cameras, such as 4000x6, or the number of frames of which 120 are seen, in three segments, such as
 216000/120; by default a list of cases. A simulated animal runs in circles in front of still cameras. --against: each
 case is also fitted by another checkout, before this one.
 """

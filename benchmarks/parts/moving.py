@@ -4,7 +4,7 @@
 
 Each run is a folder as in `cheetah_runs.py`. Pan: the detections of every view as seen by a camera that turns about its
 centre and an upright axis, so that the animal stays in the middle of its picture. The rays are turned back and
-projected through the same lens. Points outside the lens model's range are left out of both views. Doubtful: the same
+projected through the same lens. Points outside the lens model's range are left out of both views. With errors: the same
 with camera poses that have white and drifting errors of a stated size. Driven: the truth projected into the named
 camera without noise, once still and once driven at 10 m/s along the animal's path. Errors are over all 24 joints.
 FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.

@@ -7,9 +7,9 @@
     python benchmarks/parts/net.py horse [--minutes 15 | --steps N] [--seeds 0 1 2] [--random-half]
 
 `labels` trains on 5, 10, 20 and 40 labelled pictures of the rendered sample, with the same number of steps. `circle`
-goes from labels of the rendered sample to its 3D motion. Tables are in Markdown, as in docs/net.md. `horse`
-needs horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains on the labelled frames 0-149 of the video, of
-which 110-149 are first for validation, and tests on 150-199. With --random-half it trains on a random half of all
+goes from labels of the rendered sample to its 3D motion. Tables are in Markdown, as in docs/net.md. `horse` needs
+horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains on the labelled frames 0-149 of the video, of which
+110-149 are used for validation at first, and tests on 150-199. With --random-half it trains on a random half of all
 labels, and compares with interpolation of the labels in time.
 """
 

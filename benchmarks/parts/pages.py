@@ -126,7 +126,7 @@ def browser_seconds(chromium: Browser) -> float:
 
 
 def film_page(folder: Path) -> Path:
-    """Return the page of the rendered film, with the film."""
+    """Write the page of the rendered film, with its video, and return its path."""
     points = SAMPLES / "rendered_points.csv"
     recon(folder, "fit", points, *FILM_FIT, "--fps", 120, "--out", "film", "--quiet")
     recon(folder, "report", "film", "--video", FILM, "--quiet")
@@ -134,7 +134,7 @@ def film_page(folder: Path) -> Path:
 
 
 def long_page(frames: int, folder: Path) -> Path:
-    """Return the page of a simulated run around one camera."""
+    """Write the page of a simulated run around one camera, and return its path."""
     arguments, _ = written(folder, f"{frames}x1")
     recon(folder, "fit", *arguments, "--out", "long", "--quiet")
     recon(folder, "report", "long", "--quiet")
@@ -184,7 +184,7 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
 
 
 def summary(args: argparse.Namespace, folder: Path) -> None:
-    """Measure the page of a batch in which one clip in fifty failed and the numbers of doubtful frames are random."""
+    """Measure the page of a batch in which one clip in fifty failed and the mean keypoint errors are random."""
     out = batch_of_copies(args.clips, folder).parent
     began = time.process_time()
     file = write_summary_page(out)
@@ -194,7 +194,7 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
 
 
 def batch_of_copies(clips: int, folder: Path) -> Path:
-    """Return the page of a batch of copies of one result."""
+    """Write the page of a batch of copies of one result, and return its path."""
     one, out, rng = folder / "one", folder / "all", np.random.default_rng(0)
     settings = FitSettings(keypoints=(SAMPLES / "whole.csv",), camera=(SAMPLES / "camera.toml",), fps=60)
     report = run_clip(settings, one)

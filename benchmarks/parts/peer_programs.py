@@ -38,7 +38,7 @@ def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def by_pose2sim(given: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the positions by Pose2Sim: cameras left out until the others agree, gaps filled, outliers, splines.
+    """Return the positions by Pose2Sim: outlying cameras left out, gaps filled, outliers removed, splines fitted.
 
     The settings are those of its demo, except for the filter: splines that choose their own smoothness, because the
     demo's 6 Hz are those of a walking person.

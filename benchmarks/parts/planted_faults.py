@@ -100,7 +100,7 @@ def displacement_px(rng: np.random.Generator, least_px: float) -> Array:
 
 
 class Fits:
-    """Fit detections of a clip, and compare them with its truth."""
+    """Fits of a clip's detections, which are compared with its truth."""
 
     def __init__(self, folder: Path, clip: SyntheticClip) -> None:
         self.folder, self.clip, self.camera = folder, clip, folder / "camera.toml"

@@ -53,7 +53,7 @@ from recon.testing.gallop import gallop
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
 VISIBLE = 0.8
-"""Fraction of the truth inside the picture above which a view counts for the worst view."""
+"""Smallest fraction of the truth inside the picture of the views among which the worst is sought."""
 HOLE = 10
 GROUPS = {
     "head": ("nose", "l_eye", "r_eye"),

@@ -178,7 +178,7 @@ Change = Callable[[Clip, Given], Given]
 
 @dataclass(frozen=True)
 class Case:
-    """A wrong input, or a right one if its name begins with "right"."""
+    """A wrong input, or a correct one if its name begins with "right"."""
 
     change: Change
     codes: tuple[str, ...] = ()
@@ -763,7 +763,7 @@ def summary(table: pd.DataFrame) -> Iterator[str]:
 
 
 def horse_as_cheetah() -> str:
-    """Return level and codes of findings."""
+    """Fit a horse as a cheetah, and return the verdict's level and the codes of the findings."""
     names = {"Nose": "nose", "Eye": "l_eye", "Wither": "neck_base", "Ischium": "tail_base", "Shoulder": "l_shoulder"}
     names |= {"Elbow": "l_front_knee", "Hip": "l_hip", "Stifle": "l_back_knee"}
     for side, of in (("l", "Near"), ("r", "Off")):
