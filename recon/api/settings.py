@@ -252,10 +252,11 @@ class FitSettings(Settings):
             if values is not None and len(values) != count:
                 expected = f"one value for each keypoint file, that is {count}"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
-        for name in ("find_offsets", "refine_cameras", "focal_sigma"):
-            if getattr(self, name) and name != "focal_sigma" and count == 1:
+        for name in ("find_offsets", "refine_cameras"):
+            if getattr(self, name) and count == 1:
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
-            if getattr(self, name) and name != "find_offsets" and self.camera_track is not None:
+        for name in ("refine_cameras", "focal_sigma"):
+            if getattr(self, name) and self.camera_track is not None:
                 yield Problem("settings", name, "together with a camera track", "cameras that stand still")
         if self.cameras_known and self.refine_cameras:
             yield Problem("settings", "cameras_known", "together with refine_cameras", "only one of the two")

@@ -161,10 +161,9 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
             for process in processes:
                 process.join(until_s)
             for process, name, _, attempt in underway.values():
-                while isinstance(message := process.receive(), tuple):
-                    pass
-                if "log" not in message:
-                    tell(Event("ended", name, outcome={**message, "attempts": attempt}))
+                outcome = process.outcome()
+                if "log" not in outcome:
+                    tell(Event("ended", name, outcome={**outcome, "attempts": attempt}))
 
 
 class _Process:
@@ -202,6 +201,12 @@ class _Process:
             memory = ", as the system does when memory runs out" if -code == getattr(signal, "SIGKILL", 9) else ""
             return _failure(f"was killed ({signal.Signals(-code).name}{memory})", log)
         return _failure(f"crashed: {(log.strip().splitlines() or ['no output'])[-1]}", log)
+
+    def outcome(self) -> dict[str, Any]:
+        """Return the task's outcome, after any progress that waits in the channel."""
+        while isinstance(message := self.receive(), tuple):
+            pass
+        return message
 
     def stop(self) -> None:
         """Stop the task, which first cleans up, or end the process if it waits for a task."""

@@ -180,16 +180,7 @@ def _plain(
         return _plain(item, f"{field}.{name}".removeprefix("."), arrays, name_of)
 
     if isinstance(value, np.ndarray):
-        if value.dtype.kind not in KINDS:
-            raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")
-        if value.size <= SMALL:
-            return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
-        content = value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).data).digest()
-        name = name_of.setdefault(content, field)
-        if name not in arrays:
-            arrays[name] = value, _Layout.of_array(value) if value.dtype.kind == "f" else None
-        layout = arrays[name][1]
-        return {"array": name} | ({} if layout is None else dataclasses.asdict(layout))
+        return _plain_array(value, field, arrays, name_of)
     if isinstance(value, slice):
         return {"slice": [value.start, value.stop, value.step]}
     if isinstance(value, tuple | list):
@@ -209,6 +200,22 @@ def _plain(
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise TypeError(f"{field}: a {type(value).__name__} cannot be saved")
+
+
+def _plain_array(
+    value: np.ndarray, field: str, arrays: dict[str, tuple[np.ndarray, _Layout | None]], name_of: dict[object, str]
+) -> dict[str, object]:
+    """Return a small array as JSON types, or the name under which a larger one is added to `arrays`."""
+    if value.dtype.kind not in KINDS:
+        raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")
+    if value.size <= SMALL:
+        return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
+    content = value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).data).digest()
+    name = name_of.setdefault(content, field)
+    if name not in arrays:
+        arrays[name] = value, _Layout.of_array(value) if value.dtype.kind == "f" else None
+    layout = arrays[name][1]
+    return {"array": name} | ({} if layout is None else dataclasses.asdict(layout))
 
 
 def _tag(subclass: type, field: str) -> str:

@@ -448,20 +448,8 @@ class _Carrying:
         """Return the sparse derivatives of the rows with respect to the base's path and the pushes."""
         states = _states(motion, self.time_s)
         K, J, forces = len(self.time_s), len(self.fastest), self._forces(pushes)
-        # Derivatives of the states with respect to the base's pose: the joints of a leg move with the base so that its
-        # foot stays planted.
-        moves = motion.robot.tree.pose_with_jacobian(states[0]).jacobian[:, motion.robot.foot_markers]
-        state_rates = np.zeros((K, 6 + J, 6))
-        ends = np.cumsum([6, *(len(leg.joints) for leg in motion.robot.legs.values())])
-        state_rates[:, range(6), range(6)] = 1.0
-        for index, columns in enumerate(map(slice, ends[:-1], ends[1:])):
-            follow = np.linalg.pinv(moves[:, index, :, columns], rcond=STRETCHED)
-            state_rates[:, columns] = -self.held[:, index, None, None] * (follow @ moves[:, index, :, :6])
-        if self.loops:
-            time = np.append(self.time_s, self.start + self.lasts)
-            along = CubicSpline(time, np.concatenate([state_rates, state_rates[:1]]), bc_type="periodic")
-        else:
-            along = CubicSpline(self.time_s, state_rates)
+        state_rates = self._states_by_base(motion.robot, states[0])
+        along = self._over_time(state_rates)
         speeds, curvatures, zero = along(self.time_s, 1), along(self.time_s, 2), np.zeros_like(state_rates)
 
         def needs(*ways: Array) -> Array:
@@ -487,12 +475,7 @@ class _Carrying:
         )
         rates = rows(speeds[:, 6:], state_rates[:, 6:]) / self.fastest[:, None]
         angles = rows(state_rates[:, 6:]) / self.half[:, None]
-        by_pushes = [
-            np.einsum("gi,kij,km->kjgm", SLOPES, demand.moves[:, index], growth) for index, growth in self.stances
-        ]
-        by_pushes = (
-            np.concatenate([values.reshape(K, 6 + J, -1) for values in by_pushes], axis=2) * -self.units[:, None]
-        )
+        by_pushes = self._demand_by_pushes(demand) * -self.units[:, None]
         parts = [left[:, :6], left[:, 6:], rates, angles, by_pushes[:, :6], by_pushes[:, 6:]]
         base, torques, rates, angles, on_base, on_torques = (
             sparse.csr_array(values.reshape(-1, values.shape[2])) for values in parts
@@ -502,6 +485,34 @@ class _Carrying:
             [[base, on_base], [torques, on_torques], [rates, None], [angles, None], [None, pushed], [self.near, None]],
             format="csr",
         )
+
+    def _states_by_base(self, robot: Quadruped, states: Array) -> Array:
+        """Return the derivatives (K, 6 + J, 6) of the states (K, 6 + J) with respect to the base's pose.
+
+        The joints of a leg move with the base so that its foot stays planted.
+        """
+        moves = robot.tree.pose_with_jacobian(states).jacobian[:, robot.foot_markers]
+        state_rates = np.zeros((*states.shape, 6))
+        ends = np.cumsum([6, *(len(leg.joints) for leg in robot.legs.values())])
+        state_rates[:, range(6), range(6)] = 1.0
+        for index, columns in enumerate(map(slice, ends[:-1], ends[1:])):
+            follow = np.linalg.pinv(moves[:, index, :, columns], rcond=STRETCHED)
+            state_rates[:, columns] = -self.held[:, index, None, None] * (follow @ moves[:, index, :, :6])
+        return state_rates
+
+    def _over_time(self, values: Array) -> CubicSpline:
+        """Return a spline through values (K, ...) at the times, periodic for a motion that repeats."""
+        if not self.loops:
+            return CubicSpline(self.time_s, values)
+        time = np.append(self.time_s, self.start + self.lasts)
+        return CubicSpline(time, np.concatenate([values, values[:1]]), bc_type="periodic")
+
+    def _demand_by_pushes(self, demand: _Demand) -> Array:
+        """Return the derivatives (K, 6 + J, P) of the forces of the feet with respect to the pushes."""
+        by_stance = [
+            np.einsum("gi,kij,km->kjgm", SLOPES, demand.moves[:, index], growth) for index, growth in self.stances
+        ]
+        return np.concatenate([values.reshape(*values.shape[:2], -1) for values in by_stance], axis=2)
 
     def step(self, slopes: sparse.csr_array, values: Array, damping: float) -> Array:
         """Return the step of all unknowns that minimises the sum of squares of the excess.
