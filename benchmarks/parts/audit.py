@@ -400,35 +400,53 @@ def chosen_limits(untouched: Sequence[Mapping[str, float]], faulty: Mapping[str,
     return limits
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--details", action="store_true", help="measures of all files, and the faults that are missed")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    warnings.simplefilter("ignore", RuntimeWarning)
-    all_files = [*files()]
+Values = dict[str, float]
+"""Measures of a file, by the code of their finding."""
+
+
+def untouched_values(all_files: Sequence[File]) -> dict[str, Values]:
+    """Return the measures of files without a planted fault; those of real leaps and jumps are left out."""
     untouched = {file.name: values_of(file.points) for file in all_files}
-    for file in all_files:  # a real leap is not a fault
+    for file in all_files:
         leaping = with_leap(file.points)
         if leaping is not None and "gravity_unlikely" in (values := values_of(leaping)):
             untouched[file.name]["gravity_unlikely"] = values["gravity_unlikely"]
         if is_right(file, "points_jump"):
             untouched[file.name]["points_jump"] = values_of(without_jumps(file.points)).get("points_jump", 0.0)
-    planted: dict[str, list[tuple[File, dict[str, float]]]] = defaultdict(list)
+    return untouched
+
+
+def planted_values(all_files: Sequence[File], seed: int) -> dict[str, list[tuple[File, Values]]]:
+    """Return the measures of files with each fault planted, by fault."""
+    planted: dict[str, list[tuple[File, Values]]] = {name: [] for name in FAULTS}
     for f, (name, (fault, _)) in enumerate(FAULTS.items()):
         for i, file in enumerate(all_files):
-            faulty = fault(file.points, np.random.default_rng([options.seed, f, i]))
+            faulty = fault(file.points, np.random.default_rng([seed, f, i]))
             if faulty is not None:
                 planted[name].append((file, values_of(faulty)))
-    by_source: dict[str, dict[str, float]] = {}
-    for source in {file.source for file in all_files}:
-        right = [untouched[file.name] for file in all_files if file.source != source]
-        wrong: dict[str, list[float]] = defaultdict(list)
-        for name, (_, codes) in FAULTS.items():
-            for file, values in planted[name]:
-                if file.source != source:
-                    wrong[codes[0]].append(values.get(codes[0], 0.0))
-        by_source[source] = chosen_limits(right, wrong)
+    return planted
+
+
+def limits_without(
+    source: str,
+    all_files: Sequence[File],
+    untouched: Mapping[str, Values],
+    planted: Mapping[str, Sequence[tuple[File, Values]]],
+) -> Values:
+    """Return the limits that files of all sources but one would choose."""
+    right = [untouched[file.name] for file in all_files if file.source != source]
+    wrong: dict[str, list[float]] = defaultdict(list)
+    for name, (_, codes) in FAULTS.items():
+        wrong_values = [values.get(codes[0], 0.0) for file, values in planted[name] if file.source != source]
+        if wrong_values:
+            wrong[codes[0]] += wrong_values
+    return chosen_limits(right, wrong)
+
+
+def print_faults(
+    planted: Mapping[str, Sequence[tuple[File, Values]]], by_source: Mapping[str, Values], details: bool
+) -> None:
+    """Print how many planted faults are named, and with `details` those that are not."""
     rows, total, total_out, count = [], 0, 0, 0
     for name, (_, codes) in FAULTS.items():
         entries = planted[name]
@@ -437,7 +455,7 @@ def main() -> None:
         total, total_out, count = total + sum(named), total_out + sum(named_out), count + len(named)
         if entries:
             rows.append([name, len(named), f"{np.mean(named):.0%}", f"{np.mean(named_out):.0%}"])
-        if options.details:
+        if details:
             missed = [
                 f"{file.name}: {values.get(codes[0], float('nan')):.3g} {sorted(named_by(values, LIMITS))}"
                 for (file, values), is_named in zip(entries, named, strict=True)
@@ -446,6 +464,12 @@ def main() -> None:
             print(f"missed {name} (limit {LIMITS[codes[0]]:g}):", *missed, sep="\n  ")
     rows.append(["all", count, f"{total / count:.0%}", f"{total_out / count:.0%}"])
     print_table(["fault", "files", "named", "named, by limits chosen without the recording"], rows)
+
+
+def print_untouched(
+    all_files: Sequence[File], untouched: Mapping[str, Values], by_source: Mapping[str, Values]
+) -> None:
+    """Print how many files without a planted fault have findings, and which of these the truth confirms."""
     false = {file.name: named_by(untouched[file.name], LIMITS) for file in all_files}
     false_out = {file.name: named_by(untouched[file.name], by_source[file.source]) for file in all_files}
     kinds = [sum(file.points.in_space for file in all_files), sum(not file.points.in_space for file in all_files)]
@@ -465,6 +489,21 @@ def main() -> None:
         )
         for name, codes in with_findings.items():
             print(f"  {name}: {', '.join(sorted(codes))}{'' if name in is_wrong else ' (confirmed)'}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--details", action="store_true", help="measures of all files, and the faults that are missed")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", RuntimeWarning)
+    all_files = [*files()]
+    untouched = untouched_values(all_files)
+    planted = planted_values(all_files, options.seed)
+    sources = {file.source for file in all_files}
+    by_source = {source: limits_without(source, all_files, untouched, planted) for source in sources}
+    print_faults(planted, by_source, options.details)
+    print_untouched(all_files, untouched, by_source)
     if options.details:
         table = pd.DataFrame(untouched).T.reindex(columns=[*LIMITS])
         print(table.to_string(float_format="%.2f"))

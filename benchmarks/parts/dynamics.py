@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -267,10 +268,11 @@ def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tup
     return [name, str(len(rows)), f"{np.sqrt(square):.2f}", *(f"{share:.0%}" for share in inside)]
 
 
-def main() -> None:
+def print_against_plates() -> bool:
+    """Print how far forces are from those of force plates; return whether there are recordings."""
     runs, rows, tables, carried = trials(), [], [], []
     for kind in ("single views", "both cameras"):
-        found: list[dict[str, float]] = []
+        stances: list[dict[str, float]] = []
         for run in runs:
             about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
             for cameras in [about["cameras"]] if kind == "both cameras" else [[c] for c in about["cameras"]]:
@@ -281,20 +283,11 @@ def main() -> None:
                 )
                 analysed = analyse(fit_clip(settings))
                 of_clip = against_plates(run, analysed, about["fps"])
-                found += of_clip
+                stances += of_clip
                 if analysed.gait is not None:
-                    impulse_bw_s = measured(run)[0].to_numpy().sum() / about["fps"]
-                    rms = np.sqrt(np.mean([row["rms"] ** 2 for row in of_clip]))
-                    carried.append(
-                        [
-                            run.name,
-                            "+".join(map(str, cameras)),
-                            f"{impulse_bw_s / analysed.gait.stride_s:.2f}",
-                            f"{rms:.2f}",
-                        ]
-                    )
-        if found:
-            table = pd.DataFrame(found)
+                    carried.append(carried_row(run, cameras, about["fps"], analysed.gait.stride_s, of_clip))
+        if stances:
+            table = pd.DataFrame(stances)
             tables.append((kind, table))
             rows.append(
                 [
@@ -314,18 +307,34 @@ def main() -> None:
         )
         print("\nBy clip, with the mean of the plates' forces over its stride, in body weights:\n")
         print_table(["trial", "cameras", "body weights", "RMS"], carried)
+    return bool(rows)
+
+
+def carried_row(
+    run: Path, cameras: Sequence[int], fps: float, stride_s: float, stances: Sequence[dict[str, float]]
+) -> list[str]:
+    """Return a clip's mean force of the plates over a stride, and the RMS of its stances."""
+    impulse_bw_s = measured(run)[0].to_numpy().sum() / fps
+    rms = np.sqrt(np.mean([row["rms"] ** 2 for row in stances]))
+    return [run.name, "+".join(map(str, cameras)), f"{impulse_bw_s / stride_s:.2f}", f"{rms:.2f}"]
+
+
+def print_dogs_and_cheetahs() -> None:
+    """Print how well the forces of dogs and cheetahs carry the body."""
     for how, as_stated in (("of its own size and keypoints", False), ("both off as the skeleton states", True)):
         if dogs := dog_rows(as_stated):
             head = ["clip", "speed in 90 %, independent", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]
             print(f"\nA dog by one camera, {how}:\n")
             print_table([*head, "flights, against gravity", CARRIED], dogs)
-    views, held = cheetahs()
+    views, shares = cheetahs()
     if views:
         print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {carry_the_body(*views)}")
-        energy, *momentum = map(percent, held)
+        energy, *momentum = map(percent, shares)
         print(f"in 90 % of a view, by all cameras: internal energy {energy}, angular momentum {' '.join(momentum)}")
-    if not rows:
-        print("no recordings: forces not measured")
+
+
+def print_simulated() -> None:
+    """Print how far forces of simulated runs and of the sample are from those that carried them."""
     samples = samples_folder()
     motion = fit_clip(FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60))
     print("\nExact poses of runs that given forces carry:\n")
@@ -337,20 +346,24 @@ def main() -> None:
         simulated_row("trot", TROT, 60.0, 60, method.OTHER_FORE),
     ]
     print_table(["run", "stances", "RMS, body weights", *(f"{of} in 90 %" for of in HELD)], simulated)
-    found_sample = analyse(motion)
-    d, gait = found_sample.dynamics, found_sample.gait
-    assert d is not None
-    assert gait is not None
-    impulse = d.forces["impulse_bw_s"].mean() * len(d.force) / gait.stride_s
+    sample = analyse(motion)
+    assert sample.dynamics is not None
+    assert sample.gait is not None
+    forces, flights = sample.dynamics.forces, sample.dynamics.flights[["up_m_s2", "sigma_m_s2"]].to_numpy()
+    impulse = forces["impulse_bw_s"].mean() * len(sample.dynamics.force) / sample.gait.stride_s
+    against_gravity = ", ".join(f"{up + G_M_S2:+.0f} ± {sigma:.0f} m/s²" for up, sigma in flights) or "none"
     print(
-        f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; flights against gravity: ", end=""
+        f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; "
+        f"flights against gravity: {against_gravity}"
     )
-    print(
-        ", ".join(
-            f"{up + G_M_S2:+.0f} ± {sigma:.0f} m/s²" for up, sigma in d.flights[["up_m_s2", "sigma_m_s2"]].to_numpy()
-        )
-        or "none"
-    )
+
+
+def main() -> None:
+    has_recordings = print_against_plates()
+    print_dogs_and_cheetahs()
+    if not has_recordings:
+        print("no recordings: forces not measured")
+    print_simulated()
 
 
 if __name__ == "__main__":
