@@ -267,6 +267,11 @@ class FitSettings(Settings):
         if count > 1 and self.method == "frame":
             actual = f"{count} files with the frame method, which uses one camera"
             yield Problem("settings", "keypoints", actual, "one file, or --set method=trajectory")
+        yield from self._camera_file_problems()
+
+    def _camera_file_problems(self) -> Iterator[Problem]:
+        """Yield problems of keypoint files without a camera file or a track each."""
+        count = len(self.keypoints)
         named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
         if count > 1 and self.camera is None and not named_tracks:
             actual = f"{count} keypoint files without a camera file"

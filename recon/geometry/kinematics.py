@@ -132,16 +132,9 @@ class _Plan:
         """(S + J, 3 (S + 1)): each point as vectors in all frames."""
         points = self.points.reshape(S + J, 3, S + 1)
 
-        self.angle = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), K, dtype=np.intp)
+        self.angle = _angles_of_frames(tree)
         """(2 or 3, S + 1): the angle that turns each frame about z, y and, if any frame has one, x; K: none."""
-        axes = np.empty((K, 2), dtype=np.intp)
-        for k, (i, axis) in enumerate(rotations):
-            if axis != "s":
-                self.angle["zyx".index(axis), i + 1] = k
-            # Yaw turns about the z axis of the frame that the joint starts from; roll about the segment's x axis; pitch
-            # about the segment's y axis where there is no roll. A joint with z alone shares its axis with its segment.
-            starts = axis == "z" and AXES[segments[i].joint] != "z"
-            axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else i + 1
+        axes = _axes_of_rotations(tree, base_frame)
         self.axes = axes @ (S + 1, 1)
         """(K,): the column of a frame that each rotation turns about."""
         pitched = [k for k, (i, axis) in enumerate(rotations) if axis == "y" and (i, "x") in rotations]
@@ -240,6 +233,30 @@ def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int
             if i in path and (slides or (points[arm] != points[i]).any()):
                 pairs.append((j, k, arm, i))
     return np.array(pairs, dtype=np.intp).reshape(-1, 4)
+
+
+def _angles_of_frames(tree: Tree) -> Index:
+    """Return the angle that turns each frame (S + 1) about z, y and, if any frame has one, x; K if there is none."""
+    rotations, S = tree.rotations, len(tree.segments)
+    angles = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), len(rotations), dtype=np.intp)
+    for k, (i, axis) in enumerate(rotations):
+        if axis != "s":
+            angles["zyx".index(axis), i + 1] = k
+    return angles
+
+
+def _axes_of_rotations(tree: Tree, base_frame: Index) -> Index:
+    """Return the axis (0 to 2 for x to z) of each rotation, and the frame in which it is that axis, (K, 2).
+
+    Yaw turns about the z axis of the frame that the joint starts from (`base_frame`, by segment); roll about the
+    segment's x axis; pitch about the segment's y axis where there is no roll. A joint with z alone shares its axis with
+    its segment.
+    """
+    axes = np.empty((len(tree.rotations), 2), dtype=np.intp)
+    for k, (i, axis) in enumerate(tree.rotations):
+        starts = axis == "z" and AXES[tree.segments[i].joint] != "z"
+        axes[k] = "xyz".index("z" if axis == "s" else axis), base_frame[i] if starts else i + 1
+    return axes
 
 
 def _outer_of(tree: Tree, base_segments: Sequence[int]) -> Array:
