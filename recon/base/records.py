@@ -204,7 +204,7 @@ def _plain(
 
 def _plain_array(
     value: np.ndarray, field: str, arrays: dict[str, tuple[np.ndarray, _Layout | None]], name_of: dict[object, str]
-) -> dict[str, object]:
+) -> Mapping[str, object]:
     """Return a small array as JSON types, or the name under which a larger one is added to `arrays`."""
     if value.dtype.kind not in KINDS:
         raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")

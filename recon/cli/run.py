@@ -331,14 +331,6 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     def output(kind: str, folder: Path = out) -> Output:
         return Output(folder, kind, overwrite=True, inputs=input_paths(run_settings))
 
-    def detect(progress: Progress) -> Answer:
-        from recon.keypoint_net.network import run_prediction
-
-        assert run_settings.model is not None  # this stage exists only with a network
-        parameters = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output("predict")}
-        prediction = run_prediction(run_settings.video, run_settings.model, keypoints, **parameters)
-        return Answer({}, files=[keypoints], notes=prediction.notes)
-
     def solve(progress: Progress) -> Answer:
         fit_into(out, job.fit, progress)
         return Answer({}, files=read_manifest(out).paths)
@@ -347,7 +339,7 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     if run_settings.model is not None:
         network = video_file | {"model": _model_file(run_settings.model)}
         made_from = partial(identity_of, network, {})
-        stages["detect"] = _Stage(detect, made_from, output("predict"), (keypoints.name,))
+        stages["detect"] = _Stage(partial(_detect, job), made_from, output("predict"), (keypoints.name,))
     if run_settings.camera_motion is not None and fit_settings.camera is not None:
         motion_settings = settings_for_clip(
             fit_settings,
@@ -380,6 +372,18 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         "playback": _Stage(partial(_record, recording), from_video, output("view"), (VIDEO_PLAYBACK,)),
         "page": _Stage(partial(report, PageSettings(**view_options)), from_video, output("report"), (PAGE,)),
     }
+
+
+def _detect(job: _Job, progress: Progress) -> Answer:
+    """Find the keypoints in the video with a network, which the job has."""
+    from recon.keypoint_net.network import run_prediction
+
+    assert job.run.model is not None
+    keypoints = job.settings.keypoints[0]
+    output = Output(job.run.out, "predict", overwrite=True, inputs=input_paths(job.run))
+    parameters = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output}
+    prediction = run_prediction(job.run.video, job.run.model, keypoints, **parameters)
+    return Answer({}, files=[keypoints], notes=prediction.notes)
 
 
 def _record(settings: ViewSettings, progress: Progress) -> Answer:

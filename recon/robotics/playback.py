@@ -96,19 +96,28 @@ def write_robot(
             log.follow("world/animal/followed", animal_middle, half)
         for s in [*plots, *series]:
             log.plot(s)
-        spacing = 0.1
-        while np.max(high - low) / spacing > GRID_LINES:
-            spacing *= 2
-        flat = scene.grid_lines(np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing, spacing)
-        lines = [np.column_stack([line, np.zeros(2)]) for line in flat]
-        log.fix("world/ground", rr.LineStrips3D(lines, colors=scene.GRID, radii=0.004 * size))
-        if step is not None:  # a solid block, as wide as the ground and as far as the robot goes
-            edge_m, height_m = step
-            low, high = np.append(low, 0.0), np.append(high, height_m)
-            low[0] = edge_m
-            log.fix("world/step", rr.Boxes3D(mins=[low], sizes=[high - low], colors=STEP, fill_mode="solid"))
-            edges = [[[edge_m, y, z] for y in (low[1], high[1])] for z in (0.0, height_m)]
-            log.fix("world/step/edge", rr.LineStrips3D(edges, colors=scene.PATH, radii=0.006 * size))
+        _write_ground(log, low, high, size)
+        if step is not None:
+            _write_step(log, *step, low, high, size)
+
+
+def _write_ground(log: scene.Log, low: Array, high: Array, size: float) -> None:
+    """Write the grid of the ground between two corners, (2,) each; `size` is the robot's height, m."""
+    spacing = 0.1
+    while np.max(high - low) / spacing > GRID_LINES:
+        spacing *= 2
+    flat = scene.grid_lines(np.floor(low / spacing) * spacing, np.ceil(high / spacing) * spacing, spacing)
+    lines = [np.column_stack([line, np.zeros(2)]) for line in flat]
+    log.fix("world/ground", rr.LineStrips3D(lines, colors=scene.GRID, radii=0.004 * size))
+
+
+def _write_step(log: scene.Log, edge_m: float, height_m: float, low: Array, high: Array, size: float) -> None:
+    """Write the step as a solid block, as wide as the ground and as far as the robot goes."""
+    low, high = np.append(low, 0.0), np.append(high, height_m)
+    low[0] = edge_m
+    log.fix("world/step", rr.Boxes3D(mins=[low], sizes=[high - low], colors=STEP, fill_mode="solid"))
+    edges = [[[edge_m, y, z] for y in (low[1], high[1])] for z in (0.0, height_m)]
+    log.fix("world/step/edge", rr.LineStrips3D(edges, colors=scene.PATH, radii=0.006 * size))
 
 
 def _write_robot(motion: RobotMotion, log: scene.Log) -> None:
