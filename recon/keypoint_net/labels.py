@@ -393,7 +393,7 @@ BINS = 10
 PCK_PX = (2.5, 5.0, 10.0)
 """Distances from the labels, in pixels, for the PCK, the percentage of correct keypoints."""
 PCK_RELATIVE = (0.05, 0.1, 0.2)
-"""Distances for the PCK as fractions of the body length, which is the median diagonal of the box around an animal's labels."""
+"""Distances for the PCK as fractions of the body length: the median diagonal of the box around an animal's labels."""
 
 
 class Evaluate2DSettings(Settings):
