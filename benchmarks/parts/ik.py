@@ -36,7 +36,7 @@ from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, p
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
 from recon.ik.drive import degree_of_closure, drive_to, follow
-from recon.ik.limb import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
+from recon.ik.limb import LAST, Limb, fit_parameter_series, follow_stride, stride_duration_range_s
 from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -306,7 +306,7 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
         def points(names: Sequence[str], pose: Pose3D = pose) -> Array:
             return pose.xyz_m[:, [pose.names.index(name) for name in names]]
 
-        root, lasts_s = points(["tail_base"])[:, 0], stride_lasts_s(pose_gait(pose, fps))
+        root, lasts_s = points(["tail_base"])[:, 0], stride_duration_range_s(pose_gait(pose, fps))
         body_states, _, size = solve_points(body, points(body.markers), None)
         for side in SIDES:
             name = f"{meta.parent.name}, {side}"

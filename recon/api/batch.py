@@ -44,7 +44,7 @@ from recon.base.locks import sole_writer
 from recon.base.numbers import counted
 from recon.base.outputs import Output
 from recon.base.package import version
-from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
+from recon.base.parallel import STARTING, Event, EventCallback, carry_out, carry_out_on_cluster
 from recon.base.progress import Progress
 from recon.base.tables import guarded, unguarded
 from recon.fit.result import LEVELS
@@ -241,11 +241,11 @@ def run_batch(
         return run_plan(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
 
 
-def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
+def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[EventCallback], None], on_event: OnEvent) -> Summary:
     """Run the tasks of a plan with `run`, a function that takes a callback, and keep the summary up to date."""
     summary = Summary(plan, out)
 
-    def tell(event: Event) -> None:
+    def update(event: Event) -> None:
         if event.kind == "ended":
             summary.end(event.name, event.outcome)
         on_event(event, summary)
@@ -254,7 +254,7 @@ def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
 
     summary.write()
     try:
-        run(tell)
+        run(update)
     finally:
         summary.write()
         write_summary_page(out)

@@ -73,7 +73,7 @@ class Event:
     """The outcome of a task that has ended."""
 
 
-Tell = Callable[[Event], None]
+EventCallback = Callable[[Event], None]
 """Function that is called with each event."""
 
 
@@ -95,8 +95,10 @@ def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, 
     return {"seconds": round(time.perf_counter() - began, 3), "attempts": 1, **outcome}
 
 
-def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | None = None, retries: int = 0) -> None:
-    """Run tasks in processes on this machine with one thread each, and report their events to `tell`.
+def carry_out(
+    work: Work[_Task], tasks: Tasks[_Task], on_event: EventCallback, jobs: int | None = None, retries: int = 0
+) -> None:
+    """Run tasks in processes on this machine with one thread each, and report their events to `on_event`.
 
     After an exception, such as Ctrl-C, the processes are stopped, which takes seconds, and tasks that ended before are
     reported.
@@ -107,7 +109,7 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
         Function that does a task.
     tasks
         The tasks with their names.
-    tell
+    on_event
         Called with each event.
     jobs
         Tasks at the same time, by default one for each core.
@@ -134,7 +136,7 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
             processes.append(process)
         process.give(work, task)
         underway[process.channel] = process, name, task, attempt
-        tell(Event("progress", name, process.pid, STARTING))
+        on_event(Event("progress", name, process.pid, STARTING))
 
     with TemporaryDirectory(ignore_cleanup_errors=True) as logs:
         try:
@@ -145,13 +147,13 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
                     process, name, task, attempt = underway[channel]
                     message = process.receive()
                     if isinstance(message, tuple):
-                        tell(Event("progress", name, process.pid, *message))
+                        on_event(Event("progress", name, process.pid, *message))
                         continue
                     del underway[channel]
                     if "log" in message and attempt <= retries:
                         begin(process, name, task, attempt + 1)
                         continue
-                    tell(Event("ended", name, outcome={**message, "attempts": attempt}))
+                    on_event(Event("ended", name, outcome={**message, "attempts": attempt}))
                     if waiting:
                         begin(process, *waiting.popleft())
         finally:
@@ -163,7 +165,7 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
             for process, name, _, attempt in underway.values():
                 outcome = process.outcome()
                 if "log" not in outcome:
-                    tell(Event("ended", name, outcome={**outcome, "attempts": attempt}))
+                    on_event(Event("ended", name, outcome={**outcome, "attempts": attempt}))
 
 
 class _Process:
@@ -287,7 +289,9 @@ class _StoppedError(Exception):
     """A task that was stopped because its batch has ended."""
 
 
-def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], tell: Tell, retries: int = 0) -> None:
+def carry_out_on_cluster(
+    address: str, work: Work[_Task], tasks: Tasks[_Task], on_event: EventCallback, retries: int = 0
+) -> None:
     """Run all tasks as futures of the Dask scheduler at an address, and report the end of each.
 
     A Dask worker that dies costs no task, since other workers take them over. After an exception the tasks under way
@@ -302,7 +306,7 @@ def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], t
             key = f"recon-{batch}-{name}"
             future = client.submit(_on_worker, batch, work, task, key=key, retries=retries, pure=False)
             underway[key] = name, future
-            tell(Event("progress", name, stage=STARTING))
+            on_event(Event("progress", name, stage=STARTING))
             future.add_done_callback(ended.put)
         while underway:
             try:
@@ -312,7 +316,7 @@ def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], t
                     raise _lost("a lost connection to the scheduler") from None
             else:
                 name, _ = underway.pop(str(future.key))
-                tell(Event("ended", name, outcome=_outcome(future)))
+                on_event(Event("ended", name, outcome=_outcome(future)))
                 future.release()  # otherwise it would be computed again if the Dask worker that holds it dies
     finally:
         if client.status == "running":

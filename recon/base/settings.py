@@ -162,7 +162,7 @@ class SettingInfo:
     def expected(self, message: str = "") -> str:
         """Return what is expected of a value, in the user's words.
 
-        message: pydantic's message about a wrong value.
+        `message` is pydantic's message about a wrong value.
         """
         if self.option.expected:
             return self.option.expected

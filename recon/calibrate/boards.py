@@ -206,12 +206,10 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
 
 @dataclass(frozen=True)
 class BoardView:
-    """A picture in which the board was detected.
-
-    name: name of the file, or number of the frame.
-    """
+    """A picture in which the board was detected."""
 
     name: str
+    """Name of the file, or number of the frame."""
     ids: Index
     """(N,): rows of the board's `points_m`."""
     xy_px: Array

@@ -110,7 +110,9 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
         clips_are = "clip is" if len(plan) == 1 else "clips are"
         console.print(f"{len(plan) - left} of {len(plan)} {clips_are} done already.")
     work_options = settings.jobs, settings.retries, settings.scheduler
-    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *work_options, tell), PAGE_OF_A_CLIP)
+    answer = run_on_console(
+        console, left, lambda on_event: run_batch(plan, settings.out, *work_options, on_event), PAGE_OF_A_CLIP
+    )
     failed = any(row["status"] in ("failed", "unsolved") for row in answer.data["clips"])
     return replace(answer, code=int(settings.strict and failed))
 
@@ -118,7 +120,7 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
 PAGE_OF_A_CLIP = "recon report {out}/CLIP (the page of one clip), or "
 
 
-def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], clip_command: str = "") -> Answer:
+def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summary], clip_command: str = "") -> Answer:
     """Run a batch, print one line per clip and a progress bar on a terminal, and return the answer.
 
     Parameters
@@ -140,7 +142,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     try:
         with progress_bar(console) as progress:
 
-            def tell(event: Event, so_far: Summary) -> None:
+            def show_event(event: Event, so_far: Summary) -> None:
                 nonlocal ended
                 summaries[:] = [so_far]
                 if event.kind == "progress":
@@ -153,7 +155,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
                 target = errors if row["status"] == "failed" else console
                 say(target, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
 
-            summary = work(tell)
+            summary = work(show_event)
     except KeyboardInterrupt:
         counts = summaries[0].counts() if summaries else {}
         status_text = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"

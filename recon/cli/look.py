@@ -341,7 +341,7 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
         clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
         done = 0
 
-        def tell(event: Event) -> None:
+        def note_end(event: Event) -> None:
             nonlocal done
             if event.kind == "ended":
                 done += 1
@@ -349,7 +349,7 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
                     failed[event.name] = event.outcome["error"]
                 progress(f"{done} of {len(clips)} pages", done / len(clips))
 
-        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell)
+        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], note_end)
         page = write_summary_page(out)
     errors = [f"{clip}: {error}" for clip, error in failed.items()]
     return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."], errors)

@@ -47,7 +47,7 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Option, Settings, input_paths
 from recon.cli.analyse import analyse_command
 from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
-from recon.cli.batch import shown_batch
+from recon.cli.batch import run_on_console
 from recon.cli.cameras import camera_motion_answer
 from recon.cli.commands import OptionsOf
 from recon.cli.look import bars_note, rate_note, write_recording
@@ -172,7 +172,7 @@ def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answe
     """
     if settings.video.is_dir():
         plan = jobs_of(settings, options)
-        return shown_batch(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
+        return run_on_console(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
     with progress_bar(console) as progress:
         job = job_of(settings, options)
         outcomes, report_of_fit = run_video(job, progress, lambda stage: say(console, _outcome_line(stage)))
@@ -266,13 +266,13 @@ def run_video(
         for number, (name, stage) in enumerate(stages.items()):
             must_run = must_run or name == job.run.start
 
-            def tell(text: str, share: float, number: int = number, name: str = name) -> None:
+            def show_progress(text: str, share: float, number: int = number, name: str = name) -> None:
                 progress(f"{name}: {text}", (number + share) / len(stages))
 
             if name in ("analyse", "overlay", "playback") and report_of_fit["summary"]["frames_with_pose"] < MIN_POINTS:
                 outcome = _StageOutcome(name, "left out", 0.0)
             else:
-                outcome = _carry_out(name, stage, job, record, must_run, tell)
+                outcome = _carry_out(name, stage, job, record, must_run, show_progress)
             if name == "fit":
                 report_of_fit = build_report(Motion.load(out))
             outcomes.append(outcome)

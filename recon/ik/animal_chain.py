@@ -191,7 +191,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:
     """Return the joint angles (T, n) of `body_chain` for states (T, D) of the body, in a world with z up.
 
-    travel is the direction of travel, (3,) or (T, 3), whose level part is used. If it is None, the direction from the
+    `travel` is the direction of travel, (3,) or (T, 3), whose level part is used. If it is None, the direction from the
     first to the last position of the root is used, or the direction in which the animal faces if that path is short.
     """
     q = states[:, [body.state_names.index(name) for name in body_chain(body, foot).names]]

@@ -69,8 +69,8 @@ def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
 def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
     """Return g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
 
-    joints: (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. Its Hessian has rank 2, and
-    its stationary points are saddles, at which the extended Jacobian can be singular.
+    `joints` are (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. The Hessian of the cost
+    has rank 2, and its stationary points are saddles, at which the extended Jacobian can be singular.
     """
     i, j, k = joints
 

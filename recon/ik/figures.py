@@ -38,8 +38,8 @@ def task_space(
 ) -> Figure:
     """Draw the path of the end effector for each method, in the plane, or in space from the side and from above.
 
-    The chain is drawn at the start and, for each method, at the end. aim_m is the target (dim,), drawn as a cross, or
-    the requested path (K, dim). base names the axes of the base frame: "UVW" for forwards, down and left, "xyz" for
+    The chain is drawn at the start and, for each method, at the end. `aim_m` is the target (dim,), drawn as a cross, or
+    the requested path (K, dim). `base` names the axes of the base frame: "UVW" for forwards, down and left, "xyz" for
     forwards, left and up. Planar chains have U and V.
     """
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
@@ -78,7 +78,7 @@ def task_space(
 def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
     """Draw the angle (deg) of each joint by method, over the iterations to a target or the time along a path.
 
-    names (n,) are the names of the joints.
+    `names` (n,) are those of the joints.
     """
     n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)

@@ -181,7 +181,7 @@ def cost_of(limb: Limb, text: str) -> Cost:
 def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
     """Fit the parameters of each method by least squares to the joint rates of the clip.
 
-    The rates are those of a spline through the angles. cost is that of gradient projection; None stands for any
+    The rates are those of a spline through the angles. `cost` is that of gradient projection; None stands for any
     constant vector.
 
     Raises
@@ -207,7 +207,7 @@ def fit_parameter_series(
     its parameter (`PARAMETERS`; one column for each joint if it has as many, with `vector_names` for g),
     <method>_best_alpha, and <method>_explained, the explained share of the frame's own rates.
 
-    cost is that of gradient projection. For single frames its default is the joint differences, with k fitted. The
+    `cost` is that of gradient projection. For single frames its default is the joint differences, with k fitted. The
     table then also has the smallest constant g (`CONSTANT_VECTOR`) and the factor alpha of the extended Jacobian, which
     has no parameter. Raises InputError like `fit_parameters`.
     """
@@ -285,7 +285,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
         notes = [rejection_text(stride) for stride in gait.rejected_strides if stride.foot == label]
-        stride, lasts_s = next((s for s in gait.strides if s.foot == label), None), stride_lasts_s(gait)
+        stride, lasts_s = next((s for s in gait.strides if s.foot == label), None), stride_duration_range_s(gait)
     path = _path_of(motion, limb, stride, lasts_s)
     return replace(path, notes=tuple(notes))
 
@@ -311,7 +311,7 @@ def _path_of(motion: Motion, limb: Limb, stride: Stride | None, lasts_s: tuple[f
         raise InputError(Problem(motion.file, "stride", str(error), "a clip with a longer part of a stride")) from None
 
 
-def stride_lasts_s(gait: Gait) -> tuple[float, float]:
+def stride_duration_range_s(gait: Gait) -> tuple[float, float]:
     """Return the shortest and longest possible duration of a stride of a foot without a complete stride.
 
     The two durations are close to the one that the clip suggests. If the clip is shorter than that, and no foot lands
@@ -332,8 +332,8 @@ def follow_stride(
 ) -> Run:
     """Follow the stride `SLOWER` times more slowly than the animal; times and rates are converted back to the animal's.
 
-    The extended Jacobian starts at a stationary point of its cost, with the foot at the same position. by_frame gives a
-    method for every frame of the stride.
+    The extended Jacobian starts at a stationary point of its cost, with the foot at the same position. `by_frame` gives
+    a method for every frame of the stride.
     """
     q0, steps = stride.q[0], len(stride.path_m) - 1
     if isinstance(method, ExtendedJacobian):

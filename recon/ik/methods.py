@@ -90,7 +90,7 @@ class Method(ABC):
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         """Return the rates of the m free joints, given their Jacobian J (dim, m).
 
-        q and the curvature are those of all joints.
+        `q` and `curvature` are those of all joints.
         """
 
 
@@ -115,7 +115,7 @@ class LeastNorm(Method):
 def weighted_least_norm(weights: Array) -> LeastNorm:
     """Return the method W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq.
 
-    weights is the diagonal of W, (n,), positive.
+    `weights` is the diagonal of W, (n,), positive.
     """
     return LeastNorm(weights)
 
@@ -123,7 +123,7 @@ def weighted_least_norm(weights: Array) -> LeastNorm:
 def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
     """Return the method J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2.
 
-    damping_m is lambda, in metres.
+    `damping_m` is lambda, in metres.
     """
     return LeastNorm(damping_m=damping_m)
 

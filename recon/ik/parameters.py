@@ -170,7 +170,7 @@ def _in_range(
 ) -> ParameterFit:
     """Fit a parameter within `RANGE` to the rates of the frames: the best of a logarithmic grid, refined.
 
-    rates_with returns the rates (T, n) with a parameter; None for the formula of the method.
+    `rates_with` returns the rates (T, n) with a parameter; None for the formula of the method.
     """
     rates_at = rates_with or (lambda value: rates_of(method(value), frames))
 

@@ -127,8 +127,8 @@ def find_stride(
 def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
     """Return the angles q0 (n,) with the end effector rearmost, and its foremost position, the target (dim,).
 
-    Forwards is the first axis of the base frame. q holds joint angles (K, n), for instance of a stride, NaN if missing.
-    Raises ValueError if no frame is complete.
+    Forwards is the first axis of the base frame. `q` holds joint angles (K, n), for instance of a stride, NaN if
+    missing. Raises ValueError if no frame is complete.
     """
     known = q[np.isfinite(q).all(axis=1)]
     if not len(known):

@@ -29,7 +29,7 @@ from recon.ik.limb import (
     follow_stride,
     limb_of,
     methods_of,
-    stride_lasts_s,
+    stride_duration_range_s,
     stride_of,
 )
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
@@ -417,11 +417,11 @@ def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
     for frames, at_most in ((16, 0.4), (11, np.inf)):
         clip = gallop(fps=30, n_frames=frames)
         gait = pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30)
-        least_s, most_s = stride_lasts_s(gait)
+        least_s, most_s = stride_duration_range_s(gait)
         assert 0.08 < least_s < true_stride_s(0) < most_s
         assert most_s <= at_most
-        longer_than_the_clip = stride_lasts_s(replace(gait, stride_s=1.2 * frames / 30))
-        assert longer_than_the_clip == stride_lasts_s(replace(gait, stride_s=np.nan))
+        longer_than_the_clip = stride_duration_range_s(replace(gait, stride_s=1.2 * frames / 30))
+        assert longer_than_the_clip == stride_duration_range_s(replace(gait, stride_s=np.nan))
 
 
 def test_clip_without_a_stride_is_said(frame_results, tmp_path):

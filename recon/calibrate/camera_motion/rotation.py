@@ -48,10 +48,11 @@ HULL_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """A grey picture, reduced by a factor `scale`."""
+    """A grey picture, reduced by a whole factor: the working picture."""
 
     grey: Image
     scale: int
+    """Factor by which the original picture was reduced."""
 
     @classmethod
     def from_colour(cls, picture: Image) -> GreyPicture:
@@ -83,7 +84,7 @@ class GreyPicture:
 def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     """Return the strongest corners of every cell outside the mask, as pixels (N, 2) of the original picture.
 
-    masked: mask of the working picture.
+    `masked` is the mask, (height, width) of the working picture; None masks nothing.
     """
     grey = cv2.GaussianBlur(frame.grey, (0, 0), 1.0)
     strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
@@ -107,7 +108,7 @@ def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
 def followed(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
     """Return the positions of points (N, 2) in another picture, and whether each was found.
 
-    guess_px: expected positions (N, 2).
+    The search starts at `guess_px`, the expected positions (N, 2).
     """
     if not len(points_px):
         return np.zeros((0, 2)), np.zeros(0, bool)
@@ -186,7 +187,7 @@ def focus_px(camera: Camera) -> Array:
 def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
     """Return unit rays (N, 3) of pixels (N, 2), and whether each ray is valid.
 
-    zoom: focal length relative to the camera file's.
+    `zoom` is the focal length relative to the camera file's.
     """
     return camera.rays(focus_px(camera) + (pixels - focus_px(camera)) / zoom)
 
@@ -214,30 +215,29 @@ ROUNDS = 6
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Orientation and zoom of a camera.
-
-    rotation (3, 3): from the world to the camera. zoom: focal length relative to the camera file's.
-    """
+    """Orientation and zoom of a camera."""
 
     rotation: Array
+    """Rotation from the world to the camera, shape (3, 3)."""
     zoom: float = 1.0
+    """Focal length relative to the camera file's."""
 
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """An orientation, and the evidence for it.
-
-    weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4), of the
-    expected pixels by a small rotation (rad) in the camera frame and by log zoom. spread: covered fraction of the
-    picture times the points' spread, as `spread` returns it.
-    """
+    """An orientation, and the evidence of N points for it."""
 
     orientation: Orientation
     weights: Array
+    """Weights of the points, shape (N,), 0 for points that do not agree."""
     residual_px: Array
+    """Seen minus expected pixels, shape (N, 2)."""
     jacobian: Array
+    """Derivatives of the expected pixels by a small rotation (rad) in the camera frame and by log zoom, (N, 2, 4)."""
     sigma_px: float
+    """Standard deviation of the points that agree, along each axis."""
     spread: float
+    """Covered fraction of the picture times the points' spread, both as `spread` returns them."""
 
     @property
     def agree(self) -> Bools:
@@ -248,7 +248,7 @@ class AgreedOrientation:
 def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Array, Array]:
     """Return the fraction of the picture's area that H sets of points cover, and how widely the points spread.
 
-    weights: (H, N), from 0 to 1. The spread is 1 for an evenly covered picture.
+    `weights` (H, N) are those of the N points in each set, 0 to 1. The spread is 1 for an evenly covered picture.
     """
     across, down = GRID
     x, y = (np.clip(pixels[:, i] / size_px[i] * GRID[i], 0, GRID[i] - 1).astype(int) for i in (0, 1))
@@ -268,8 +268,8 @@ def agreed_turn(
 ) -> AgreedOrientation | None:
     """Return the orientation, near the given zoom, that takes world rays (N, 3) to the pixels (N, 2) of their points.
 
-    The result is None if too few points agree, or if the points cover too little of the picture. background: (N,) from
-    0 to 1, how consistently each point has been background so far. limit_px: largest error of a point.
+    The result is None if too few points agree, or if the points cover too little of the picture. `background` (N,),
+    from 0 to 1, is how consistently each point has been background so far; `limit_px` is the largest error of a point.
     """
     if len(rays) < MIN_POINTS:
         return None
@@ -389,7 +389,8 @@ LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
 def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
     """Return orientations relative to a world with z up and y away from the camera.
 
-    up: upward direction (3,) in the first frame's camera. If None, the mean frame is assumed to look level.
+    `up` is the upward direction (3,) in the first frame's camera. If it is None, the mean frame is assumed to look
+    level.
     """
     reference = orientations[0].rotation
     if up is None:
@@ -410,9 +411,9 @@ def up_by_marks(
     """Return the upward direction (3,) in the first frame's camera, and its standard deviation in rad.
 
     Rays to the horizon are level, and an upright object is in the plane of the rays to its ends. The upward direction
-    is therefore perpendicular to the former rays and to the normals of these planes. orientations: by frame number.
-    Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the marks do not
-    determine the upward direction.
+    is therefore perpendicular to the former rays and to the normals of these planes. `orientations` are by frame
+    number. Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the marks do
+    not determine the upward direction.
     """
     first = orientations[min(orientations)].rotation
     rows, problems = [], []

@@ -66,23 +66,25 @@ PAIR_FLOOR_PX = 0.15
 
 @dataclass(eq=False)
 class _Keyframe:
-    """A frame with which other frames are compared.
-
-    number: index among the frames that have an orientation. frame: None if the picture was removed from memory.
-    points_px, rays: (N, 2) and (N, 3), in the camera frame. background: (N,) from 0 to 1, how consistently each point
-    has been background. settled: (N,), whether a point was ever clearly background. known: result of `described`. used:
-    number of the last frame that was compared with this keyframe.
-    """
+    """A frame, and N of its points, with which other frames are compared."""
 
     number: int
+    """Index among the frames that have an orientation."""
     frame: GreyPicture | None
+    """The picture; None if it was removed from memory."""
     points_px: Array
+    """The points, shape (N, 2)."""
     orientation: Orientation
     background: Array
+    """How consistently each point has been background, shape (N,), from 0 to 1."""
     known: tuple[Array, Image]
+    """Points that can be recognised in any picture, as `described` returns them."""
     rays: Array
+    """Unit rays to the points in the camera frame, shape (N, 3)."""
     settled: Bools
+    """Whether each point was ever clearly background, shape (N,)."""
     used: int
+    """Number of the last frame that was compared with this keyframe."""
 
     @property
     def world_rays(self) -> Array:
@@ -92,54 +94,70 @@ class _Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
-    """Orientations of a camera in N of the F frames of a video.
-
-    frames: (N,) frame numbers from 0. inliers, residual_px, sigma_rad, sigma_zoom: (N,). focal: log factor on the
-    camera file's focal length, measured from the rotations, and its standard deviation; if the factor is clearly not 0,
-    sigma_rad includes its effect on the orientations. lost: numbers of the frames without enough background. keys: (K,)
-    indices of keyframes among the N frames. turned_only: whether rotations explain the background. cut: number of the
-    frame in which another take begins, or None.
-    """
+    """Orientations of a camera in N of the F frames of a video."""
 
     frames: Integers
+    """Frame numbers from 0, shape (N,)."""
     orientations: tuple[Orientation, ...]
+    """Orientation in each of these frames."""
     inliers: Integers
+    """Number of points that agree with each orientation, shape (N,)."""
     residual_px: Array
+    """Root mean square error of these points, shape (N,)."""
     sigma_rad: Array
+    """Standard deviation of each rotation about any axis, relative to the first frame, shape (N,).
+
+    The effect of the focal length is included if its factor is clearly not 0.
+    """
     sigma_zoom: Array
+    """Relative standard deviation of each zoom, shape (N,)."""
     focal: tuple[float, float] | None
+    """Log factor on the camera file's focal length, measured from the rotations, and its standard deviation."""
     lost: Integers
+    """Numbers of the frames without enough background."""
     keys: Integers
+    """Indices of the K keyframes among the N frames, shape (K,)."""
     turned_only: bool
+    """Whether rotations explain the background."""
     cut: int | None
+    """Number of the frame in which another take begins, or None."""
 
 
 @dataclass(eq=False)
 class Tracker:
     """Tracker of a turning camera, frame by frame.
 
-    masked: function from a frame's number to the animal's pixels (K, 2), or None. The other fields are the state:
-    frames with their orientations, supports (number of agreeing points, and their root mean square error in px) and
-    links; lost frames; torn_frames, the number of frames whose background no single rotation explains; still_shares,
-    the fractions of old keyframes' backgrounds that stayed in position; support, the best spread since the last
-    keyframe; last, the last frame that was aligned.
+    The fields after `masked` are the state of the tracker.
     """
 
     camera: Camera
     solve_zoom: bool = False
+    """Whether the camera may zoom."""
     masked: Callable[[int], Array | None] = lambda number: None
+    """Function from a frame's number to the animal's pixels (K, 2), or None."""
     keys: list[_Keyframe] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
+    """Numbers of the frames that were aligned."""
     orientations: list[Orientation] = field(default_factory=list)
+    """Orientation in each of `frames`."""
     supports: list[tuple[int, float]] = field(default_factory=list)
+    """Number of agreeing points in each of `frames`, and their root mean square error in px."""
     links: list[_FrameLink] = field(default_factory=list)
+    """Links of `frames` to keyframes."""
     lost: list[int] = field(default_factory=list)
+    """Numbers of the frames that could not be aligned."""
     torn_frames: int = 0
+    """Number of frames whose background no single rotation explains."""
     support: float = 0.0
+    """Largest `AgreedOrientation.spread` since the last keyframe."""
     last: GreyPicture | None = None
+    """The last frame that was aligned."""
     still_shares: list[float] = field(default_factory=list)
+    """Fractions of old keyframes' backgrounds that stayed in position."""
     cut: int | None = None
+    """Number of the frame in which another take begins, or None."""
     pairs: list[_TurnedPair] = field(default_factory=list)
+    """Pairs of pictures that determine the focal length."""
 
     def add(self, number: int, picture: Image) -> bool:
         """Add a frame and return whether it could be aligned.
@@ -207,9 +225,9 @@ class Tracker:
 
     def _placed(
         self, number: int, frame: GreyPicture, mask: Bools | None, guess: Orientation, count: int
-    ) -> tuple[AgreedOrientation, _Seen] | None:
+    ) -> tuple[AgreedOrientation, _FollowedPoints] | None:
         keys = self._nearest(guess, count)
-        points_seen = _Seen.follow(self.camera, keys, frame, guess, mask)
+        points_seen = _FollowedPoints.follow(self.camera, keys, frame, guess, mask)
         for key in keys:
             key.used = number
         points = points_seen.rays, points_seen.pixels, points_seen.background
@@ -260,7 +278,7 @@ class Tracker:
 
     # -- learning the background --
 
-    def _learn(self, agreement: AgreedOrientation, seen: _Seen) -> bool:
+    def _learn(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> bool:
         """Update which points are background, and return whether no single rotation explains them."""
         settled = still_agreeing = 0
         for k, key in enumerate(seen.keys):
@@ -273,7 +291,7 @@ class Tracker:
             key.settled |= key.background > SETTLED
         return settled >= MIN_CORNERS and still_agreeing < LEAST_AGREEING * settled
 
-    def _look_back(self, agreement: AgreedOrientation, seen: _Seen) -> None:
+    def _look_back(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> None:
         """Record how much of an old keyframe's settled background is still in position.
 
         The keyframe is the oldest that looks in the same direction.
@@ -285,7 +303,7 @@ class Tracker:
             point_rows = seen.point_index[(seen.key_index == k) & agreement.agree]
             self.still_shares.append(float(is_inside[point_rows].sum() / is_inside.sum()))
 
-    def _keep(self, number: int, agreement: AgreedOrientation, seen: _Seen) -> None:
+    def _keep(self, number: int, agreement: AgreedOrientation, seen: _FollowedPoints) -> None:
         self.frames.append(number)
         self.orientations.append(agreement.orientation)
         agree = agreement.agree
@@ -307,7 +325,9 @@ class Tracker:
         if len(self.pairs) > 2 * MAX_PAIRS:
             self.pairs = _furthest_turned(self.pairs)
 
-    def _link(self, index: int, key: _Keyframe, agreement: AgreedOrientation, seen: _Seen, is_own: Bools) -> _FrameLink:
+    def _link(
+        self, index: int, key: _Keyframe, agreement: AgreedOrientation, seen: _FollowedPoints, is_own: Bools
+    ) -> _FrameLink:
         orientation, J = agreement.orientation, agreement.jacobian[is_own]
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
@@ -326,7 +346,9 @@ class Tracker:
         zooms = np.log([orientation.zoom, key.orientation.zoom])
         return index, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient
 
-    def _new_key(self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen) -> None:
+    def _new_key(
+        self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _FollowedPoints
+    ) -> None:
         """Make the frame a keyframe, with points trusted as much as the nearest tracked points."""
         points = turning.corners(frame, mask)
         background = np.full(len(points), 0.5)
@@ -373,24 +395,25 @@ class Tracker:
         )
 
 
-class _Seen(NamedTuple):
-    """Points of some keyframes in one frame.
-
-    key_index, point_index: (N,), index of each point's keyframe in `keys`, and the point's index in the keyframe.
-    rays: (N, 3), world. pixels: (N, 2). background: (N,).
-    """
+class _FollowedPoints(NamedTuple):
+    """N points of some keyframes, followed into one frame."""
 
     keys: list[_Keyframe]
     key_index: Integers
+    """Index of each point's keyframe in `keys`, shape (N,)."""
     point_index: Integers
+    """Index of each point in its keyframe, shape (N,)."""
     rays: Array
+    """Unit rays to the points in the world frame, shape (N, 3)."""
     pixels: Array
+    """Positions in the frame, shape (N, 2)."""
     background: Array
+    """How consistently each point has been background, shape (N,), from 0 to 1."""
 
     @classmethod
     def follow(
         cls, camera: Camera, keys: list[_Keyframe], frame: GreyPicture, guess: Orientation, mask: Bools | None
-    ) -> _Seen:
+    ) -> _FollowedPoints:
         """Follow the keyframes' points into a frame."""
         no_rows = np.zeros(0, np.int64)
         parts: list[tuple[Any, ...]] = [(no_rows, no_rows, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
@@ -430,9 +453,9 @@ def _adjust(
 ) -> tuple[tuple[Orientation, ...], Array, Array]:
     """Return the adjusted orientations of N frames, and the standard deviations of rotations and zooms.
 
-    The first frame is fixed. Standard deviations of rotations (N,) are in rad per axis relative to the first frame,
-    those of zooms (N,) are relative. links: every frame but the first has at least one. floor_rad: see
-    PICTURE_FLOOR_PX.
+    The first frame is fixed, and every other frame has at least one of the `links`. Standard deviations of rotations
+    (N,) are in rad per axis relative to the first frame, those of zooms (N,) are relative. `floor_rad` is the angle of
+    `PICTURE_FLOOR_PX`.
     """
     n, p = len(orientations), 4 if solve_zoom else 3
     rotation = np.stack([orientation.rotation for orientation in orientations])
@@ -469,7 +492,7 @@ def _variances(information: csc_array, factor: SuperLU, frame: Integers, key: In
     """Return the variances (n, P) of the unknowns of n frames.
 
     A keyframe's variance comes from the inverse of the information (n P, n P), whose factor is given. Other frames have
-    their own variance plus the mean of their keyframes'. frame, key: the two ends of each link.
+    their own variance plus the mean of their keyframes'. `frame` and `key` are the two ends of each link.
     """
     p = information.shape[0] // n
     variance = np.full((n, p), np.nan)
@@ -486,15 +509,16 @@ def _variances(information: csc_array, factor: SuperLU, frame: Integers, key: In
 
 
 class _TurnedPair(NamedTuple):
-    """Points (N, 2), (N, 2) followed from one picture to another, and the rotation (3, 3) between the pictures.
-
-    key: number of the earlier picture.
-    """
+    """Points followed from one picture to another, and the rotation between the pictures."""
 
     key: int
+    """Number of the earlier picture's keyframe."""
     a_px: Array
+    """The points in the earlier picture, shape (N, 2)."""
     b_px: Array
+    """The points in the later picture, shape (N, 2)."""
     turn: Array
+    """Rotation from the earlier to the later camera frame, shape (3, 3)."""
 
 
 def _furthest_turned(pairs: Sequence[_TurnedPair]) -> list[_TurnedPair]:
@@ -506,7 +530,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
     """Return the log factor of the focal length relative to the camera file's, and its standard deviation.
 
     The standard deviation combines that of the points and the scatter between earlier pictures. The result is None if
-    too few pairs have points. limit_px: largest error of a point.
+    too few pairs have points. `limit_px` is the largest error of a point.
     """
     if len(pairs) < MIN_PAIRS:
         return None
@@ -576,12 +600,16 @@ VIEW, PATH, ANIMAL = (0, 220, 255), (255, 200, 0), (80, 80, 255)
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Longitude and latitude (rad) of the upper left pixel, rad per pixel, and an even size (width, height)."""
+    """Picture of a panorama: longitude to the right, latitude upwards."""
 
     west: float
+    """Longitude of the upper left pixel, rad."""
     north: float
+    """Latitude of the upper left pixel, rad."""
     step: float
+    """Angle from one pixel to the next, rad."""
     size_px: tuple[int, int]
+    """Width and height, both even."""
 
     @classmethod
     def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> _Canvas:
@@ -602,7 +630,7 @@ class _Canvas:
     def warped(self, camera: Camera, orientation: Orientation, picture: Image) -> tuple[Image, Array]:
         """Return a picture warped onto the canvas, and the depth (height, width) of each pixel inside the picture.
 
-        The depth is 1 in the middle of the picture and 0 outside. picture: of the camera's size or smaller.
+        The depth is 1 in the middle of the picture and 0 outside. The picture may be smaller than the camera's.
         """
         width, height = self.size_px
         x, y = np.meshgrid(*(np.arange(0, n + COARSE_PX, COARSE_PX, dtype=float) for n in self.size_px))
@@ -634,7 +662,7 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
     """Draw the keyframes' pictures over each other, weighted by the distance from the picture's edge.
 
     The edges of the first, the middle and the last view are drawn, too, and the paths of the camera and of the animal.
-    pictures: `thumbnail` of each keyframe. points: the animal's pixels (K, 2) by frame.
+    `pictures` has the `thumbnail` of each keyframe, `points` the animal's pixels (K, 2) by frame.
     """
     canvas = _Canvas.around(camera, motion.orientations)
     sum_of_pictures = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
