@@ -1,1 +1,1 @@
-"""Provide what every room uses: errors, files written whole or not at all, documents, interrupts, progress."""
+"""Provide what all of recon uses: errors, files written whole or not at all, documents, interrupts, progress."""

@@ -66,7 +66,7 @@ RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "playback", "page"]
 OVERLAY = "overlay.mp4"
 RECORDED_FRAMES = 1500
-"""Longest clip whose video is put into a recording, which has a JPEG of each frame."""
+"""Longest clip, in frames, whose video is put into a recording, which has a JPEG of each frame."""
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 
 

@@ -367,7 +367,7 @@ def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_pat
         ended = run("camera-motion", tmp_path / "pan.avi", "--camera", tmp_path / "other.toml", "--out", out)
         said = " ".join((ended.err if code else ended.out).split())
         assert ended.code == code, said
-        length = re.search(r"turns as with a focal length of (\d+) px", said)
+        length = re.search(r"moves as if the focal length were (\d+) px", said)
         assert length is not None, said
         assert abs(int(length[1]) - 300) < 6
         assert says(said, f"camera file has {300 * by:.0f} px")

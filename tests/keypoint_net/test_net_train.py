@@ -190,7 +190,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(train_module, "_save_checkpoint", interrupted_after_the_first)
             ended = run(*arguments, *more)
-        assert "with --resume goes on" in ended.err
+        assert "with --resume continues" in ended.err
         assert {path.name for path in out.iterdir()} == {"checkpoint.pt", ".recon.json"}
     refused(arguments, ("--out", "folder", "checkpoint.pt", "--resume"))
     ended = run(*arguments, "--resume")
