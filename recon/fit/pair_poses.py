@@ -147,6 +147,6 @@ def with_uncertain_poses(
     if weighed is None:
         return normal[0]
     value = np.concatenate([shared[extrinsic_correction(i)] for i in range(2)])
-    S, both = normal[0].copy(), np.ix_(weighed.columns, weighed.columns)
-    S[both] += variance_factor * np.linalg.inv(weighed.poses.covariance_about(value)) - weighed.precision
+    S, block = normal[0].copy(), np.ix_(weighed.columns, weighed.columns)
+    S[block] += variance_factor * np.linalg.inv(weighed.poses.covariance_about(value)) - weighed.precision
     return S

@@ -183,7 +183,7 @@ def recognises_long(path: Path) -> bool:
     except (UnicodeDecodeError, csv.Error):
         return False
     columns = [*dict.fromkeys(_with_named_index(header))]
-    # a wide table without frames is refused for that
+    # a wide table without frames is recognised, too, and refused when it is read
     return any(_layout(names, _by_name) is not None for names in (columns, ["frame", *columns]))
 
 
@@ -375,7 +375,7 @@ def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.nd
     texts = [str(cells.table[clock][row]).strip() for row in cells.rows] if stamps is None else []
     unread = next((text for text in texts if re.match(r"\d+\D\d+\D\d", text) and ":" in text), None)
     if unread is not None and "frame" not in role:
-        expected = "seconds, or time stamps as 2024-05-01T12:00:00.5 or 12:00:00.5"
+        expected = "seconds, or time stamps such as 2024-05-01T12:00:00.5 or 12:00:00.5"
         raise InputError(Problem(cells.path, clock, f"'{unread}'", expected))
     ticks = cells.numbers(clock) if stamps is None else stamps
     if stamps is None and "frame" not in role:

@@ -68,12 +68,12 @@ def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
 
 def _without_blank_start(rows: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
     """Yield rows without the columns before the first cell of the header: blank ones, and row numbers of pandas."""
-    before: int | None = None
+    start: int | None = None
     for line, row in rows:
-        if before is None:
-            before = next((j for j, cell in enumerate(row) if cell.strip() not in ("", UNNAMED)), 0)
-        is_empty = all(cell.strip() in ("", UNNAMED) or cell.strip().isdigit() for cell in row[:before])
-        yield line, row[before:] if is_empty else row
+        if start is None:
+            start = next((j for j, cell in enumerate(row) if cell.strip() not in ("", UNNAMED)), 0)
+        is_empty = all(cell.strip() in ("", UNNAMED) or cell.strip().isdigit() for cell in row[:start])
+        yield line, row[start:] if is_empty else row
 
 
 def _without_blank_columns(

@@ -130,8 +130,8 @@ def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
 def seconds(cells: Iterable[object]) -> np.ndarray | None:
     """Return time stamps as seconds after the first, or None if any cell is not a time stamp.
 
-    Time stamps are ISO 8601, or have a date in any format that is the same in all cells. Times of the day, as
-    00:01:02.500 or 01:02.500, are seconds after midnight.
+    Time stamps are ISO 8601, or have a date in any format that is the same in all cells. Times of the day,
+    such as 00:01:02.500 or 01:02.500, are seconds after midnight.
     """
     texts = [str(cell).strip() for cell in cells]
     clocks = _clocks(texts)
@@ -149,7 +149,7 @@ def seconds(cells: Iterable[object]) -> np.ndarray | None:
 
 
 def _clocks(texts: Sequence[str]) -> np.ndarray | None:
-    """Return times of the day in seconds after midnight, or None if any text is no time of the day."""
+    """Return times of the day in seconds after midnight, or None if any text is not one."""
     clocks = [re.fullmatch(r"(?:(\d{1,2}):)?([0-5]?\d):([0-5]\d(?:[.,]\d+)?)", text) for text in texts]
     # two numbers can be hours and minutes, unless the second has a fraction
     if not texts or not all(clock and (clock[1] or re.search("[.,]", clock[3])) for clock in clocks):
@@ -159,12 +159,12 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
-    """Return times of one day behind a date in any format, in seconds after the first, or None."""
+    """Return times of one day that follow its date in any format, in seconds after the first, or None."""
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
-    found = [match for match in matches if match is not None]
-    if len(found) < len(texts) or len({(match[1], match[3]) for match in found}) != 1:
+    dated = [match for match in matches if match is not None]
+    if len(dated) < len(texts) or len({(match[1], match[3]) for match in dated}) != 1:
         return None
-    clocks = _clocks([match[2] for match in found])
+    clocks = _clocks([match[2] for match in dated])
     return None if clocks is None else clocks - clocks[0]
 
 
