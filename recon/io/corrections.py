@@ -8,6 +8,7 @@ be used), and optionally `why` and `when`. If several rows correct the same dete
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,13 +19,17 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.numbers import counted
 from recon.base.tables import unguarded
 from recon.clip import Keypoints
-from recon.io.common import MAX_FRAME, text_rows
+from recon.io.common import MAX_FRAME, cut_blank, text_rows, width_of
 from recon.io.writing import write_rows
 
 COLUMNS = ("frame", "camera", "keypoint", "was_x_px", "was_y_px", "now_x_px", "now_y_px", "why", "when")
 REQUIRED = ("frame", "keypoint", "now_x_px", "now_y_px")
 _EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and for several cameras camera"
 _Point = tuple[float, float]
+SAME_PX = 1.0
+"""Distance up to which a corrected detection counts as the one in the keypoint file; the editor rounds positions."""
+MANY_CORRECTIONS = 5
+"""Number of corrections from which they are compared with the keypoint file."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +66,12 @@ def read_corrections(path: Path) -> list[Correction]:
     if lacking:
         raise InputError(Problem(path, "columns", ", ".join(header)[:100] or "nothing", _EXPECTED))
     corrections, problems = [], []
-    for number, cells in lines[1:]:
-        row = {name: unguarded(cell.strip()) for name, cell in zip(header, cells, strict=False)}
+    width = width_of([header])
+    for number, cells in cut_blank(lines[1:], width):
+        if len(cells) != width:  # such as the decimal commas of a table with commas, or a line cut short
+            problems.append(Problem(path, f"line {number}", f"{len(cells)} cells", f"{width}, as in the header"))
+            continue
+        row = {name: unguarded(cell.strip()) for name, cell in zip(header[:width], cells, strict=True)}
         try:
             corrections.append(_correction(row))
         except ValueError as error:
@@ -87,7 +96,7 @@ def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
 
 def _correction(row: dict[str, str]) -> Correction:
     """Return the correction in a row; raise ValueError with the reason if the row is not valid."""
-    text = row.get("frame", "")
+    text = re.sub(r"\.0+$", "", row.get("frame", ""))  # spreadsheets and pandas write 5.0
     if not text.lstrip("-").isdecimal() or abs(int(text[:12])) > MAX_FRAME:
         raise ValueError(f"frame {text[:40]!r}, which is not a whole number")
     if not row.get("keypoint"):
@@ -171,3 +180,20 @@ def _problems(
         absent = sorted({row.frame for row in rows} - {*file.frames.tolist()})
         if absent:
             yield Problem(source, "frame", ", ".join(map(str, absent))[:100], f"frames of {title}")
+        if not (unknown or absent) and _are_of_other_detections(file, rows):
+            detail = f"none of {len(rows)} corrected positions in {title}"
+            expected = "corrections of these detections; without was_x_px and was_y_px, they are not compared"
+            yield Problem(source, "was_x_px, was_y_px", detail, expected)
+
+
+def _are_of_other_detections(file: Keypoints, rows: Sequence[Correction]) -> bool:
+    """Return whether no correction is of a detection in the file, whichever its keypoint.
+
+    A fit may exchange left and right.
+    """
+    stated = [(row.frame, row.was_px) for row in rows if row.was_px is not None]
+    if len(stated) < MANY_CORRECTIONS:
+        return False
+    row_of = {int(frame): i for i, frame in enumerate(file.frames)}
+    distance_px = [np.linalg.norm(file.xy_px[row_of[frame]] - was_px, axis=-1) for frame, was_px in stated]
+    return not (np.array(distance_px) <= SAME_PX).any()

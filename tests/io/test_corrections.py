@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,18 @@ def test_everything_that_is_not_there_is_named_at_once(keypoints: Keypoints):
 
 
 @pytest.mark.parametrize(
-    "row", ["x,nose,1,2", "4,,1,2", "4,nose,1,", "4,nose,nan,2", "4,nose,inf,2", "99999999999999,nose,1,2"]
+    "row",
+    [
+        "4,nose,1",
+        "4,nose,600,5,500,25",
+        "4.5,nose,1,2",
+        "x,nose,1,2",
+        "4,,1,2",
+        "4,nose,1,",
+        "4,nose,nan,2",
+        "4,nose,inf,2",
+        "99999999999999,nose,1,2",
+    ],
 )
 def test_a_line_that_cannot_be_read_is_named(row: str, tmp_path: Path):
     path = tmp_path / "corrections.csv"
@@ -60,6 +72,26 @@ def test_a_line_that_cannot_be_read_is_named(row: str, tmp_path: Path):
     with pytest.raises(InputError) as refusal:
         read_corrections(path)
     assert [problem.field for problem in refusal.value.problems] == ["line 3"]
+
+
+def test_frames_that_a_spreadsheet_writes(tmp_path: Path):
+    path = tmp_path / "corrections.csv"
+    path.write_text("sep=;\nframe;keypoint;now_x_px;now_y_px;;\n4.0;nose;1,5;2;;\n;;;;;\n")
+    assert read_corrections(path) == [Correction(4, "", "nose", None, (1.5, 2.0))]
+
+
+def test_corrections_of_another_clip_are_refused(keypoints: Keypoints):
+    """It has the same keypoints and frames; where left and right were exchanged, a detection is another keypoint's."""
+    other = [Correction(4 + i % 3, "", "nose", (50.0 + i, 60.0), (9.0, 8.0)) for i in range(5)]
+    with pytest.raises(InputError) as refusal:
+        with_corrections([keypoints], ["cam"], other, Path("corrections.csv"))
+    assert [(problem.field, problem.found) for problem in refusal.value.problems] == [
+        ("was_x_px, was_y_px", "none of 5 corrected positions in a.csv")
+    ]
+    own = [*other, Correction(4, "", "tail", (1.4, 1.0), None)]
+    assert with_corrections([keypoints], ["cam"], own, Path("corrections.csv"))[0].corrected == 4
+    bare = [replace(row, was_px=None) for row in other]
+    assert with_corrections([keypoints], ["cam"], bare, Path("corrections.csv"))[0].corrected == 3
 
 
 def test_another_table_is_refused(tmp_path: Path):
