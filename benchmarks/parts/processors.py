@@ -3,13 +3,15 @@
     python benchmarks/parts/processors.py
 
 The sample `whole.csv` is fitted with two corrections by hand, with one and two threads, and with the matrix kernels
-(OpenBLAS) of other processors, each in a separate process. The tables must be identical byte for byte. The table also
-has the largest difference of a joint's position in motion.npz. There is no fit for a kernel that this machine cannot
-run.
+(OpenBLAS) of other processors, each in a separate process. The tables must be identical byte for byte. The digest is
+the beginning of the SHA-256 of all tables, by which two machines with the same version of recon can be compared. The
+table also has the largest difference of a joint's position in motion.npz. There is no fit for a kernel that this
+machine cannot run.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -47,11 +49,12 @@ def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
 def row(name: str, folder: Path | None, first: Path) -> list[str]:
     """Return how the tables of a fit differ from those of the first."""
     if folder is None:
-        return [name, "no fit", ""]
+        return [name, "no fit", "", ""]
     tables = sorted(first.glob("*.csv"))
+    digest = hashlib.sha256(b"".join((folder / table.name).read_bytes() for table in tables)).hexdigest()[:12]
     same = sum(table.read_bytes() == (folder / table.name).read_bytes() for table in tables)
     joints_m = [Motion.load(path).joints_m for path in (first, folder)]
-    return [name, f"{same} of {len(tables)}", f"{float(np.nanmax(np.abs(joints_m[0] - joints_m[1]))):.1g}"]
+    return [name, f"{same} of {len(tables)}", digest, f"{float(np.nanmax(np.abs(joints_m[0] - joints_m[1]))):.1g}"]
 
 
 def main() -> None:
@@ -62,7 +65,7 @@ def main() -> None:
         }
         first = next(folder for folder in folders.values() if folder is not None)
         rows = [row(name, folder, first) for name, folder in folders.items()]
-        print_table(["fit with", "tables as of the first", "joints off, m"], rows)
+        print_table(["fit with", "tables as of the first", "digest", "joints off, m"], rows)
 
 
 if __name__ == "__main__":
