@@ -184,12 +184,13 @@ def evaluate_files(
 def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     """Return a reference interpolated at the times of a pose's frames, if the frame rates differ.
 
-    Frame 0 of both is at 0 s. An interpolated position is unknown if one of its neighbours is unknown. Raises
-    InputError if the two have no time in common.
+    Frame 0 of both is at 0 s, or frame 1 of a reference that counts from 1, as TRC files do. An interpolated position
+    is unknown if one of its neighbours is unknown. Raises InputError if the two have no time in common.
     """
     if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
         return truth
-    position = pose.frames / pose.fps * truth.fps
+    start = 1 if len(truth.frames) and truth.frames[0] == 1 and not (len(pose.frames) and pose.frames[0] == 1) else 0
+    position = pose.frames / pose.fps * truth.fps + start
     whole = np.where(np.abs(position - np.rint(position)) < WHOLE_FRAME, np.rint(position), np.floor(position))
     share = np.where(whole == np.rint(position), np.maximum(position - whole, 0), position - whole)
     share = np.where(share < WHOLE_FRAME, 0.0, share)
@@ -203,7 +204,8 @@ def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     weight = share[inside, None, None]
     start_m, end_m = truth.xyz_m[first[inside]], truth.xyz_m[second[inside]]
     xyz_m = np.where(weight > 0, start_m + weight * (end_m - start_m), start_m)
-    note = f"The reference has {rates}: it is compared at the same times, frame 0 of both at 0 s."
+    note = f"The reference has {rates}: it is compared at the same times, "
+    note += "frame 0 of both at 0 s." if not start else "its frame 1 at the time of frame 0."
     return replace(
         truth,
         xyz_m=xyz_m,

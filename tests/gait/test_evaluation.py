@@ -41,9 +41,10 @@ def test_the_truth_itself_has_no_error():
     assert [s.mean for _, s in result.pck] == [1, 1, 1]
 
 
+@pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("fps", [25.0, 60.0, 200.0])
-def test_a_reference_of_another_frame_rate(fps, tmp_path):
-    """It is compared at the same times; a point between a known and an unknown one is unknown."""
+def test_a_reference_of_another_frame_rate(fps, first):
+    """It is compared at the same times; a point between a known and an unknown one is unknown. TRC counts from 1."""
     start, speed = RNG.normal(0, 0.5, (6, 3)), RNG.normal(0, 1, (6, 3))
 
     def run_at(fps: float) -> Pose3D:
@@ -52,6 +53,7 @@ def test_a_reference_of_another_frame_rate(fps, tmp_path):
 
     reconstruction, truth = run_at(100.0), run_at(fps)
     truth.xyz_m[10, 0] = NAN
+    truth = replace(truth, frames=truth.frames + first)
     there = at_frames_of(truth, reconstruction)
     assert there.fps == 100
     result = evaluate(reconstruction, there)
@@ -61,6 +63,7 @@ def test_a_reference_of_another_frame_rate(fps, tmp_path):
     assert len(lost)
     assert (np.abs(lost - 10) < 1).all()
     assert "60 frames per second, and 100" in there.notes[-1] or fps != 60
+    assert ("its frame 1" in there.notes[-1]) == bool(first)
 
 
 def test_a_reference_of_the_same_rate_is_itself():
