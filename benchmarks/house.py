@@ -157,7 +157,8 @@ def shadowing_names(syntax: Syntax) -> list[tuple[int, str]]:
     """Return the lines and names of local variables that hide an import, a function or a class of the module.
 
     A module that is imported for types only may be imported again in a function, or be returned by the function that
-    asks for its package (`torch = require_torch()`).
+    asks for its package (`torch = require_torch()`). A function or class that replaces an earlier one of the module
+    counts, too, unless a decorator makes both of them parts of one.
     """
     imports = [node for node in syntax.nodes if isinstance(node, ast.Import | ast.ImportFrom)]
     aliases = [alias for node in imports for alias in node.names]
@@ -169,7 +170,15 @@ def shadowing_names(syntax: Syntax) -> list[tuple[int, str]]:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
             bindings = [pair for target in node.targets for part in ast.walk(target) for pair in bound(part)]
             names -= {pair for pair in bindings if pair[1] in modules and _requires(node.value, pair[1])}
-    return [*names]
+    return [*names, *_defined_again(syntax)]
+
+
+def _defined_again(syntax: Syntax) -> Iterator[tuple[int, str]]:
+    definitions = [node for node in syntax.top if isinstance(node, FUNCTIONS | ast.ClassDef)]
+    for number, node in enumerate(definitions):
+        earlier = [other for other in definitions[:number] if other.name == node.name]
+        if not node.decorator_list and any(not other.decorator_list for other in earlier):
+            yield node.lineno, node.name
 
 
 def _requires(call: ast.Call, module: str) -> bool:

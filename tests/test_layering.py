@@ -347,3 +347,14 @@ def test_finds_circles(house):
 def test_finds_what_a_module_imports(source, found, house):
     modules = dict.fromkeys(("recon", "recon.io", "recon.io.npz", "recon.io.trc", "recon.fit"))
     assert house.imported_by("recon.io.trc", source, False, modules) == found
+
+
+def test_finds_a_function_that_replaces_another(house, tmp_path):
+    def replaced(source: str) -> list[tuple[int, str]]:
+        (tmp_path / "module.py").write_text(source)
+        return house.shadowing_names(house.Syntax.read(tmp_path / "module.py"))
+
+    assert replaced("def draw():\n    pass\n\n\ndef draw():\n    pass\n") == [(5, "draw")]
+    overloads = "@overload\ndef draw(x: int): ...\n@overload\ndef draw(x: str): ...\ndef draw(x):\n    pass\n"
+    assert replaced(overloads) == []
+    assert replaced("def draw():\n    pass\n\n\ndef paint():\n    pass\n") == []
