@@ -24,8 +24,8 @@ S^-1 is the covariance of s, -Y S^-1 that of x with s, and H^-1 + Y S^-1 Y' that
 A long clip is processed in pieces (`eliminated`). Frames before a piece are eliminated exactly. Let L21 be the rows of
 L from the last W frames of a piece to the first W of the next, and z = L^-1 b: the next piece gets -L21 L21' on H and
 -L21 z on a right-hand side. B' H^-1 B is the sum over all pieces of (L^-1 B)' (L^-1 B) in their own rows. On the way
-back, a piece takes along the next piece, which represents all later frames, because the influence of later frames
-decays exponentially.
+back, a piece is solved together with the next piece only, which represents all later frames, because the influence of
+later frames decays exponentially.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Window:
     """The next piece of m frames, which represents all later frames; None for the last piece."""
 
     @property
-    def rows_taken_along(self) -> slice:
+    def rows_with_following(self) -> slice:
         """Return the rows of these frames and of those of the next piece."""
         last = self if self.following is None else self.following
         return slice(self.rows.start, last.rows.stop)

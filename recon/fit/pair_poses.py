@@ -91,12 +91,12 @@ def pair_poses(
 ) -> WeighedPair | None:
     """Return the weighed explanations of two cameras' poses.
 
-    The animal's size is one error of the whole clip: it counts once for any number of frames, as the poses do.
+    The animal's size is a single error of the whole clip: like the poses, it counts once for any number of frames.
 
     Parameters
     ----------
     problem
-        A problem in which the poses of both cameras are shared unknowns. Otherwise there is no result.
+        A problem in which the poses of both cameras are shared unknowns. Otherwise the result is None.
     shared
         Values of the shared unknowns.
     normal
@@ -122,7 +122,7 @@ def pair_poses(
         pull = gradient[columns] - by_rest @ gradient[rest] - precision @ value + mean * sigma**-2.0
         return precision, precision - np.diag(sigma**-2.0), pull
 
-    sized_S, sized_gradient = S.copy(), gradient.copy()  # of a size that counts once
+    sized_S, sized_gradient = S.copy(), gradient.copy()  # the variance factor does not widen the size's prior
     if SIZE in unknowns:
         column, added = problem.columns[SIZE], (variance_factor - 1.0) * unknowns[SIZE].sigma ** -2.0
         sized_S[column, column] += added

@@ -76,7 +76,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         first = segment.rows.start
         for window, by_others, by_size in problem_curvature.windows():
             rows = window.rows
-            steps = window.unwhiten(white[window.rows_taken_along]) - by_others @ common_steps
+            steps = window.unwhiten(white[window.rows_with_following]) - by_others @ common_steps
             steps = np.sqrt(clip.correlation_frames) * steps + by_size[..., None] * (sizes - solution.size)
             drawn[:, first + rows.start : first + rows.stop] = states[rows] + np.moveaxis(steps, 2, 0)
     return [

@@ -236,7 +236,7 @@ def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int
 
 
 def _angles_of_frames(tree: Tree) -> Index:
-    """Return the angle that turns each frame (S + 1) about z, y and, if any frame has one, x; K if there is none."""
+    """Return the angle that turns each frame about z, y and, if any frame has one, x, (2 or 3, S + 1); K if none."""
     rotations, S = tree.rotations, len(tree.segments)
     angles = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), len(rotations), dtype=np.intp)
     for k, (i, axis) in enumerate(rotations):
