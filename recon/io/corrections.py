@@ -29,7 +29,7 @@ _Point = tuple[float, float]
 SAME_PX = 1.0
 """Distance up to which a corrected detection counts as the one in the keypoint file; the editor rounds positions."""
 MANY_CORRECTIONS = 5
-"""Number of corrections from which they are compared with the keypoint file."""
+"""Smallest number of corrections that are compared with the keypoint file."""
 
 
 @dataclass(frozen=True)
@@ -187,9 +187,9 @@ def _problems(
 
 
 def _are_of_other_detections(file: Keypoints, rows: Sequence[Correction]) -> bool:
-    """Return whether no correction is of a detection in the file, whichever its keypoint.
+    """Return whether the file has a detection at none of the positions before the corrections.
 
-    A fit may exchange left and right.
+    Detections of all keypoints count, because a fit may exchange left and right.
     """
     stated = [(row.frame, row.was_px) for row in rows if row.was_px is not None]
     if len(stated) < MANY_CORRECTIONS:
