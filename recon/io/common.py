@@ -20,6 +20,7 @@ import numpy as np
 from recon.base.arrays import Brief
 from recon.base.documents import damage_named
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.numbers import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -273,7 +274,8 @@ def without_lost_markers(stored: StoredPoints) -> StoredPoints:
     lost &= ~((first == 0) & is_constant).all(axis=0)
     if not lost.any():
         return stored
-    named = [f"{name} in {count} frames" for name, count in zip(stored.names, lost.sum(axis=0), strict=True) if count]
+    counts_lost = zip(stored.names, lost.sum(axis=0).tolist(), strict=True)
+    named = [f"{name} in {counted(count, 'frame')}" for name, count in counts_lost if count]
     shown = ", ".join(named[:3]) + (f" and {len(named) - 3} more" if len(named) > 3 else "")
     shown_constants = " and ".join(f"({x:g}, {x:g}, {x:g})" for x in np.unique(first[lost])[:3])
     note = f"Points at exactly {shown_constants} are taken as missing: {shown}."

@@ -757,7 +757,7 @@ def test_lost_markers_that_are_written_as_zeros(tmp_path):
     found = read_pose3d(tmp_path / "a.trc", up="z")
     np.testing.assert_array_equal(found.xyz_m[:, 0], [[1, 2, 3], [np.nan] * 3, [0, 2, 3]])
     np.testing.assert_array_equal(found.xyz_m[:, 1], np.zeros((3, 3)))
-    assert "Points at exactly (0, 0, 0) are taken as missing: paw in 1 frames." in found.notes
+    assert "Points at exactly (0, 0, 0) are taken as missing: paw in 1 frame." in found.notes
 
 
 def test_another_number_for_lost_markers(tmp_path):
