@@ -458,7 +458,7 @@ def _joined(
 
 
 class _FileOfClip(NamedTuple):
-    """A draft as it was stated, and with the camera and the clip that its file name names."""
+    """A draft as it was stated, and the same draft with the camera and the clip that its file name contains."""
 
     stated: _Draft
     with_camera: _Draft

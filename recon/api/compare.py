@@ -486,7 +486,7 @@ def known_quantities(clips: pd.DataFrame) -> list[str]:
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Draw the mean of each clip or run, and of each group of several, with standard deviations.
+    """Draw the mean of each clip or run, and of each group of more than one, with standard deviations.
 
     There is one panel for each quantity.
     """

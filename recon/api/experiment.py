@@ -8,7 +8,7 @@ Strides are those of the camera that measures the quantity best, shifted to the 
 strides, which count once.
 
 Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
-measurement's standard deviation of a run is the one that the fits state, without the scatter of the strides.
+standard deviation of a run's measurement is the one that the fits state, without the scatter of the strides.
 """
 
 from __future__ import annotations
@@ -265,11 +265,11 @@ def joint_posterior(
 
     Notes
     -----
-    A size with the standard deviation s, p before the pictures were seen, has the error -(s^2 / p^2) d from the
-    deviation d of the animal from the expected size, which all cameras share, and an independent error of the variance
-    s^2 (1 - s^2 / p^2) from the pictures. With the covariance of all errors, the generalised mean is the mode of the
-    joint posterior in which the expectation of the size counts once. Negative weights, which would extrapolate from
-    errors that are shared only in part, are 0.
+    A size has the standard deviation s, and p before the pictures were seen. Its error has two parts: -(s^2 / p^2) d,
+    where d is the deviation of the animal from the expected size, which all cameras share; and an independent error of
+    variance s^2 (1 - s^2 / p^2) from the pictures. With the covariance of all errors, the generalised mean is the mode
+    of the joint posterior in which the expectation of the size counts once. Negative weights, which would extrapolate
+    from errors that are shared only in part, are 0.
 
     References
     ----------
@@ -341,7 +341,7 @@ class QuantityModel:
         return counts | {name: int(table[name].sum()) for name in ("clips", "strides")}
 
     def variances(self) -> dict[str, object]:
-        """Return the standard deviations of all levels, and what follows from them."""
+        """Return standard deviations by level, the intraclass correlation, and the smallest detectable change."""
         variances = self.model.variances
         row: dict[str, object] = {"quantity": self.name, "mean": float(np.mean(self.model.effects[: len(self.groups)]))}
         row |= {f"{level}_sd": getattr(variances, level) for level in ("animal", "run", "stride", "measurement")}

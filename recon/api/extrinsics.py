@@ -138,7 +138,7 @@ def _with_stated_poses(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Ar
 
 
 def _in_own_worlds(cameras: Sequence[Camera], tilt_deg: float | None) -> tuple[list[Camera], list[Array]]:
-    """Return the cameras, each level, or tilted as given, in a world of its own, and these poses."""
+    """Return the cameras, each in a world of its own and level or tilted as given, and their poses in these worlds."""
     tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
     cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
     return cameras, [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]

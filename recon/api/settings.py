@@ -397,7 +397,7 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def _other_method_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield problems of settings that the method does not read; a file may give a method that is not a string."""
+    """Yield problems of settings that the method does not read; the method may have any type, as read from a file."""
     method = values.get("method", SETTINGS["method"].default)
     for name, value in values.items():
         info = SETTINGS.get(name)

@@ -225,7 +225,7 @@ Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
 
 
 class FileTable(BaseModel):
-    """A table of a file, which may have no other fields than these."""
+    """Base class of a table in a file; fields that its class does not declare are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -42,7 +42,7 @@ class Interrupts:
     received
         Whether the command has to stop.
     announced
-        Whether the line has been printed.
+        Whether the line that reports the interruption has been printed.
     """
 
     def __init__(self) -> None:

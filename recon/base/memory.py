@@ -16,7 +16,7 @@ def keep_freed_memory() -> None:
     """Let this process keep freed memory, for its whole life; only where the C library is glibc.
 
     A fit allocates arrays of some megabytes again and again. The system has to clear each page of them, which takes a
-    twelfth of the time of a long clip.
+    twelfth of the time of the fit of a long clip.
     """
     if sys.platform != "linux":
         return

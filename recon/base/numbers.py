@@ -17,7 +17,7 @@ _ONE_DIGIT, _ONE_DIGIT_OF_INTERVAL = 1.95, 3.55
 
 
 def decimals(value: float) -> str:
-    """Return the format of a speed or path without uncertainty: one decimal, or two below 1."""
+    """Return the format of a number that is given without uncertainty: one decimal, or two below 1."""
     return ".1f" if abs(value) >= 1 else ".2f"
 
 

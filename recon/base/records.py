@@ -1,7 +1,7 @@
 """Save dataclasses bit for bit in one file of arrays: a NumPy archive (.npz) without pickles.
 
-The archive has an array `record`, a JSON text with everything but the arrays, and one array for each larger one, named
-by the fields that lead to it, such as `solution.states`. Arrays with the same content are stored once. Floats are
+The archive has an array `record`, a JSON text with everything but the larger arrays, and each larger array, named by
+the fields that lead to it, such as `solution.states`. Arrays with the same content are stored once. Floats are
 stored as planes of bytes, which compress better, and in single precision where that changes no bit (`_Layout`).
 
 Fields are plain values, paths, slices, tuples, mappings with strings as keys, arrays of numbers, tables of files
@@ -136,7 +136,7 @@ class _Layout:
         return np.ascontiguousarray(np.ascontiguousarray(values).reshape(-1, 1).view(np.uint8).T)
 
     def unpacked(self, planes: np.ndarray) -> np.ndarray:
-        """Return the array of planes. Raises ValueError or TypeError if they do not fit."""
+        """Return the array that is stored as planes; raise ValueError or TypeError if they do not fit the layout."""
         dtypes = np.dtype(self.dtype), np.dtype(self.stored)
         if any(dtype.kind != "f" for dtype in dtypes) or planes.dtype != np.uint8 or planes.ndim != 2:
             raise ValueError(f"an array of {self.dtype}, stored as {planes.dtype}")

@@ -152,7 +152,7 @@ class Board:
 def parse_board(text: str) -> Board:
     """Return the board described by a text such as `CHESSBOARD_FORM` or `CHARUCO_FORM` (which `:legacy` may follow).
 
-    Raises InputError.
+    Raises InputError for any other text.
     """
     match = _CHESSBOARD.fullmatch(text.strip()) or _CHARUCO.fullmatch(text.strip())
     if match is None:
@@ -218,7 +218,7 @@ class BoardView:
 
 @dataclass(frozen=True)
 class BoardViews:
-    """Pictures of a board from some files."""
+    """Views of a board in picture files or a video, and the pictures that do not show it."""
 
     board: Board
     image_size_px: tuple[int, int]

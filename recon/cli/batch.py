@@ -128,7 +128,7 @@ def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summar
     console
         Console to print to.
     left
-        Number of clips to do.
+        Number of clips that are not done yet.
     work
         Function that does the work and calls its argument at each event.
     clip_command

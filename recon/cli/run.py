@@ -163,8 +163,7 @@ def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answe
     """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, record, and write report.html.
 
     Stages that were done before with the same files and settings are skipped. The frame rate is that of the video
-    unless --fps is given. The stages are detect, camera-motion, fit, analyse, overlay, playback
-    and page.
+    unless --fps is given. The stages are detect, camera-motion, fit, analyse, overlay, playback and page.
 
     Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
 
@@ -375,7 +374,7 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
 
 def _detect(job: _Job, progress: Progress) -> Answer:
-    """Find the keypoints in the video with a network, which the job has."""
+    """Find the keypoints in the video with the job's network."""
     from recon.keypoint_net.network import run_prediction
 
     assert job.run.model is not None

@@ -254,7 +254,7 @@ def animal_portraits(motion: Motion, limb: Limb, stride: StridePath) -> dict[str
 
 
 def _rates_of(limb: Limb) -> tuple[Frames, Array]:
-    """Return the frames with a pose, and their times (T,) since the first frame."""
+    """Return the frames with a pose, with their joint rates, and their times (T,) in seconds since frame 0."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
