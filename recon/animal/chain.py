@@ -38,7 +38,7 @@ from recon.geometry.kinematics import PITCH, ROLL, Joint, Marker, Segment, Tree
 
 _SKELETONS = "animal/skeletons"
 UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From the body's axes (x forwards, y left, z up) to U, V (down), W."""
+"""Rotation (3, 3) from the body's axes (x forwards, y left, z up) to U (forwards), V (down), W (to the side)."""
 _PITCH_RAD = 0.3
 """Standard deviation of the pitch of a running animal."""
 _ROOT_RAD_S2 = 40.0

@@ -110,13 +110,13 @@ class _PosesAndChanges(NamedTuple):
     """Poses of N frames, of which M are inner frames, with a frame before and a frame after."""
 
     poses: Array
-    """(N, A): angles."""
+    """(N, A): angles, rad."""
     inner_poses: Array
-    """(M, A)."""
+    """(M, A): angles of the inner frames, rad."""
     rates: Array
-    """(M, A)."""
+    """(M, A): rates of the angles in the inner frames, rad/s."""
     accelerations: Array
-    """(M, A)."""
+    """(M, A): accelerations of the angles in the inner frames, rad/s²."""
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _PosesAndChanges:

@@ -46,8 +46,8 @@ _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file systems do not allow in names."""
 CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
-LEAST_SQUARE_NOT_IN_METRES = 1.0
-"""Side of a board's square above which a calibration cannot be in metres: no board has squares of a metre."""
+MAX_SQUARE_M = 1.0
+"""Side that no square of a board reaches: a calibration that states such a square is not in metres."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
 EXPERIMENT = "run", "animal", "group"
@@ -310,7 +310,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
             expected = "calibration/calibration.toml in it or above it, or --camera"
             problems.append(Problem(folder, "calibration", "none", expected))
         unit_missing = uses_calibration and calibration is not None and common.get("camera_unit") is None
-        if unit_missing and isinstance(square, int | float) and square >= LEAST_SQUARE_NOT_IN_METRES:
+        if unit_missing and isinstance(square, int | float) and square >= MAX_SQUARE_M:
             actual = f"{square:g}, so the calibration is not in metres"
             problems.append(Problem(file or folder, SQUARE, actual, "its unit as well, as in --camera-unit mm"))
         row = {"camera": str(calibration)} if uses_calibration else {}

@@ -54,7 +54,7 @@ class PriorFitSettings(Settings):
     components: Count = 16
     """Number of Gaussians in the mixture of poses; each needs 20 frames."""
     min_speed_m_s: NotNegative = 0.0
-    """Leave out slower segments, such as those below 8.5."""
+    """Leave out segments that are slower than this speed in m/s, such as 8.5."""
     apart: tuple[str, ...] = ()
     """Body segment that moves independently of the others, such as tail_1."""
     name: str | None = None
