@@ -10,6 +10,7 @@ This module has the table and its CSV files; `recon.io.hdf5_poses` has its H5 fi
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints
-from recon.io.pickles import MAX_PICKLE_BYTES, plain_pickle_with_scalars
+from recon.io.pickles import MAX_PICKLE_BYTES, plain_parts_of_pickle
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -327,15 +328,32 @@ def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[
     DeepLabCut's predictions are then in pixels of the crop. Its metadata file states the position of the crop.
     """
     meta = next((file for file in _metadata_files(path) if file.is_file()), None)
-    if meta is None or meta.stat().st_size > MAX_PICKLE_BYTES:
+    if meta is None:
         return points, ()
     try:
-        metadata = plain_pickle_with_scalars(meta.read_bytes())["data"]
-        cropping, edges = bool(metadata["cropping"]), [float(edge) for edge in metadata["cropping_parameters"]]
-        left, right, top, bottom = edges
-    except (ValueError, KeyError, TypeError, IndexError, OSError):
+        if meta.stat().st_size > MAX_PICKLE_BYTES:
+            raise ValueError("a large pickle")
+        metadata = plain_parts_of_pickle(meta.read_bytes())["data"]
+        is_cropped = bool(metadata.get("cropping", False))
+    except (ValueError, KeyError, TypeError, AttributeError, OSError):
+        return points, (
+            f"{meta.name} cannot be read: if DeepLabCut analysed a crop, the keypoints are those of the crop.",
+        )
+    if not is_cropped:
         return points, ()
-    if not cropping or (left, top) == (0.0, 0.0) or not all(0 <= edge < MAX_CROP_PX for edge in edges):
+    try:
+        left, right, top, bottom = edges = [float(edge) for edge in metadata["cropping_parameters"]]
+        is_known = all(0 <= edge < MAX_CROP_PX for edge in edges)
+    except (ValueError, KeyError, TypeError):
+        left = right = top = bottom = math.nan
+        is_known = False
+    if not is_known:
+        found = str(metadata.get("cropping_parameters", "nothing"))[:60]
+        expected = (
+            "x1, x2, y1, y2 of the crop that DeepLabCut analysed; without this file, the keypoints are not shifted"
+        )
+        raise InputError(Problem(meta, "cropping_parameters", found, expected))
+    if (left, top) == (0.0, 0.0):
         return points, ()
     missing = (points == 0).all(axis=2) & ~(likelihood > 0)
     region = f"x {left:g} to {right:g}, y {top:g} to {bottom:g}"

@@ -673,6 +673,10 @@ CROPPED = "clipDLC_resnet50_runAug1shuffle1_1000"
         ({"cropping": True, "cropping_parameters": [600, 1920, 50, 1080]}, (600, 50)),
         ({"cropping": True, "cropping_parameters": np.array([600, 1920, 50, 1080])[[0, 1, 2, 3]].tolist()}, (600, 50)),
         ({"cropping": np.bool_(True), "cropping_parameters": list(np.array([600.0, 1920, 50, 1080]))}, (600, 50)),
+        (
+            {"cropping": True, "cropping_parameters": (600, 1920, 50, 1080), "file": Path("a"), "x": np.eye(3)},
+            (600, 50),
+        ),
         ({"cropping": False, "cropping_parameters": [600, 1920, 50, 1080]}, (0, 0)),
         ({}, (0, 0)),
     ],
@@ -695,8 +699,20 @@ def test_nothing_in_a_pickle_is_run(tmp_path):
     harm = tmp_path / "harm"
     program = b"cos\nsystem\n(S'touch " + str(harm).encode() + b"'\ntR."
     (tmp_path / f"{CROPPED}_meta.pickle").write_bytes(program)
-    assert read_keypoints(tmp_path / f"{CROPPED}.csv").xy_px.tolist() == [[[1.5, 2.5]]]
+    found = read_keypoints(tmp_path / f"{CROPPED}.csv")
+    assert found.xy_px.tolist() == [[[1.5, 2.5]]]
+    assert f"{CROPPED}_meta.pickle cannot be read" in found.notes[-1]
     assert not harm.exists()
+
+
+@pytest.mark.parametrize("edges", [None, [600], [-1, 5, 0, 5], np.array([600, 1920, 50, 1080])])
+def test_a_crop_that_is_not_known_is_refused(edges, tmp_path):
+    rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9"]
+    (tmp_path / f"{CROPPED}.csv").write_text("\n".join(rows))
+    meta = tmp_path / f"{CROPPED}_meta.pickle"
+    meta.write_bytes(pickle.dumps({"data": {"cropping": True, "cropping_parameters": edges}}))
+    with refusal((meta, "cropping_parameters", [], "x1, x2, y1, y2")):
+        read_keypoints(tmp_path / f"{CROPPED}.csv")
 
 
 def test_alphapose(tmp_path):
