@@ -36,7 +36,7 @@ class _AuditSettings(Settings):
     unit: str | None = None
     """Unit of 3D positions, if the file does not state it: m, cm or mm."""
     up: str | None = None
-    """Upward axis of 3D positions, if the file does not state it: y or z."""
+    """Upward axis of 3D positions, if the file does not state it: y, z, or -y if y points down."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: str | None = None
     """Columns of a plain CSV, as for recon convert."""

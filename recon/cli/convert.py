@@ -48,7 +48,7 @@ class ConvertSettings(Settings):
     unit: str | None = None
     """Unit of 3D positions, if the file does not state it: m, cm or mm."""
     up: str | None = None
-    """Upward axis of 3D positions, if the file does not state it: y or z."""
+    """Upward axis of 3D positions, if the file does not state it: y, z, or -y if y points down."""
     rename: Annotated[str | None, RENAME] = None
     body_mass_kg: Positive = 1.0
     """Mass of the animal in an OpenSim model; with 1, forces are per kilogram."""

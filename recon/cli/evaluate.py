@@ -26,7 +26,7 @@ class _EvaluateSettings(Settings):
     unit: str | None = None
     """Unit of the reference, if its file does not state it: m, cm or mm."""
     up: str | None = None
-    """Upward axis of the reference, if its file does not state it: y or z."""
+    """Upward axis of the reference, if its file does not state it: y, z, or -y if y points down."""
     rename: str | None = None
     """New names for POSE3D's joints, or TRUTH's if POSE3D is a folder: a CSV file, or a built-in map."""
     anyway: Annotated[bool, ANYWAY] = False

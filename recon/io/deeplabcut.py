@@ -39,7 +39,7 @@ PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
 TRIANGULATED = (
     "Positions that DeepLabCut triangulated have the unit of its board and the axes of its first camera, y down and z "
-    "ahead, unless they were turned: they are read with z up (or --up y)."
+    "ahead, unless they were turned: they are read with z up unless --up says otherwise; not turned, they need --up -y."
 )
 MAX_CROP_PX = 100_000
 _SIDE_WORDS = {"l", "r", "left", "right", "near", "far"}

@@ -21,6 +21,17 @@ UNIT_NAMES = {
 }
 
 
+_AXES_OF_UP = {
+    "z": ((0, 1), (1, 1), (2, 1)),
+    "y": ((0, 1), (2, -1), (1, 1)),
+    "x": ((1, 1), (2, 1), (0, 1)),
+    "-z": ((0, 1), (1, -1), (2, -1)),
+    "-y": ((0, 1), (2, 1), (1, -1)),
+    "-x": ((1, 1), (2, -1), (0, -1)),
+}
+"""Axes of a file, with signs, that are x, y and z of the world with z up, by the file's upward axis."""
+
+
 def read_pose3d(
     path: str | Path, individual: str | None = None, unit: str | None = None, up: str | None = None
 ) -> Pose3D:
@@ -33,8 +44,8 @@ def read_pose3d(
     individual : str, optional
         Name of the animal, needed if there are several.
     unit, up : str, optional
-        Unit (m, cm, mm) and upward axis (y, z), if the file does not state them. An axis that is not known is y for TRC
-        and BVH, and z for all other formats.
+        Unit (m, cm, mm) and upward axis (y, z, x, -y, -z, -x), if the file does not state them. An axis that is not
+        known is y for TRC and BVH, and z for all other formats.
 
     Raises
     ------
@@ -63,15 +74,15 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
         assumed = f"it was read with {reader.up} up, as is usual for the format"
         notes.append(f"The file does not say which way is up: {assumed}. If that is wrong, give --up z.")
     up = up or stored.up or reader.up
-    if up not in ("y", "z"):
-        problems.append(Problem(path, "up", up, "y or z (--up)"))
+    if up not in _AXES_OF_UP:
+        problems.append(Problem(path, "up", up, "y or z, or -y if y points down (--up)"))
     if problems or unit is None:
         raise InputError(problems)
     with np.errstate(invalid="ignore"):  # damaged floats can be signalling NaNs
         xyz_m = stored.values / PER_METRE[unit]
     return Pose3D(
         stored.names,
-        xyz_m if up == "z" else np.stack([xyz_m[..., 0], -xyz_m[..., 2], xyz_m[..., 1]], axis=-1),
+        xyz_m if up == "z" else np.stack([sign * xyz_m[..., axis] for axis, sign in _AXES_OF_UP[up]], axis=-1),
         stored.frames,
         source=str(path),
         fps=stored.fps,

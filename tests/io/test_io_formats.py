@@ -786,6 +786,27 @@ def test_another_number_for_lost_markers(tmp_path):
     assert "exactly (-9999, -9999, -9999) and (0, 0, 0) are taken as missing" in " ".join(found.notes)
 
 
+@pytest.mark.parametrize(
+    ("up", "expected"),
+    [
+        *((None, [1, 2, 3]), ("z", [1, 2, 3]), ("y", [1, -3, 2]), ("-y", [1, 3, -2])),
+        *(("x", [2, 3, 1]), ("-x", [2, -3, -1]), ("-z", [1, -2, -3])),
+    ],
+)
+def test_the_upward_axis_of_positions(up, expected, tmp_path):
+    """DeepLabCut's are those of its first camera, y down. Every choice is a rotation."""
+    path = tmp_path / "a.csv"
+    path.write_text("scorer,DLC_3D,DLC_3D,DLC_3D\nbodyparts,a,a,a\ncoords,x,y,z\n0,1,2,3\n")
+    found = read_pose3d(path, unit="m", up=up)
+    assert found.xyz_m.tolist() == [[expected]]
+    assert "--up -y" in found.notes[0]
+    axes = path.with_name("axes.csv")
+    axes.write_text("scorer,s,s,s\nbodyparts,a,a,a\ncoords,x,y,z\n0,1,0,0\n1,0,1,0\n2,0,0,1\n")
+    assert np.linalg.det(read_pose3d(axes, unit="m", up=up).xyz_m[:, 0]) == pytest.approx(1)
+    with refusal((path, "up", "down", "-y if y points down")):
+        read_pose3d(path, unit="m", up="down")
+
+
 @pytest.mark.parametrize(("scorer", "asked"), [("DLC_3D", True), ("recon", False), (None, False)])
 def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
     """DeepLabCut's are in units of the board; ours, and tables without a scorer, are metres."""
