@@ -1,9 +1,9 @@
-"""Measure time and memory of `recon analyse` for a long clip.
+"""Measure time and memory of `recon analyse` and `recon report` for a short and a long clip.
 
-python benchmarks/parts/analyse.py [FRAMES [FOLDER]]
+python benchmarks/parts/analyse.py [FRAMES ...]
 
-The script fits a simulated animal that runs in circles over FRAMES frames (10,000 by default, which takes minutes),
-unless FOLDER holds the results of an earlier fit. It times the command as a whole process, with and without figures.
+The script fits a simulated animal that runs in circles over each number of FRAMES (by default 40 and 4,000, which takes
+minutes). It times each command as a whole process, `recon analyse` with and without figures.
 """
 
 from __future__ import annotations
@@ -46,20 +46,21 @@ def recon(*arguments: str) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    frames = int(sys.argv[1]) if sys.argv[1:] else 10_000
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(sys.argv[2] if sys.argv[2:] else temporary) / "circling"
-        if not folder.exists():
+    counts = [int(argument) for argument in sys.argv[1:]] or [40, 4000]
+    print_header(["frames", "command", "s", "of the processor", "ms a frame", "peak memory MB"])
+    commands = {
+        "analyse": ("analyse", "--overwrite"),
+        "analyse --no-figures": ("analyse", "--no-figures", "--overwrite"),
+        "report": ("report",),
+    }
+    for frames in counts:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary) / "circling"
             fit(frames, folder)
-        print_header(["frames", "", "s", "processor s", "ms a frame", "peak memory MB"])
-        commands = {
-            "figures": ("analyse",),
-            "no figures": ("analyse", "--no-figures"),
-        }
-        for name, (command, *options) in commands.items():
-            taken_s, used_s, memory_mb = recon(command, str(folder), *options, "--overwrite")
-            numbers = (f"{taken_s:.1f}", f"{used_s:.1f}", f"{1000 * used_s / frames:.2f}", f"{memory_mb:.0f}")
-            print_row([str(frames), name, *numbers])
+            for name, (command, *options) in commands.items():
+                taken_s, used_s, memory_mb = recon(command, str(folder), *options)
+                numbers = (f"{taken_s:.1f}", f"{used_s:.1f}", f"{1000 * used_s / frames:.2f}", f"{memory_mb:.0f}")
+                print_row([str(frames), name, *numbers])
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ import numpy as np
 from recon.animal.body import Body, other_side, side_of
 from recon.base.arrays import Array
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
-from recon.geometry.kinematics import Tree
 
 LENGTH_SIGMA = 0.05
 """Relative standard deviation of each length of an animal about the skeleton's length times the animal's size."""
@@ -187,25 +186,22 @@ class FreeShape:
         offsets = {marker: (x, y, z) for marker, (x, y, z) in zip(body.markers, total_m, strict=True)}
         return replace(body, keypoint_offset_m=offsets)
 
-    def jacobian(self, shared: Mapping[str, Array], states: Array) -> Array:
-        """Return the derivatives (N, J, 3, L + 3J) of the markers that the detector sees, for states (N, D)."""
+    def derivatives(self, shared: Mapping[str, Array], states: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the markers that the detector sees, for states (N, D).
+
+        Returns
+        -------
+        by_length : (N, J, 3, L)
+            By the lengths.
+        by_offset : (N, J, 3, 3)
+            By each marker's own offset: the rotation of its segment.
+        """
         body = self.applied(shared)
         rotations = body.detected.orientations(states)  # the same as those of `body.tree`
-        by_length = self.lengths.jacobian(body, states, rotations)
-        return np.concatenate([by_length, by_offset(body.tree, rotations)], axis=3)
+        names = [segment.name for segment in body.tree.segments]
+        by_offset = rotations[:, [names.index(marker.segment) for marker in body.tree.markers]]
+        return self.lengths.jacobian(body, states, rotations), by_offset
 
     def by_length(self, shared: Mapping[str, Array], states: Array) -> Array:
         """Return the derivatives (N, J, 3, L) of the markers with respect to the lengths, for states (N, D)."""
         return self.lengths.jacobian(self.applied(shared), states)
-
-
-def by_offset(tree: Tree, rotations: Array) -> Array:
-    """Return the derivatives (N, J, 3, 3J) of the markers of a tree with respect to their keypoints' offsets.
-
-    `rotations` (N, S, 3, 3) are those of the segments.
-    """
-    names, (N, J) = [segment.name for segment in tree.segments], (len(rotations), len(tree.markers))
-    of_markers = rotations[:, [names.index(marker.segment) for marker in tree.markers]]
-    derivatives, indices = np.zeros((N, J, 3, J, 3)), np.arange(J)
-    derivatives[:, indices, :, indices] = of_markers.swapaxes(0, 1)
-    return derivatives.reshape(N, J, 3, 3 * J)

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,17 +24,22 @@ from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     LENGTHS,
     MARKER_TERMS,
+    Heading,
     Linear,
+    OnGround,
     PointRows,
     PoseMixture,
     Reprojection,
     Span,
+    StanceVelocity,
     Term,
     TermRows,
     keypoint_bias,
 )
 from recon.geometry.kinematics import Tree, TreePose
 
+_ByShape = tuple[Array, Array]
+"""Derivatives of markers with respect to the lengths (n, J, 3, L) and to each one's own offset (n, J, 3, 3)."""
 BANDS = 2
 """Largest distance, in frames, between two frames that are coupled."""
 _FRAMES_AT_ONCE = 128
@@ -202,7 +208,6 @@ class LeastSquares:
     def _add_span(self, sums: _Sums, span: Span, start: int) -> None:
         """Add the normal equations of a span's non-linear terms, in place; `start` is the frame of the first row."""
         by_shape, first = self._by_shape(span), span.first - start
-        with_shape = None if by_shape is None else _moved_by_shape(span, by_shape)
         merged = self._cameras_in_step(span)
         if merged:
             _add_detections(sums, self.columns, merged, span, start, by_shape)
@@ -213,7 +218,7 @@ class LeastSquares:
                 frames = slice(first, first + span.own_rows.stop)
                 term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames])
                 continue
-            rows = _with_shape(term, span, with_shape)
+            rows = _rows_with_shape(term, span, by_shape)
             add_normal(sums.blocks, sums.gradient, first, term.stencil, rows.residual, rows.jacobian)
             _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, term.stencil, rows)
 
@@ -293,11 +298,11 @@ class LeastSquares:
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
-    def _by_shape(self, span: Span) -> Array | None:
-        """Return the derivatives (n, J, 3, L + 3J) of a span's markers with respect to a free shape, or None."""
+    def _by_shape(self, span: Span) -> _ByShape | None:
+        """Return the derivatives of a span's markers with respect to a free shape, or None."""
         if self.shape is None or LENGTHS not in self.columns:
             return None
-        return self.shape.jacobian(span.shared, span.states)
+        return self.shape.derivatives(span.shared, span.states)
 
     def _linear_blocks(self, start: int, T: int, blocks: Array) -> None:
         """Fill blocks (n, BANDS + 1, D, D) with the linear terms' curvature, from frame `start` of T frames."""
@@ -362,7 +367,7 @@ def _add_detections(
     cameras: Sequence[Reprojection],
     span: Span,
     start: int,
-    by_shape: Array | None,
+    by_shape: _ByShape | None,
 ) -> None:
     """Add the normal equations of several cameras' detections, in place.
 
@@ -476,7 +481,7 @@ def _add_keypoint_bias(
 
 
 def _by_lengths_and_bias(
-    columns: Mapping[str, slice], span: Span, by_shape: Array | None
+    columns: Mapping[str, slice], span: Span, by_shape: _ByShape | None
 ) -> tuple[Array | None, Array | None]:
     """Return the derivatives of markers with respect to the lengths and to their own keypoint bias.
 
@@ -485,13 +490,11 @@ def _by_lengths_and_bias(
     if by_shape is None:
         is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
         return None, span.rotations[span.own_rows] if is_free and span.rotations is not None else None
-    by_unknown = by_shape[span.own_rows]
-    N, J = by_unknown.shape[:2]
-    count, joints = by_unknown.shape[3] - 3 * J, np.arange(J)
-    by_length = by_unknown[..., :count].reshape(3 * N * J, count)
+    by_length, by_offset = (values[span.own_rows] for values in by_shape)
+    by_length = by_length.reshape(-1, by_length.shape[3])
     if COMMON_KEYPOINT_BIAS not in columns:
         return by_length, None
-    return by_length, by_unknown[..., count:].reshape(N, J, 3, J, 3)[:, joints, :, joints].swapaxes(0, 1)
+    return by_length, by_offset.swapaxes(0, 1).copy().swapaxes(0, 1)  # joint by joint in memory
 
 
 def _by_joint(R: Array, values: Array) -> Array:
@@ -507,22 +510,37 @@ def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> N
     corner[columns, rows] += values.T
 
 
-def _moved_by_shape(span: Span, by_shape: Array) -> Span:
-    """Return the span with markers that also move by the shape: the shape's L + 3J columns come last."""
-    pose = TreePose(span.pose.points_m, np.concatenate([span.pose.jacobian, by_shape], axis=3))
-    return replace(span, pose=pose)
+def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermRows:
+    """Return the rows of a term with the derivatives with respect to the shape, which moves markers as the state does.
 
-
-def _with_shape(term: Term, span: Span, with_shape: Span | None) -> TermRows:
-    """Return the rows of a term, including derivatives with respect to the shape, which moves markers as states do."""
-    if with_shape is None or not isinstance(term, MARKER_TERMS):
+    The term is evaluated for its own markers only, each of which moves with the state, the lengths and its own offset.
+    """
+    if by_shape is None or not isinstance(term, MARKER_TERMS):
         return term.evaluate(span, jacobian=True)
-    D, J = span.states.shape[1], span.pose.points_m.shape[1]
-    rows = term.evaluate(with_shape, jacobian=True)
+    J, D = span.pose.points_m.shape[1], span.states.shape[1]
+    markers, term = _own_markers(term, J)
+    by_length, by_offset = (values[:, markers] for values in by_shape)
+    n, count, _, L = by_length.shape
+    by_offsets, indices = np.zeros((n, count, 3, count, 3)), np.arange(count)
+    by_offsets[:, indices, :, indices] = by_offset.swapaxes(0, 1)
+    by_unknowns = [span.pose.jacobian[:, markers], by_length, by_offsets.reshape(n, count, 3, 3 * count)]
+    pose = TreePose(span.pose.points_m[:, markers], np.concatenate(by_unknowns, axis=3))
+    rows = term.evaluate(replace(span, pose=pose), jacobian=True)
     of_shape = rows.jacobian[..., D:].sum(axis=2)
-    count = of_shape.shape[2] - 3 * J
-    by_shared = {LENGTHS: of_shape[..., :count], COMMON_KEYPOINT_BIAS: of_shape[..., count:]}
+    N, M = of_shape.shape[:2]
+    of_offsets = np.zeros((N, M, J, 3))
+    of_offsets[:, :, markers] = of_shape[..., L:].reshape(N, M, count, 3)
+    by_shared = {LENGTHS: of_shape[..., :L], COMMON_KEYPOINT_BIAS: of_offsets.reshape(N, M, 3 * J)}
     return replace(rows, jacobian=rows.jacobian[..., :D], by_shared={**rows.by_shared, **by_shared})
+
+
+def _own_markers(term: Term, count: int) -> tuple[Integers, Term]:
+    """Return the markers that a term reads, and the term for these markers alone."""
+    if isinstance(term, Heading):
+        return np.array([term.rear, term.front]), replace(term, rear=0, front=1)
+    if isinstance(term, StanceVelocity | OnGround):
+        return np.asarray(term.feet), replace(term, feet=np.arange(len(term.feet)))
+    return np.arange(count), term
 
 
 def _add_shared(
@@ -545,9 +563,13 @@ def _add_shared(
     K = np.concatenate([*by_shared.values()], axis=2)
     is_read = K.any(axis=(0, 1))  # a foot depends on few of the lengths, and on no bias but its own
     K, shared_columns = K[..., is_read], shared_columns[is_read]
+    breaks = [0, *(1 + np.flatnonzero(np.diff(shared_columns) != 1)), len(shared_columns)]
     for slot, offset in enumerate(stencil):
         frames = slice(first + offset, first + offset + len(K))
-        border[frames, :, shared_columns] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ K
+        added = rows.jacobian[:, :, slot].swapaxes(1, 2) @ K
+        for begin, end in pairwise(breaks if len(shared_columns) else []):  # slices are many times faster than indices
+            neighbours = slice(int(shared_columns[begin]), int(shared_columns[end - 1]) + 1)
+            border[frames, :, neighbours] += added[..., begin:end]
     flat = K.reshape(-1, len(shared_columns))
     corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
     shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()
