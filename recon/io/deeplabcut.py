@@ -348,11 +348,11 @@ def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[
         left = right = top = bottom = math.nan
         is_known = False
     if not is_known:
-        found = str(metadata.get("cropping_parameters", "nothing"))[:60]
+        stated = str(metadata.get("cropping_parameters", "nothing"))[:60]
         expected = (
             "x1, x2, y1, y2 of the crop that DeepLabCut analysed; without this file, the keypoints are not shifted"
         )
-        raise InputError(Problem(meta, "cropping_parameters", found, expected))
+        raise InputError(Problem(meta, "cropping_parameters", stated, expected))
     if (left, top) == (0.0, 0.0):
         return points, ()
     missing = (points == 0).all(axis=2) & ~(likelihood > 0)
