@@ -78,7 +78,10 @@ SUBJECT_SIGMAS = 3.0
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
-    """Return all findings of a motion, its own and those of the rules, in the order of a summary."""
+    """Return all findings of a motion, its own and those of the rules, in the order of a summary.
+
+    Findings of `FROM_MOTION` are left out if a fit does not explain the detections.
+    """
     solution = motion.solution
     given_findings = [*motion.findings, *solution.findings()]
     rules: tuple[Rule, ...] = (no_pose,)

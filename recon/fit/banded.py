@@ -316,7 +316,7 @@ class _Factor:
         return self._marginals(None)[1][:width, :width]
 
     def _marginals(self, later: Array | None) -> tuple[Array, Array]:
-        """Return `marginal_blocks`, and the covariance ((W+1)D, (W+1)D) of the first frames."""
+        """Return `marginal_blocks`, and the covariance ((W+1)D, (W+1)D) of the first W + 1 frames."""
         D, P = self.D, len(self.band)
         T = self.band.shape[1] // D
         columns = self.band.T.reshape(T, D, P)

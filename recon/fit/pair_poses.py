@@ -102,7 +102,7 @@ def pair_poses(
     normal
         (P, P), (P,): precision and gradient of all shared unknowns at these values.
     variance_factor
-        Factor on all variances, which the problem does not know.
+        Factor on all variances, which is not part of the problem.
     """
     names = [extrinsic_correction(i) for i in range(2)]
     if not all(name in problem.columns for name in names):
