@@ -455,7 +455,7 @@ def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[floa
     views
         Views of the same T frames.
     markers_m : (T, J, 3)
-        Markers of a fit in the world frame. Only the speeds of their pictures are used.
+        Markers of a fit in the world frame. Only the velocities of their projections are used.
     v
         Number of the camera.
     """
