@@ -148,6 +148,13 @@ def test_what_no_animal_does_is_named(code):
     assert found.code == code
 
 
+def test_an_animal_that_steps_on_the_spot_is_on_no_treadmill():
+    """The legs shake by 0.1 rad, and the feet move backwards as fast as on a belt."""
+    states = np.repeat(plain().states[:1], len(plain().states), axis=0)
+    states[:, 6:] += np.random.default_rng(0).normal(0.0, 0.1, states[:, 6:].shape)
+    assert "treadmill" not in [found.code for found in movement(moved(states))]
+
+
 @pytest.mark.parametrize(
     ("size", "seconds", "codes"),
     [(1.0, 0.5, ["animal_still"]), (0.1, 0.5, []), (0.5, 0.5, ["animal_still"]), (0.5, 1.0, [])],
