@@ -141,12 +141,7 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
         origin = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
         with output.staged() as staging:
             if settings.samples is not None:
-                motions = drawn(done, settings, settings.samples, model if settings.fit_limits else None)
-                report["samples"] = write_ensemble(motions, settings, staging, origin)
-                if model is not None:
-                    report["samples"]["keep_every_rule"] = sum(
-                        physics.least_share(sample, model) == 1 for sample in motions
-                    )
+                report["samples"] = _write_samples(done, settings, settings.samples, model, staging, origin)
             if model is not None:
                 report["check"] = origin["check"] = checked(done, model, staging) | earlier
             _write(done, report, staging)
@@ -156,6 +151,22 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
                     path = staging / f"{prefix}{FORMATS[settings.format][0]}"
                     write_for_trainer(motion, settings.format, settings.rate, path, origin)
     return done, report
+
+
+def _write_samples(
+    done: Retargeting,
+    settings: RetargetSettings,
+    count: int,
+    model: MjModel | None,
+    folder: Path,
+    origin: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Write motions drawn from the uncertainty of the animal's, and return their entry of the report."""
+    motions = drawn(done, settings, count, model if settings.fit_limits else None)
+    entry = write_ensemble(motions, settings, folder, origin)
+    if model is not None:
+        entry["keep_every_rule"] = sum(physics.least_share(sample, model) == 1 for sample in motions)
+    return entry
 
 
 def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[str, Any]]:
