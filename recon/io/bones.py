@@ -381,9 +381,7 @@ def write_gltf(rig: Armature, path: Path) -> None:
     buffer = _Buffer()
     offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
     parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)
-    at_rest = np.zeros_like(offsets_m)  # pose with all angles 0, in which the mesh is bound
-    for i, parent in enumerate(parents):
-        at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
+    at_rest = _positions_at_rest(offsets_m, parents)
     unbind = np.tile(np.eye(4), (len(parents), 1, 1))
     unbind[:, 3, :3] = -at_rest  # glTF stores matrices by columns
     turns = [_unbroken(Rotation.from_matrix(turned(bone.turns, len(rig.root_m))).as_quat()) for bone in rig.bones]
@@ -398,16 +396,7 @@ def write_gltf(rig: Armature, path: Path) -> None:
     skin = {"joints": list(range(len(nodes))), "inverseBindMatrices": buffer.add(unbind.reshape(-1, 16)), "skeleton": 0}
     sides: list[Side | None] = [side for side in COLOURS if any(capsule.side == side for capsule in rig.capsules)]
     primitives = [_primitive(buffer, rig, side, at_rest, i) for i, side in enumerate(sides)]
-    time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
-    moved = [(0, "translation", rig.root_m)]
-    moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
-    animation = {
-        "name": rig.name,
-        "channels": [
-            {"sampler": k, "target": {"node": i, "path": path_kind}} for k, (i, path_kind, _) in enumerate(moved)
-        ],
-        "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
-    }
+    animation = _animation(buffer, rig, turns)
     surface = {"metallicFactor": 0.0, "roughnessFactor": 0.7}
     colours = {side or "middle": {"baseColorFactor": [*COLOURS[side], 1.0], **surface} for side in sides}
     materials = [{"name": name, "pbrMetallicRoughness": colour} for name, colour in colours.items()]
@@ -430,6 +419,28 @@ def write_gltf(rig: Armature, path: Path) -> None:
     chunks = struct.pack("<I4s", len(text), b"JSON") + text
     chunks += struct.pack("<I4s", len(buffer.content), b"BIN\0") + buffer.content
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+
+
+def _positions_at_rest(offsets_m: Array, parents: Sequence[int | None]) -> Array:
+    """Return the positions (N, 3) of bones and joints with all angles 0, in which the mesh is bound."""
+    at_rest = np.zeros_like(offsets_m)
+    for i, parent in enumerate(parents):
+        at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
+    return at_rest
+
+
+def _animation(buffer: _Buffer, rig: Armature, turns: Sequence[Array]) -> dict[str, Any]:
+    """Return the animation of the root's position and of the bones that turn; `turns` has a bone's quaternions."""
+    time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
+    moved = [(0, "translation", rig.root_m)]
+    moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
+    return {
+        "name": rig.name,
+        "channels": [
+            {"sampler": k, "target": {"node": i, "path": path_kind}} for k, (i, path_kind, _) in enumerate(moved)
+        ],
+        "samplers": [{"input": time_s, "output": buffer.add(values)} for _, _, values in moved],
+    }
 
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:

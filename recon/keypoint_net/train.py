@@ -423,13 +423,12 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     spec, split, history = dataclasses.replace(run.spec, calibration=state.calibration), run.split, state.history
     trained = net.TrainedNetwork(spec, state.average, run.device)
     errors, raw, xy_px = judge(trained, run, np.arange(len(run.labels.images)))
-    likelihood, judged = net.calibrated(raw, spec.calibration), {}
-    for name, indices in split.items():
-        if len(indices):
-            truth, length_px = run.labels.xy_px[indices], median(data.extents_px(run.labels.xy_px[indices]))
-            length_px = length_px if np.isfinite(length_px) else spec.body_length_px
-            points = spec.names, xy_px[indices], likelihood[indices], truth, length_px
-            judged[name] = data.evaluate_2d(*points, tolerance_px=spec.tolerance_px)
+    likelihood = net.calibrated(raw, spec.calibration)
+    judged = {
+        name: _errors_of_part(run, spec, indices, xy_px[indices], likelihood[indices])
+        for name, indices in split.items()
+        if len(indices)
+    }
     # Score the network as it was calibrated, before it learned from the validation pictures.
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     # In other pictures, a disagreement may be the network's error.
@@ -469,15 +468,30 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "notes": list(run.labels.notes),
     }
     (folder / "training.json").write_text(to_json(report), encoding="utf-8")
-    digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
-    table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
-    for name, decimals in digits.items():
-        table[name] = ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in table[name]]
-    write_frame(table.assign(reasons=table["reasons"].map("; ".join)), folder / "suspicious.csv")
+    _write_suspicious(suspects, folder / "suspicious.csv")
     unlearned = np.concatenate([split["validation"], split["test"]])
     style.save(training_figure(history), folder, "training")
     _write_worst(run.labels, errors, xy_px, unlearned if len(unlearned) else split["train"], folder / "worst.png")
     return report
+
+
+def _errors_of_part(
+    run: TrainingRun, spec: net.Spec, indices: Integers, xy_px: Array, likelihood: Array
+) -> dict[str, Any]:
+    """Return the errors of predictions in some pictures, relative to the animals' usual length in these pictures."""
+    truth = run.labels.xy_px[indices]
+    length_px = median(data.extents_px(truth))
+    length_px = length_px if np.isfinite(length_px) else spec.body_length_px
+    return data.evaluate_2d(spec.names, xy_px, likelihood, truth, length_px, tolerance_px=spec.tolerance_px)
+
+
+def _write_suspicious(suspects: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the table of labels that are probably wrong."""
+    digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
+    table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
+    for name, decimals in digits.items():
+        table[name] = ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in table[name]]
+    write_frame(table.assign(reasons=table["reasons"].map("; ".join)), path)
 
 
 def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
