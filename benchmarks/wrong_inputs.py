@@ -13,6 +13,7 @@ PARTS = {
     "inputs": Part("wrong_inputs.py", ["--views", "3", "--findings"], data="cheetah-runs"),
     "right": Part("wrong_inputs.py", ["--views", "3", "--cases", "right:"], data="cheetah-runs"),
     "lens": Part("wrong_inputs.py", ["--views", "5", "--cases", "focal,anamorphic,letterboxed"], data="cheetah-runs"),
+    "standing": Part("standing.py", data="dog-mocap"),
     "zoom": Part("wrong_inputs.py", ["--cases", "zooms x"], data="cheetah-runs"),
     "limits": Part("one_step_limits.py", ["--views", "6"], data="cheetah-runs"),
     "audit": Part("audit.py", data="cheetah-runs"),

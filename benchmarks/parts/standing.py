@@ -1,0 +1,72 @@
+"""Test animals that stand, step or turn on the spot: nothing is wrong with these clips of a dog.
+
+    python benchmarks/parts/standing.py [FOLDER]
+
+Parts of 100 frames of three clips of the dog-mocap of $RECON_SHARED_DATA, or of ../shared/data, are seen from the side
+as in `dog.py`, with the keypoint bias that the skeleton states, and are fitted as `recon fit` does it. A speed is the
+mean speed of the joints' middle.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from arguments import parser_of
+from dog import Clip, read_clips, write_view
+from markdown_table import print_table
+
+from recon import fit_clip
+
+FRAMES, EVERY = 100, 150
+CLIPS = ("turn00", "walk00", "run00")
+LEVELS = ("use", "check", "do not use")
+SLOW_M_S = 0.5
+
+
+def parts_of(clip: Clip) -> list[Clip]:
+    starts = range(0, len(clip.points_m) - FRAMES, EVERY)
+    return [replace(clip, points_m=clip.points_m[first : first + FRAMES]) for first in starts]
+
+
+def speed_m_s(part: Clip) -> float:
+    steps_m = np.diff(part.points_m.mean(axis=1), axis=0)
+    return float(np.linalg.norm(steps_m, axis=-1).mean() * part.fps)
+
+
+def judged(part: Clip) -> tuple[str, list[str]]:
+    """Return the verdict's level, and the codes of errors."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings, _ = write_view(part, Path(folder), seed=1, as_stated=True)
+        motion = fit_clip(settings)
+    assert motion.verdict is not None
+    return motion.verdict.level, [item.code for item in motion.findings if item.severity == "error"]
+
+
+def main() -> None:
+    parser = parser_of(__doc__, kind="dog-mocap")
+    arguments = parser.parse_args()
+    if not arguments.folder.is_dir():
+        parser.exit(message=f"no clips in {arguments.folder}: nothing measured\n")
+    found = [
+        (speed_m_s(part), *judged(part))
+        for clip in read_clips(arguments.folder)
+        if clip.name in CLIPS
+        for part in parts_of(clip)
+    ]
+    rows = []
+    for name, is_slow in ((f"below {SLOW_M_S} m/s", True), ("faster", False)):
+        of = [(level, errors) for speed, level, errors in found if (speed < SLOW_M_S) == is_slow]
+        counts = " / ".join(str(sum(level == wanted for level, _ in of)) for wanted in LEVELS)
+        rows.append([name, len(of), counts, ", ".join(sorted({code for _, errors in of for code in errors})) or "none"])
+    print_table(["speed", "clips", " / ".join(LEVELS), "errors named"], rows)
+
+
+if __name__ == "__main__":
+    main()
