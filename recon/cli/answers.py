@@ -233,6 +233,8 @@ def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, *
     lines = [f"Results are in {out}. Watch them with: recon view {folder}"]
     if not any((out / name).is_file() for name in (PLAYBACK, VIDEO_PLAYBACK)):
         kept = shlex.quote(str(out / VIDEO_PLAYBACK))
-        lines.append(f"It makes the playback, which takes seconds. To keep that file: recon view {folder} --out {kept}")
+        lines.append(
+            f"recon view makes the playback, which the fit did not write. To keep it: recon view {folder} --out {kept}"
+        )
     lines.append(f"Open {page} in a browser: {contents}." if page else f"A page with {contents}: recon report {folder}")
     return Answer(data, [console_summary(report), *lines])
