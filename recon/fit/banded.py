@@ -99,11 +99,19 @@ class Window:
         later = None if self.following is None else self.following.whitened
         return self._unwhiten(self.whitened, later)
 
+    def solved_for(self, shared: Array) -> Array:
+        """Return H^-1 of the gradient plus the border times values (P,) of the shared unknowns, (n, D)."""
+        windows = [self] if self.following is None else [self, self.following]
+        whites = [window.whitened[..., 0] + window.whitened[..., 1:] @ shared for window in windows]
+        return self._unwhiten(whites[0], None if self.following is None else whites[1])
+
     def unwhiten(self, white: Array) -> Array:
         """Return L^-T of whitened values (n + m, D, ...) of these frames and those of the next piece, (n, D, ...).
 
         See `_Factor.unwhiten`.
         """
+        if len(white) != self.rows_with_following.stop - self.rows.start:
+            raise ValueError(f"{len(white)} frames for the rows {self.rows_with_following}")
         n = len(self.whitened)
         return self._unwhiten(white[:n], white[n:])
 
@@ -153,8 +161,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]
     def frames_step(part: Window | Array) -> Array:
         if not isinstance(part, Window):
             return -part[..., 0] - part[..., 1:] @ shared
-        white = part.whitened[..., 0] + part.whitened[..., 1:] @ shared
-        return -part.unwhiten(white)  # solve for the sum of all right-hand sides
+        return -part.solved_for(shared)
 
     steps = [frames_step(part) for part, _ in windows]
     slope = sum(float(np.vdot(*pair)) for pair in zip(gradients, steps, strict=True))

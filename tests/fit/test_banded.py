@@ -238,7 +238,7 @@ def in_pieces(rng, dense, T, D, W, P, stops):
     return pieces, whole, np.concatenate([gradient.ravel(), of_shared])
 
 
-@pytest.mark.parametrize("P", [0, 3])
+@pytest.mark.parametrize("P", [0, 3, 9])
 @pytest.mark.parametrize(("D", "W"), [(3, 1), (2, 2), (4, 2)])
 def test_a_step_in_two_pieces_that_see_each_other_is_exact(rng, D, W, P):
     T = 12
@@ -266,9 +266,20 @@ def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
     assert_close(reduced[:, -1], right[T * D :] - whole[T * D :, : T * D] @ inverse @ right[: T * D])
 
 
-def test_what_comes_after_the_frames_taken_along_hardly_matters(rng):
+@pytest.mark.parametrize("P", [0, 3, 9])
+def test_what_comes_after_the_frames_taken_along_hardly_matters(rng, P):
     T, D, W = 60, 2, 2
     dense = dense_system(rng, T, D, W)
-    pieces, whole, right = in_pieces(rng, dense, T, D, W, 0, [20, 40, T])
-    moved, _, _ = step(pieces, 0.0)
-    assert_close(moved.ravel(), np.linalg.solve(whole, -right), rtol=1e-3)
+    pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [20, 40, T])
+    moved, shared, _ = step(pieces, 0.0)
+    assert_close(np.append(moved.ravel(), shared), np.linalg.solve(whole, -right), rtol=1e-3)
+
+
+def test_whitened_values_of_other_frames_are_refused(rng):
+    T, D, W = 12, 2, 2
+    pieces, _, _ = in_pieces(rng, dense_system(rng, T, D, W), T, D, W, 0, [4, 8, T])
+    first, *_, last = eliminated(pieces)
+    assert first.unwhiten(np.ones((8, D))).shape == last.unwhiten(np.ones((4, D))).shape == (4, D)
+    for window in (first, last):
+        with pytest.raises(ValueError, match="frames"):
+            window.unwhiten(np.ones((6, D)))
