@@ -63,13 +63,32 @@ class CorrectionSession:
         Raises
         ------
         InputError
-            If there is no result, its input files are missing, or `out` is not a corrections file.
+            If there is no result, its input files are missing, or `out` is no file of corrections of this clip.
         """
         session = cls(folder, out, Motion.load(folder), camera)
         _ = session.settings
-        session.corrections = read_corrections(out) if out.exists() else []
+        session.corrections = session._of_this_clip(read_corrections(out)) if out.exists() else []
         session._saved = digest(out)
         return session
+
+    def _of_this_clip(self, corrections: list[Correction]) -> list[Correction]:
+        """Return corrections with the names of their cameras; raise InputError for those of another clip."""
+        names = [camera.name for camera in self.motion.cameras]
+        named = [replace(row, camera=names[0]) if not row.camera and len(names) == 1 else row for row in corrections]
+        frames = {int(frame) for frame in self.motion.frames}
+        later_frames = dict(zip(names, (source.later_frames for source in self.motion.sources), strict=True))
+        foreign = [
+            f"frame {row.frame}, {row.camera or 'no camera'}, {row.keypoint}"
+            for row in named
+            if row.camera not in later_frames
+            or row.keypoint not in self.motion.names
+            or row.frame + later_frames[row.camera] not in frames
+        ]
+        if foreign:
+            expected = "frames, cameras and keypoints of this result; another --out begins without corrections"
+            detail = f"{'; '.join(foreign[:3])}{'; ...' if len(foreign) > 3 else ''}"
+            raise InputError(Problem(self.out, "corrections", detail, expected))
+        return named
 
     def __post_init__(self) -> None:
         self.before = _summary(self.motion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import threading
 from collections.abc import Iterator
 from http import HTTPStatus
@@ -16,6 +17,7 @@ from rich.console import Console
 from recon.api.clip_results import CONFIG, CORRECTIONS, read_config
 from recon.api.corrections import CorrectionSession
 from recon.api.label_export import CorrectedClip, labels_output, write_labels
+from recon.base.arrays import Integers
 from recon.base.errors import InputError, Problem
 from recon.base.local_server import LocalServer, Reply, json_reply, number_in
 from recon.base.locks import sole_editor
@@ -29,7 +31,7 @@ from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv
 from recon.io.hdf5_poses import write_deeplabcut
-from recon.io.video import Image
+from recon.io.video import Image, probe
 from recon.show.overlay import clip_frames
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script, style
@@ -94,14 +96,16 @@ def fix(settings: FixSettings, console: Console) -> Answer:
         if settings.video is not None:
             start = first_in_clip(motion, number, settings)
             frames = motion.frames, settings.video, start
-            threading.Thread(target=_decode, args=(*frames, pictures), daemon=True).start()
+            _require_length(*frames)
+            threading.Thread(target=_decode, args=(*frames, pictures, console), daemon=True).start()
         server = _server(session, pictures, settings.video is not None)
         serve_until_ctrl_c(
             console, server, f"Corrections are saved in {out}. Ctrl-C ends the editor.", settings.browser
         )
     lines = [f"{counted(len(session.corrections), 'correction')} in {out}."]
     if session.corrections:
-        lines.append(f"Fit with them: recon fit --config {settings.folder / CONFIG} --corrections {out} --out again")
+        config, corrections = (shlex.quote(str(file)) for file in (settings.folder / CONFIG, out))
+        lines.append(f"Fit with them: recon fit --config {config} --corrections {corrections} --out again")
     return Answer({"out": out, "corrections": len(session.corrections)}, lines)
 
 
@@ -117,7 +121,8 @@ def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> A
         write_labels(labels, video, first, labels_out)
         points = int(labels.known.sum())
         count = f"{counted(len(labels.frames), 'frame')} with {counted(points, 'label')}"
-        lines.append(f"{count} are in {labels_out.folder}. Train on them: recon train {folder} --out models/again")
+        train = f"recon train {shlex.quote(str(folder))} --out models/again"
+        lines.append(f"{count} are in {labels_out.folder}. Train on them: {train}")
         data |= {"labels": labels_out.folder, "frames": len(labels.frames), "points": points}
         files += [labels_out.folder / name for name in labels.file_names]
     if table_out is not None and table is not None:
@@ -149,11 +154,22 @@ def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output |
     return labels_out, table_out
 
 
-def _decode(frames: object, video: Path, start: int, folder: Path) -> None:
-    """Write every frame of the clip as a picture named after its row."""
-    for _, row, _, picture in clip_frames(frames, video, start):  # type: ignore[arg-type]
-        if row is not None:
-            _write_picture(folder / f"{row}.jpg", picture)
+def _require_length(frames: Integers, video: Path, start: int) -> None:
+    """Raise InputError if the video states fewer frames than the clip needs."""
+    stated, needed = probe(video).stated_frames, int(frames.max()) + 1 - start
+    if stated is not None and stated < needed:
+        expected = f"{needed} or more: the video of this clip, or --first-frame for a video that was cut"
+        raise InputError(Problem(video, "video", f"{stated} frames", expected))
+
+
+def _decode(frames: Integers, video: Path, start: int, folder: Path, console: Console) -> None:
+    """Write every frame of the clip as a picture named after its row; tell if the video ends before the clip."""
+    try:
+        for _, row, _, picture in clip_frames(frames, video, start):
+            if row is not None:
+                _write_picture(folder / f"{row}.jpg", picture)
+    except InputError as error:  # the other frames can still be corrected
+        console.print(str(error), markup=False, highlight=False)
 
 
 def _write_picture(path: Path, picture: Image) -> None:

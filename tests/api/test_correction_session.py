@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from recon import InputError, Motion
 from recon.api.clip import refit_clip
 from recon.api.corrections import CorrectionSession
 from recon.base.locks import sole_editor
-from recon.cli.fix import _server
+from recon.cli.fix import _decode, _require_length, _server
 from recon.io.corrections import Correction, read_corrections, write_corrections
 from recon.show.sections.keypoints import counts
+from tests.command_line import refusal
+from tests.shared_fixtures import SAMPLES
 
 
 @pytest.fixture
@@ -160,3 +164,32 @@ def test_two_editors_of_one_file_are_refused(tmp_path: Path):
     ):
         pass
     assert not [*tmp_path.iterdir()]
+
+
+def test_corrections_made_in_a_spreadsheet_are_taken_up(session: CorrectionSession, whole_results: Path):
+    """Semicolons, decimal commas, no name of the only camera."""
+    session.out.write_text("frame;keypoint;now_x_px;now_y_px\n20;nose;3,5;4\n", encoding="utf-8")
+    again = CorrectionSession.open(whole_results, session.out)
+    (row,) = again.corrections
+    assert (row.camera, row.now_px) == (session.motion.camera.name, (3.5, 4.0))
+
+
+@pytest.mark.parametrize("row", ["5000,nose,1,2", "20,beak,1,2"])
+def test_corrections_of_another_clip_do_not_open(session: CorrectionSession, whole_results: Path, row: str):
+    session.out.write_text(f"frame,keypoint,now_x_px,now_y_px\n{row}\n", encoding="utf-8")
+    content = session.out.read_text()
+    with refusal((session.out, "corrections", row.split(",")[0], "another --out")):
+        CorrectionSession.open(whole_results, session.out)
+    assert session.out.read_text() == content
+
+
+def test_a_video_that_ends_before_the_clip_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """By what the file states before the page opens, else by what can be decoded, without a traceback."""
+    video, frames = SAMPLES / "rendered.mp4", np.arange(500)
+    with refusal((video, "video", "90 frames", "500 or more")):
+        _require_length(frames, video, 0)
+    _require_length(np.arange(90), video, 0)
+    monkeypatch.setattr("recon.cli.fix._write_picture", lambda *_: None)
+    console = Console(file=io.StringIO(), width=300)
+    _decode(frames, video, 0, tmp_path, console)
+    assert "90 frames that can be decoded" in console.file.getvalue()
