@@ -331,8 +331,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
 def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
     """Set missing points to NaN with confidence 0, and count how they were stored.
 
-    The counts are (K,) by their names in `COUNTS`. Some programs store a missing point as (0, 0). It counts as missing
-    only if its likelihood is 0 or unknown, because the corner of the image can be a detection.
+    The counts are (K,) by their names in `COUNTS`. Some programs store a missing point as (0, 0). A point at (0, 0)
+    counts as missing only if its likelihood is 0 or unknown, because the corner of the image can be a detection.
     """
     has_likelihood = keypoints.confidence > 0
     no_xy = ~keypoints.present

@@ -185,7 +185,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
             f"{', '.join(analysis.not_measured)}."
         )
     if gait is not None and len(motion.foot_names) < 4:
-        yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
+        yield f"Only the feet {', '.join(motion.foot_names)} were fitted, so the gait cannot be named."
     rejections = [] if gait is None else [rejection_text(stride) for stride in gait.rejected_strides]
     yield from rejections[:MOST_REASONS]
     if (count_more := len(rejections) - MOST_REASONS) > 0:

@@ -136,7 +136,7 @@ def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: 
 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
-    """Return a note if the rotation of the background suggests another focal length than the camera file's."""
+    """Return a note if the rotation of the background suggests a focal length other than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEAR_SIGMAS * motion.focal[1]:
         return None
     px = _focal_px(motion.focal, lens)

@@ -46,7 +46,7 @@ def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
 
 
 def number_in(rest: str) -> int | None:
-    """Return the rest of an address as a number, or None if it is none; int() itself refuses thousands of digits."""
+    """Return the rest of an address as a number, or None if it is not a number of at most nine digits."""
     return int(rest) if rest.isdecimal() and len(rest) < 10 else None
 
 

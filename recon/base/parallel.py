@@ -294,8 +294,8 @@ def carry_out_on_cluster(
 ) -> None:
     """Run all tasks as futures of the Dask scheduler at an address, and report the end of each.
 
-    A Dask worker that dies costs no task, since other workers take them over. After an exception the tasks under way
-    are stopped. Raises InputError if there is no scheduler, if it stops, or if Dask is not installed.
+    No task is lost if a Dask worker dies, since other workers take over its tasks. After an exception the tasks under
+    way are stopped. Raises InputError if there is no scheduler, if it stops, or if Dask is not installed.
     """
     client = _client(address)
     batch = uuid.uuid4().hex

@@ -569,7 +569,7 @@ def frame_rate_finding(
 
 
 def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
-    """Return the mean difference between two motions, m: of the poses about their middle, and of the middle."""
+    """Return the mean difference between two motions, m: of the poses about their mean point, and of the mean point."""
     apart_m = clip.markers(states) - clip.markers(other_states)
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))

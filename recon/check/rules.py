@@ -60,7 +60,7 @@ FARTHEST = 100.0
 FEW_FRAMES = 12
 """Number of frames below which a clip shows little more than a single frame."""
 SIZE_SIGMAS = 2.5
-"""Deviation of the size, in standard deviations, that indicates another error."""
+"""Deviation of the size, in standard deviations, above which it is reported."""
 SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 """Largest deviation of a grown animal's size, in standard deviations and as a logarithm of its size."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}

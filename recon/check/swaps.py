@@ -140,7 +140,8 @@ class _SwapTrial:
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
     """Return whether another stretch could be exchanged instead of the best one and also make the clip more likely.
 
-    It lies next to the best one, or gains nothing once the best one is undone, and it is not nearly the same stretch.
+    Such a stretch lies next to the best one, or gains nothing once the best one is undone. A stretch that is nearly the
+    same as the best one does not contradict it.
     """
     (a, best_mask), (b, rival_mask) = (
         (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, rival)

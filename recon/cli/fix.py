@@ -1,4 +1,4 @@
-"""The command `recon fix`: correct wrong keypoints of a result in a browser, and export them."""
+"""Define the command `recon fix`: correct wrong keypoints of a result in a browser, and export them."""
 
 from __future__ import annotations
 

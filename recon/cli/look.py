@@ -138,7 +138,7 @@ def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answ
         missing_frames_note,
     ]
     notes = [*filter(None, possible_notes)]
-    sentence = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
+    sentence = f"{count} frames at {speed:.3g} times real speed ({fps:.4g} frames a second) are in {out}."
     data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
     return Answer(data, [*verdict_texts(motion.verdict), sentence], files=[out], notes=notes)
 

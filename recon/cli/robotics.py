@@ -113,5 +113,5 @@ def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
     yield table_of("least margin", numbers=("", "", "at s"), rows=rows)
     yield "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}"
     if report["settled_share"] < 1:
-        yield f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only"
+        yield f"note: in equilibrium in only {100 * report['settled_share']:.0f} % of the frames"
     yield f"The playback is {out / PLAYBACK}."

@@ -148,9 +148,8 @@ def follows(name: str, body: Body) -> bool:
 class FreeShape:
     """Lengths and keypoint offsets of a body as unknowns that all frames share.
 
-    They are the L values `LENGTHS`, logarithms of factors on the lengths of segments and markers, left equal to right,
-    and the 3J values `COMMON_KEYPOINT_BIAS`, distances of keypoints from their markers in the markers' segments,
-    metres.
+    The L values `LENGTHS` are logarithms of factors on the lengths of segments and markers, left equal to right. The 3J
+    values `COMMON_KEYPOINT_BIAS` are distances of keypoints from their markers in the markers' segments, metres.
     """
 
     body: Body

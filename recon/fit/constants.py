@@ -46,7 +46,7 @@ CAMERA_SHIFT_M = 0.05
 CAMERA_SHIFT_SHARE = 0.02
 """Largest shift of such a camera as a share of its distance from the animal."""
 CALIBRATED_RAD = 0.008726646259971648
-"""Rotation about each axis between two cameras that tests of their calibration take as usual (half a degree)."""
+"""Usual error of the rotation between two calibrated cameras about each axis (half a degree)."""
 SHARE_OF_PAIR = 0.35
 """Error of each of two cameras relative to `CALIBRATED_RAD`, and to the shift of a camera pose that is to be refined.
 

@@ -75,7 +75,7 @@ class PairPoses:
 
 @dataclass(frozen=True, eq=False)
 class WeighedPair:
-    """Explanations of the errors of two cameras' poses that are shared unknowns of a problem."""
+    """Explanations of the errors of two cameras' poses, with the precision of these errors in a problem."""
 
     poses: PairPoses
     columns: Index

@@ -136,7 +136,7 @@ class _NormalEquations(NamedTuple):
     gradient: Array
     """(N, D): gradient of the cost in the states."""
     size_hessian: Array
-    """(N, D + 1): mixed curvature in the size's logarithm and the states, then its own curvature."""
+    """(N, D + 1): mixed curvature of the cost in the logarithm of the size and each state; last, in the size alone."""
     size_gradient: Array
     """(N,): gradient of each frame's cost in the size's logarithm."""
 

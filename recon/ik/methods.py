@@ -289,7 +289,7 @@ def _is_singular(gram: Array) -> bool:
     """Return whether a symmetric matrix (dim, dim) without negative eigenvalues is singular, zero or not finite.
 
     The ratio of its smallest to its largest eigenvalue is estimated from below by the determinant, because the product
-    of all eigenvalues but the smallest is at most their mean to that power.
+    of the other dim - 1 eigenvalues is at most their mean to the power of dim - 1.
     """
     trace, rest = float(gram.trace()), max(len(gram) - 1, 1)
     if not 0.0 < trace < math.inf:

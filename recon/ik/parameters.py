@@ -92,7 +92,7 @@ class ParameterFit:
     alpha: float
     """Factor on the rates with which they explain most in those frames."""
     note: str
-    """Says that a parameter is at the edge of its range, or is empty."""
+    """Note that a parameter is at the edge of its range or has no effect; empty otherwise."""
 
 
 Fit = Callable[[Frames], ParameterFit]

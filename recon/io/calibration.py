@@ -110,10 +110,10 @@ _OTHER_PROGRAMS = (
     (r'"(ppx|ppy)"', "intrinsics of a RealSense camera; their lens model is the inverse of OpenCV's"),
     (r'"(IntrinsicMatrix|RadialDistortion|RDistort)"', "MATLAB's camera parameters, whose matrix is transposed"),
     (r'"(fl_x|camera_angle_x|transform_matrix)"', "nerfstudio's transforms.json, whose poses are from camera to world"),
-    (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a calibration of Qualisys"),
-    (r"<Camera [^>]*DEVICEID", "a calibration of Vicon"),
-    (r"<chunk|<document[^>]*version", "a project or calibration of Metashape"),
-    (r"(?ms)^cam0:\s*$.*^\s+(camera_model|cam_overlaps|distortion_coeffs|rostopic)\s*:", "a camchain of Kalibr"),
+    (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a Qualisys calibration"),
+    (r"<Camera [^>]*DEVICEID", "a Vicon calibration"),
+    (r"<chunk|<document[^>]*version", "a Metashape project or calibration"),
+    (r"(?ms)^cam0:\s*$.*^\s+(camera_model|cam_overlaps|distortion_coeffs|rostopic)\s*:", "a Kalibr camchain"),
 )
 """Patterns in calibrations that cannot be read, and a description of their format."""
 DLT_COEFFICIENTS = 11

@@ -290,7 +290,7 @@ def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -
     shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]
     if shared:
         detail = f"points of two animals in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
-        expected = "tracks that never overlap in time, of one animal"
+        expected = "tracks of one animal, which never overlap in time"
         raise InputError(Problem(path, f"individual {individual}", detail, expected))
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
     values = np.full((len(frames), *first.values.shape[1:]), np.nan)

@@ -108,7 +108,7 @@ def _variables(path: Path) -> dict[str, Any]:
     content = read_content(path, "a MATLAB file", MAX_BYTES)
     if content.startswith(b"MATLAB 7.3") or content[126:128] != b"IM":
         expected = "version 7 or older: in MATLAB, save(name, '-v7')"
-        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3, or of another processor", expected))
+        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3, or not little-endian", expected))
     return dict(_File().top(memoryview(content)[128:]))
 
 

@@ -150,7 +150,7 @@ def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]
             and "" in names
             and any(header["coords"][j].strip() for j, n in enumerate(names) if not n)
         ):
-            detail = f"empty cells behind '{names[names.index('') - 1]}', as merged cells leave them"
+            detail = f"empty cells after '{names[names.index('') - 1]}', as merged cells leave them"
             yield Problem(path, f"header row {level}", detail, "a name in every column: unmerge the cells")
 
 

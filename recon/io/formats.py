@@ -539,7 +539,7 @@ def _describe_head(head: bytes) -> str:
     if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):
         return "a binary file"
     if not text:
-        return "a file of blanks"
+        return "a file of only spaces and empty lines"
     first = text.splitlines()[0]
     hint = " (the first cells of DeepLabCut's header are scorer, bodyparts, coords)" if first.startswith(",") else ""
     return f"a file that begins with '{first[:40]}'{hint}"

@@ -73,7 +73,7 @@ def _require_sound_heaps(path: Path) -> None:
     with path.open("rb") as file:
         head = file.read(24)
         if (head[13:15] if head[8:9] < b"\2" else head[9:11]) != b"\x08\x08":
-            raise ValueError("addresses of another size than 8 bytes")
+            raise ValueError("addresses that are not 8 bytes long")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             heap = content.find(b"GCOL\1")
             while heap >= 0:

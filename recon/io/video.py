@@ -95,7 +95,7 @@ def black_bars(picture: Image, axis: int) -> int:
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
-    """Yield a problem if a video has another size than the camera is calibrated for."""
+    """Yield a problem if the size of a video is not that for which the camera is calibrated."""
     video_size, camera_size = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
     if video_size != camera_size:
         yield Problem(video, "size", video_size, f"{camera_size}, the size for which the camera is calibrated")

@@ -34,8 +34,9 @@ NETWORK_LENGTH_PX = 120.0
 FULL_LENGTH_PX = 480.0
 """Largest length of the animal in the pictures of a second stage. Labels are not precise enough to gain from more."""
 TWO_STAGES = 1.5
-"""Factor by which an animal is longer than NETWORK_LENGTH_PX if it is first located in small pictures and its points
-are then refined at full size.
+"""Length of an animal, relative to NETWORK_LENGTH_PX, above which the network works in two stages.
+
+The first stage locates the animal in small pictures; the second refines its points at full size.
 """
 PART_PX = (128, 128)
 """Size of training pictures of the second stage."""

@@ -593,7 +593,7 @@ def test_headers_that_spreadsheets_leave(tmp_path):
     """Merged cells, and the tables of two networks side by side, are named."""
     path = tmp_path / "a.csv"
     path.write_text("\n".join([TABLE[0], "bodyparts,nose,,tail,", *TABLE[2:]]))
-    with refusal((path, "header row bodyparts", ["empty cells behind 'nose'", "merged"], "unmerge")):
+    with refusal((path, "header row bodyparts", ["empty cells after 'nose'", "merged"], "unmerge")):
         read_keypoints(path)
     path.write_text("\n".join(["scorer,a,a,b,b", "bodyparts,nose,nose,nose,nose", *TABLE[2:]]))
     with refusal((path, "scorer", "2 scorers: a, b", "one scorer")):

@@ -254,7 +254,7 @@ def test_command(folder, video, tmp_path):
     args = ["overlay", str(folder), "--video", str(video), "--out", str(out), "--first-frame", "10"]
     done = CliRunner().invoke(app, args)
     assert done.exit_code == 0, done.output
-    assert "8 frames at 1 times their speed (30 a second)" in done.stdout
+    assert "8 frames at 1 times real speed (30 frames a second)" in done.stdout
     assert isinstance(CliRunner().invoke(app, args).exception, InputError)
     assert CliRunner().invoke(app, [*args, "--overwrite", "-q"]).stdout == ""
 

@@ -437,7 +437,7 @@ def up_by_marks(
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
     if sigma > MAX_SIGMA_RAD:
         found_text = "marks that do not determine the upward direction"
-        raise InputError(Problem(source, "marks", found_text, "two points of the horizon, or verticals far apart"))
+        raise InputError(Problem(source, "marks", found_text, "two points on the horizon, or verticals far apart"))
     up = directions[2]
     return (up if up[1] < 0 else -up), sigma
 

@@ -257,8 +257,8 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         if analysis.flexion_curves:
             text = (
                 "Mean flexion over the strides, from touch-down (0 %) to touch-down: 0° is straight. Left: blue and "
-                "dashed; right: orange; middle: black. Bars: the foot stands (for "
-                "spine and neck: the foot with the most strides)."
+                "dashed; right: orange; middle: black. Bars: stance (for "
+                "spine and neck: of the foot with the most strides)."
             )
             yield _group("Joint angles over the stride", text, [joint_flexion(analysis.flexion_curves)])
         dynamics = None if motion.jitters else analysis.dynamics

@@ -97,5 +97,5 @@ def _add_legend(figure: Figure, curves: Sequence[StrideCurve]) -> None:
         handles.append(Patch(color=style.GREY, alpha=_BAND_ALPHA, lw=0, label="90 % between strides"))
     if any(np.isfinite(curve.posterior_sigma_rad).any() for curve in curves):
         handles.append(Line2D([], [], color=style.GREY, lw=0.5, label="90 % by the fit's uncertainty"))
-    handles.append(Patch(color=style.GREY, alpha=0.75, lw=0, label="bars: the foot stands"))
+    handles.append(Patch(color=style.GREY, alpha=0.75, lw=0, label="bars: stance"))
     style.add_legend(figure, handles, [str(handle.get_label()) for handle in handles])
