@@ -10,7 +10,7 @@ from __future__ import annotations
 from question import Part, main
 
 PARTS = {
-    "inputs": Part("wrong_inputs.py", ["--views", "3", "--findings"], data="cheetah-runs"),
+    "inputs": Part("wrong_inputs.py", ["--views", "6", "--findings"], data="cheetah-runs"),
     "right": Part("wrong_inputs.py", ["--views", "3", "--cases", "right:"], data="cheetah-runs"),
     "lens": Part("wrong_inputs.py", ["--views", "5", "--cases", "focal,anamorphic,letterboxed"], data="cheetah-runs"),
     "standing": Part("standing.py", data="dog-mocap"),
