@@ -405,12 +405,15 @@ USUAL_MINUTES, USUAL_STEPS, USUAL_PICTURES = 15.0, 1000, 40
 --only circle`: 1.1 px after 1,000 steps with 40 pictures).
 """
 MEASURED_ERRORS = (
+    (5, "on a made-up film, of an animal 101 px long", "1.8 px"),
+    (10, "on a made-up film, of an animal 101 px long", "1.2 px"),
+    (20, "on a made-up film, of an animal 101 px long", "1.1 px"),
     (40, "on a made-up film, of an animal 101 px long", "1.1 px"),
     (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
     (150, "on a video of a horse, in other light than that of the labels", "3.1 px"),
 )
 """Numbers of labelled pictures, their film and animal, and the median errors in pictures without labels, in order of
-the numbers (the table of docs/net.md, `python benchmarks/net.py --only circle large horse`).
+the numbers (the tables of docs/net.md, `python benchmarks/net.py --only circle labels large horse`).
 """
 USUAL = 0.95
 """Quantile of the distance between two keypoints up to which the distance counts as usual."""
