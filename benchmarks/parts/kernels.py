@@ -36,7 +36,7 @@ STAGES = {
     "solve_trajectory": "whole fit",
     "approach": "starts",
     "_solve_flattened": "flattened mixtures of poses",
-    "_solve_round": "rounds",
+    "solve_round": "rounds",
     "prior_misfit_of": "misfit of the prior",
     "_with_reestimated_noise": "noise about the keypoint bias",
     "posterior": "posterior",

@@ -30,7 +30,8 @@ from trajectory import body_of, prior_of
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
-from recon.fit.trajectory import SegmentFit, solve_segments
+from recon.fit.segment import SegmentFit
+from recon.fit.trajectory import solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
 """Degrees of freedom to compare; the last are practically a Gaussian's."""

@@ -52,8 +52,9 @@ from recon.clip import View, still_view
 from recon.fit import constants
 from recon.fit.banded import factored
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.segment import SegmentFit
 from recon.fit.terms import dynamics_term, pose_term
-from recon.fit.trajectory import SegmentFit, solve_segments, solve_trajectory
+from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.geometry.kinematics import ROOT, YAW
 from recon.testing.coverage import coverage, cumulative
 

@@ -26,7 +26,7 @@ from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
-from recon.fit.trajectory import ALTERNATIVE_M
+from recon.fit.solution import ALTERNATIVE_M
 
 Rule = Callable[[Motion], Iterator[Finding]]
 

@@ -31,8 +31,9 @@ from recon.fit import constants
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.least_squares import SharedUnknown
+from recon.fit.segment import SegmentFit, refined
 from recon.fit.terms import OnGround, extrinsic_correction, time_offset
-from recon.fit.trajectory import SegmentFit, refined, solve_segments, solve_trajectory
+from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
 _UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0

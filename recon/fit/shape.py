@@ -21,8 +21,9 @@ from recon.base.arrays import Array
 from recon.fit.banded import eliminated
 from recon.fit.body_shape import Shape, follows
 from recon.fit.clip_problem import ClipProblem
+from recon.fit.segment import SegmentFit, refined, with_solved_cameras
 from recon.fit.terms import OnGround, Reprojection, Span, StanceVelocity
-from recon.fit.trajectory import SegmentFit, refined, solve_segments, with_solved_cameras
+from recon.fit.trajectory import solve_segments
 from recon.geometry.kinematics import TreePose
 
 MODEL_SIGMA = 0.04

@@ -154,7 +154,7 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
 @pytest.mark.parametrize(("skeleton", "frames", "size"), [("dog-27", 150, 1.1), ("mouse-top", 72, 1.2)])
 def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monkeypatch):
     """One goes in a circle for longer than is judged; the small one is as large as one of ten."""
-    monkeypatch.setattr("recon.fit.trajectory.TESTED_S", 2.0)
+    monkeypatch.setattr("recon.fit.solution.TESTED_S", 2.0)
     body, random = load_skeleton(skeleton), np.random.default_rng(0)
     states, ahead = rigs.random_motion(body, random, frames), 2 * np.pi * np.arange(frames) / 360
     states[:, 3] = ahead + np.pi / 2

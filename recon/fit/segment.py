@@ -1,0 +1,129 @@
+"""One segment of a clip with its solution, and the round that solves it again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.clip import View
+from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, contacts
+from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.posterior import PriorMisfit
+from recon.fit.result import Ground
+from recon.fit.terms import LENGTHS, extrinsic_correction, focal_scale, size_of, time_offset
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentFit:
+    """A solved segment of n frames."""
+
+    rows: slice
+    """Rows of the clip that the segment covers."""
+    estimate: Estimate
+    problem: LeastSquares
+    noise: Array
+    """(V, J): variances of the detections relative to the expected ones."""
+    noise_px: Array
+    """(V, n, J): the noise of the detections."""
+    contact: Array
+    """(n, F): contact of the feet with the ground."""
+    ground: Ground | None
+    """The ground at nominal size about the origin."""
+    prior_misfit: PriorMisfit | None = None
+    """Misfit of the motion under the prior, from the first round."""
+    prior_weight: float = 1.0
+    """Fraction of its full weight that the prior has."""
+    windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
+    """Frames of each window of the starts, and its starts after the approach, best first."""
+    iterations: int = 0
+
+    @classmethod
+    def unsolved(cls, clip: ClipProblem, rows: slice, estimate: Estimate) -> SegmentFit:
+        """Return a segment before its first round, with the expected noise."""
+        noise, contact = np.ones((len(clip.views), len(clip.body.markers))), np.zeros((len(clip), len(clip.feet)))
+        return cls(rows, estimate, LeastSquares(clip.body.detected, [], []), noise, np.zeros(0), contact, None)
+
+    @property
+    def size(self) -> float:
+        """Return the factor on the body's lengths."""
+        return size_of(self.estimate.shared)
+
+    def shared_values(self, name: str, count: int = 1) -> Array:
+        """Return the values of shared unknowns, (count,), or 0 if they are not unknowns."""
+        return self.estimate.shared.get(name, np.zeros(count))
+
+
+def with_solved_shape(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
+    """Return the problem with the body's lengths and keypoint offsets of a solution."""
+    if clip.shape is None or LENGTHS not in segment.estimate.shared:
+        return clip
+    return replace(clip, body=clip.shape.applied(segment.estimate.shared))
+
+
+def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
+    """Return the problem with the time offsets and corrected cameras of a solution in its views."""
+    V = range(len(clip.views))
+    offsets = [float(segment.shared_values(time_offset(i))[0]) for i in V]
+    corrections = [segment.shared_values(extrinsic_correction(i), 6) for i in V]
+    focal_scales = [float(segment.shared_values(focal_scale(i))[0]) for i in V]
+    return replace(clip, views=solved_views(clip.views, offsets, corrections, focal_scales))
+
+
+def solved_views(
+    views: Sequence[View], offsets: Iterable[float], corrections: Iterable[Array], focal_scales: Iterable[float]
+) -> tuple[View, ...]:
+    """Return the views with time offsets, corrections of their poses and factors on their focal lengths."""
+    return tuple(
+        replace(view, offset_frames=view.offset_frames + frames).corrected(correction).with_focal_scale(factor)
+        for view, frames, correction, factor in zip(views, offsets, corrections, focal_scales, strict=True)
+    )
+
+
+def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
+    """Solve one more round from a solution, for a problem that may have changed slightly."""
+    return solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment)
+
+
+def solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
+    """Return the minimum from a solution, from which the noise, the contacts and the ground are estimated first."""
+    options, estimate, size = clip.options, segment.estimate, segment.size
+    contact, ground, contact_terms = segment.contact, segment.ground, ()
+    points = with_solved_shape(clip, segment).markers(estimate.states)
+    noise = _noise_factors(with_solved_cameras(clip, segment), points, size, segment.noise)
+    if clip.finds_ground:
+        contact, ground, contact_terms = contacts(clip, points, size)
+    noise_px = clip.noise_px(points, noise, size)
+    problem = clip.problem(noise_px, 1.0, contact_terms, points, size)
+    tolerance = (10 if options.fast else 1) * constants.TOLERANCE
+    shared = problem.expected() | dict(estimate.shared)
+    estimate = problem.minimise(estimate.states, tolerance, constants.MAX_ITERATIONS, shared)
+    segment = replace(segment, noise=noise, noise_px=noise_px, contact=contact, ground=ground)
+    return replace(segment, estimate=estimate, problem=problem, iterations=segment.iterations + estimate.iterations)
+
+
+def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
+    """Return the variance of each joint's detections relative to the expected one, (V, J), under the robust loss.
+
+    The factor is the mean of weight times squared residual per coordinate, in which the expectation counts as eight
+    detections. It is limited to 1/4 to 6, so that no joint is followed blindly or given up. If the body's shape is
+    unknown, the residuals are those of the estimated shape, which then show the noise better than the expectation for
+    an unmeasured detector does.
+    """
+    world = clip.in_world(points_m, size)
+    is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1
+    least, count = (0.25, 8.0) if is_expected else (constants.LEAST_NOISE, constants.NOISE_COUNT)
+    factors_of_views = []
+    expected = clip.noise_px(points_m, np.ones_like(factors), size)
+    for view, factor, expected_px in zip(clip.views, factors, expected, strict=True):
+        projected, valid = view.project(view.shift_to_exposure(world))
+        seen = view.present & valid
+        q = np.where(seen, np.sum((projected - view.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
+        for _ in range(10):
+            weight = seen / (1.0 + q / factor / constants.ROBUST_C**2)
+            factor = (np.sum(weight * q, axis=0) / 2 + count) / (seen.sum(axis=0) + count)
+        factors_of_views.append(np.clip(factor, least, 6.0))
+    return np.array(factors_of_views)

@@ -1,0 +1,455 @@
+"""The result of a solution: all segments together in the world, with their posterior, flags and tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, combinations
+from typing import Any
+
+import numpy as np
+
+from recon.animal.body import MIN_JOINTS, MIN_REACH_PX, Body
+from recon.animal.prior import ANGLES
+from recon.base.arrays import Array, Bools
+from recon.clip import densest_window
+from recon.fit import constants
+from recon.fit.banded import eliminated
+from recon.fit.clip_problem import ClipProblem
+from recon.fit.least_squares import LeastSquares, SharedUnknown
+from recon.fit.posterior import Posterior, posterior_with_reestimated_noise, with_size
+from recon.fit.result import SHAPES, SINGLE, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
+from recon.fit.segment import SegmentFit, refined, solved_views, with_solved_cameras, with_solved_shape
+from recon.fit.starts import ALTERNATIVE_COST
+from recon.fit.terms import (
+    COMMON_KEYPOINT_BIAS,
+    LENGTHS,
+    SIDESLIP,
+    SIZE,
+    OnGround,
+    Reprojection,
+    extrinsic_correction,
+    focal_scale,
+    time_offset,
+)
+from recon.geometry.kinematics import ROOT, YAW
+
+_FRAMES_AT_ONCE = 4096
+"""Number of frames to convert at once."""
+POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
+"""Fractions of all joints, and of the joints trusted in good frames.
+
+A frame is "data poor" if fewer joints than either fraction are trusted in the frame.
+"""
+END_ON_RAD = np.radians(25)
+"""Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth".
+
+Median errors of the frames of 32 real views: 137 mm below 15 degrees, 75 mm to 25 degrees, 52 mm from 45 degrees on.
+"""
+TESTED_S = 5.0
+"""Seconds of a clip used to test the second camera."""
+ALTERNATIVE_M = 0.1
+"""Mean distance of a second solution's joints above which the solution gets a flag: see also `ALTERNATIVE_COST`."""
+
+
+def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:
+    """Return the result of all segments together; `expected` is the body with the shape that is not estimated."""
+    unshaped = clip
+    clip = with_solved_shape(clip, segments[0]) if segments else clip
+    posteriors = [_posterior_of(unshaped, clip.body, segment) for segment in segments]
+    size, size_sigma, size_from = _estimate_size(clip, segments, posteriors)
+    clip_arrays = _ClipArrays(clip)
+    alternative_cost = np.inf
+    for segment, segment_posterior in zip(segments, posteriors, strict=True):
+        for name, values in _segment_arrays(clip, segment, segment_posterior, size, size_sigma):
+            clip_arrays.fill(name, segment.rows, values)
+        alternative_m = clip_arrays.by_frame("alternative_m")
+        alternative_cost = min(alternative_cost, _alternative_cost(clip, segment, size, alternative_m))
+    clip_arrays.complete()
+    arrays = clip_arrays.arrays
+    posed = np.isfinite(arrays["states"][:, 0]).sum()
+    out_of_sight = _out_of_sight(clip, arrays["joints_m"])
+    flags = _frame_flags(clip, arrays["joints_m"], arrays["weight"], arrays["alternative_m"], out_of_sight)
+    clip_arrays.clear(out_of_sight)
+    shares = [
+        segment_posterior.data_share * (segment.rows.stop - segment.rows.start)
+        for segment, segment_posterior in zip(segments, posteriors, strict=True)
+    ]
+    shared = _shared_fields(clip, segments, posteriors)
+    return TrajectorySolution(
+        body=clip.body,
+        views=solved_views(clip.views, shared["time_offset_frames"], shared["extrinsic_correction"], shared["focal"]),
+        **arrays,
+        size=size,
+        size_sigma=size_sigma,
+        size_prior_sigma=clip.size_sigma,
+        size_from=size_from,
+        data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
+        flags=flags,
+        alternative_cost=alternative_cost if np.isfinite(alternative_cost) else np.nan,
+        segments=tuple(
+            _segment_in_world(unshaped, segment, size) for segment in segments if not out_of_sight[segment.rows].all()
+        ),
+        prior=clip.prior.name,
+        status="converged" if segments and all(segment.estimate.converged for segment in segments) else "not_converged",
+        cost_by_term=_cost_by_term(segments),
+        iterations=sum(segment.iterations for segment in segments),
+        starts=sum(len(tried) for segment in segments for _, tried in segment.windows),
+        **shared,
+        shape=_solved_shape(unshaped, clip.body, expected, segments, posteriors, size),
+        stage_s={"all": time.perf_counter() - began},
+    )
+
+
+def _shared_fields(
+    clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
+) -> dict[str, Any]:
+    """Return the solution's fields of the shared unknowns other than the size; 0 if they are not estimated.
+
+    Segments are weighted by the number of their frames that several cameras saw.
+    """
+    V = range(len(clip.views))
+    several_see = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
+    frames = np.array([several_see[fit.rows].sum() for fit in segments])
+    shares = (frames / max(frames.sum(), 1))[:, None, None]
+
+    def of_views(name: Callable[[int], str], count: int = 1) -> tuple[Array, Array]:
+        """Return the values of each of the V views and their standard deviations, (V, count) each."""
+        values = [[fit.shared_values(name(i), count) for i in V] for fit in segments]
+        sigmas = [[segment.shared_sigma.get(name(i), np.zeros(count)) for i in V] for segment in posteriors]
+        values, sigmas = (shares * np.reshape(parts, (len(segments), len(V), count)) for parts in (values, sigmas))
+        return values.sum(axis=0), np.linalg.norm(sigmas, axis=0)
+
+    offsets, offset_sigmas = of_views(time_offset)
+    focals, focal_sigmas = of_views(focal_scale)
+    sideslip, sideslip_sigma = of_views(lambda _: SIDESLIP)
+    corrections, correction_sigmas = of_views(extrinsic_correction, 6)
+    return {
+        "time_offset_frames": offsets[:, 0],
+        "time_offset_sigma_frames": offset_sigmas[:, 0],
+        "extrinsic_correction": corrections,
+        "extrinsic_correction_sigma": correction_sigmas,
+        "focal": focals[:, 0],
+        "focal_sigma": focal_sigmas[:, 0],
+        "sideslip_rad": float(sideslip[0, 0]),
+        "sideslip_sigma_rad": float(sideslip_sigma[0, 0]),
+    }
+
+
+def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Posterior:
+    """Return the posterior of a segment of the solved body; `unshaped` is the problem with the expected body."""
+    problem = _with_free_world(_with_expected_shape_spread(unshaped, segment.problem))
+    return posterior_with_reestimated_noise(problem, body, segment.estimate, unshaped.correlation_frames)
+
+
+class _ClipArrays:
+    """The arrays `SHAPES` of a clip, filled segment by segment; NaN in frames outside all segments."""
+
+    def __init__(self, clip: ClipProblem) -> None:
+        sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
+        sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
+        self.shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in SHAPES.items()}
+        self.arrays: dict[str, Array] = {}
+
+    def by_frame(self, name: str) -> Array:
+        """Return a view of an array, frames first."""
+        if name not in self.arrays:
+            self.arrays[name] = np.full(self.shapes[name], np.nan)
+        return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
+
+    def fill(self, name: str, rows: slice, values: Array) -> None:
+        """Set the values of a segment, whose frames are `rows`; the array may be kept, and rounded in place."""
+        if name in SINGLE:
+            _round_to_single(values)
+        if values.shape == self.shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
+            self.arrays[name] = values
+        else:
+            self.by_frame(name)[rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
+
+    def complete(self) -> None:
+        """Add the arrays that no segment has filled."""
+        for name in SHAPES:
+            self.by_frame(name)
+
+    def clear(self, frames: Bools) -> None:
+        """Set all values of some frames (T,) to NaN."""
+        for name in SHAPES:
+            self.by_frame(name)[frames] = np.nan
+
+
+def _cost_by_term(segments: Sequence[SegmentFit]) -> dict[str, float]:
+    """Return the cost of each term, summed over the segments."""
+    costs = [segment.problem.costs(segment.estimate.states, segment.estimate.shared) for segment in segments]
+    names = dict.fromkeys(chain.from_iterable(costs))
+    return {name: sum(by_name.get(name, 0.0) for by_name in costs) for name in names}
+
+
+def _round_to_single(values: Array) -> None:
+    """Round values to single precision, which halves their files; matrices become exactly symmetric."""
+    for first in range(0, len(values), _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        values[rows] = values[rows].astype(np.float32)
+    if values.ndim > 3 and values.shape[-2] == values.shape[-1]:
+        for row, column in combinations(range(values.shape[-1]), 2):
+            values[..., column, row] = values[..., row, column]
+
+
+def _solved_shape(
+    clip: ClipProblem,
+    body: Body,
+    expected: Body,
+    segments: Sequence[SegmentFit],
+    posteriors: Sequence[Posterior],
+    size: float,
+) -> SolvedShape | None:
+    """Return the lengths and offsets of the solved body, or None if they were not estimated.
+
+    The segments' estimates are weighted by their numbers of frames; their errors are independent.
+    """
+    if clip.shape is None or len(clip.views) == 1 or not segments:
+        return None
+    frames = np.array([segment.rows.stop - segment.rows.start for segment in segments])
+    shares, J = (frames / frames.sum())[:, None], len(body.markers)
+    sigmas = {}
+    for name, n in ((LENGTHS, len(clip.shape.lengths)), (COMMON_KEYPOINT_BIAS, 3 * J)):
+        of_segments = [segment_posterior.shared_sigma.get(name, np.zeros(n)) for segment_posterior in posteriors]
+        sigmas[name] = np.linalg.norm(shares * of_segments, axis=0)
+    names = clip.shape.lengths.lengths
+    lengths_m, expected_lengths_m = (_lengths_m(shown, names) for shown in (body, expected))
+    offsets_m, expected_offsets_m = (
+        np.array([shown.keypoint_offset_m.get(marker, (0.0, 0.0, 0.0)) for marker in body.markers])
+        for shown in (body, expected)
+    )
+    return SolvedShape(
+        names,
+        size * lengths_m,
+        size * lengths_m * sigmas[LENGTHS],
+        expected_lengths_m,
+        size * offsets_m,
+        size * sigmas[COMMON_KEYPOINT_BIAS].reshape(J, 3),
+        expected_offsets_m,
+    )
+
+
+def _lengths_m(body: Body, names: Sequence[str]) -> Array:
+    """Return the distances (L,) of segments and markers from their origins."""
+    items = {item.name: item for item in (*body.tree.markers, *body.tree.segments)}
+    return np.array([np.linalg.norm(items[name].offset_m) for name in names], dtype=np.float64)
+
+
+def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> LeastSquares:
+    """Return the problem with lengths and offsets at least as uncertain as expected.
+
+    The solution uses smaller uncertainties, so that the pose explains as much as possible.
+    """
+    if problem.shape is None:
+        return problem
+    _, unknowns = replace(clip, solves_shape=False, shape_scale=(1.0, 1.0)).shared_unknowns()
+    expected = {unknown.name: unknown.sigma for unknown in unknowns if unknown.name in (LENGTHS, COMMON_KEYPOINT_BIAS)}
+    shared = [
+        replace(unknown, sigma=np.maximum(unknown.sigma, expected[unknown.name]))
+        if unknown.name in expected
+        else unknown
+        for unknown in problem.shared
+    ]
+    return replace(problem, shared=shared)
+
+
+def _with_free_world(problem: LeastSquares) -> LeastSquares:
+    """Return the problem without the ground, if all cameras' poses are uncertain: a fixed plane would fix the world."""
+    names = [unknown.name for unknown in (*problem.shared, *problem.nuisance)]
+    if extrinsic_correction(0) not in names:
+        return problem
+    return replace(problem, terms=[term for term in problem.terms if not isinstance(term, OnGround)])
+
+
+def _segment_arrays(
+    clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
+) -> Iterator[tuple[str, Array]]:
+    """Yield the arrays of one segment one at a time, because those of a long clip are large."""
+    # several cameras: the other shared unknowns stay as solved, so that the rays still meet
+    state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
+    states = segment.estimate.states + state_by_size * (size - segment.size)
+    points = clip.body.tree.pose(states).points_m
+    by_size, markers = segment_posterior.joint_by_size_m, clip.in_world(clip.markers(states), size)
+    centred = by_size - by_size.mean(axis=1, keepdims=True)
+    reprojections = [term for term in segment.problem.terms if isinstance(term, Reprojection)]
+    views = with_solved_cameras(clip.part(segment.rows), segment).views
+    view_terms = [replace(term, view=view) for term, view in zip(reprojections, views, strict=True)]
+    weight = [term.weights(term.view.shift_to_exposure(markers)) for term in view_terms]
+    in_world, joints_m = states.copy(), clip.in_world(points, size)
+    in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
+    covariance_m2 = with_size(segment_posterior.covariance_m2, by_size, size, size_sigma)
+    # the other cameras determine the rotation of each camera
+    if len(views) == 1 and views[0].rotation_sigma_rad is not None:
+        covariance_m2 += views[0].rotation_covariance_m2(joints_m)
+    yield "states", in_world
+    yield "joints_m", joints_m
+    yield "covariance_m2", covariance_m2
+    yield "relative_covariance_m2", with_size(segment_posterior.relative_covariance_m2, centred, size, size_sigma)
+    yield (
+        "angle_sigma_rad",
+        np.sqrt(segment_posterior.angle_variance[0] + (size_sigma * segment_posterior.state_by_size[:, YAW:]) ** 2),
+    )
+    yield "angle_data_share", segment_posterior.angle_data_share
+    yield "contact", segment.contact.copy()
+    yield "noise_px", segment.noise_px.copy()
+    yield "weight", np.array(weight)
+
+
+def _estimate_size(
+    clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
+) -> tuple[float, float, tuple[str, ...]]:
+    """Return the size, its standard deviation, and its sources.
+
+    The sources are the prior, with a size of 1; several views; and, if the ground's distance below the camera is known,
+    the size that puts the feet at this distance.
+    """
+    prior_precision, bias_variance = clip.size_sigma**-2, _size_error_of_bias(clip) ** 2
+    precision, pull, sources = prior_precision, prior_precision, ["prior"]
+    for segment, segment_posterior in zip(segments, posteriors, strict=True):
+        if segment_posterior.size_precision > 0:
+            # Use the estimate from the views alone, because the prior draws the minimum towards 1.
+            view_precision = segment_posterior.size_precision * clip.correlation_frames
+            seen_precision = 1.0 / (1.0 / segment_posterior.size_precision + bias_variance)
+            precision += seen_precision
+            pull += seen_precision * (segment.size + (segment.size - 1.0) * prior_precision / view_precision)
+            sources.append("views")
+        if segment.ground is not None and segment.ground.near_zero:
+            contact_share = segment.contact / segment.contact.sum()
+            below_m = -float(np.sum(contact_share * clip.markers(segment.estimate.states)[:, clip.feet, 2]))
+            variance = float(np.sum(contact_share * segment_posterior.covariance_m2[:, clip.feet, 2, 2]))
+            variance += constants.GROUND_HEIGHT_M**2
+            precision += below_m**2 / variance
+            pull += float(clip.origin_m[2]) * below_m / variance
+            sources.append("ground")
+    return float(pull / precision), float(precision**-0.5), tuple(dict.fromkeys(sources))
+
+
+def _segment_in_world(clip: ClipProblem, segment: SegmentFit, size: float) -> MotionSegment:
+    """Return a segment's part of the result, with its ground in the world."""
+    ground, misfit = segment.ground and segment.ground.about(clip.origin_m, size), segment.prior_misfit
+    level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
+    pair_fixed = len(clip.views) == 2 and clip.shows_size and not clip.options.refine_cameras
+    second_camera = _test_second_camera(clip, segment) if pair_fixed else None
+    return MotionSegment(segment.rows, ground, level, segment.prior_weight, unlike, second_camera)
+
+
+def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
+    """Test whether the second of two cameras is turned, moved or late.
+
+    The alternatives are that the camera is turned about one axis, displaced along one axis, or late, by `MISPLACED`
+    times the expected error. All other unknowns are eliminated from the normal equations, so that the cost is a
+    quadratic function of the camera's seven errors. Its evidence under a Gaussian of any width has a closed form.
+    """
+    segment = _seen_by_both(clip, segment)
+    problem, usual_sigma = _pair_problem(clip, segment)
+    correlation_frames, n = clip.correlation_frames, len(usual_sigma)
+    normals = problem.normals(segment.estimate.states, problem.expected() | dict(segment.estimate.shared))
+    windows = eliminated(normals(), bounded=True)
+    reduced = np.sum([window.reduced() for window in windows], axis=0) / (correlation_frames**0.5) ** 2
+    by_others = np.linalg.solve(reduced[n:, n:-1], np.delete(reduced[n:], np.s_[n:-1], axis=1))
+    remaining = np.delete(reduced[:n], np.s_[n:-1], axis=1) - reduced[:n, n:-1] @ by_others
+    precision = remaining[:, :n]
+    # the gradient with all cameras at their stated poses
+    pull = remaining[:, n] - remaining[:, n - 1] * segment.shared_values(time_offset(1))
+
+    def evidence(sigma: Array) -> tuple[float, Array]:
+        deviation = -np.linalg.solve(precision + np.diag(sigma**-2), pull)
+        return -0.5 * float(pull @ deviation + np.linalg.slogdet(np.eye(n) + precision * sigma**2)[1]), deviation
+
+    alternatives = [evidence(np.where(axis, constants.MISPLACED, 1.0) * usual_sigma) for axis in np.eye(n)]
+    gains = np.array([log_evidence for log_evidence, _ in alternatives]) - evidence(usual_sigma)[0]
+    return SecondCamera(float(gains[:-1].max()), float(gains[-1]), float(alternatives[-1][1][-1]))
+
+
+def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
+    """Return the part in which both cameras see most, because lasting model errors would add up over a whole clip."""
+    seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
+    rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))
+    if rows.stop - rows.start == len(seen_by_both):
+        return segment
+    start, estimate = segment.rows.start, replace(segment.estimate, states=segment.estimate.states[rows])
+    return refined(clip, replace(segment, rows=slice(start + rows.start, start + rows.stop), estimate=estimate))
+
+
+def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares, Array]:
+    """Return the problem with a free second camera, whose seven errors come first, and their usual standard deviations.
+
+    The size stays near the expected one: if rays meet in spite of a wrong pose, the animal is too large or too small.
+    The ground is left out, because a fixed plane would fix the world's tilt.
+    """
+    root_correlation, offset_name = clip.correlation_frames**0.5, time_offset(1)
+    shared = {unknown.name: unknown for unknown in (*segment.problem.shared, *segment.problem.nuisance)}
+    markers_m = with_solved_shape(clip, segment).markers(segment.estimate.states)
+    shift_m = clip.part(segment.rows).shifts_m(markers_m, segment.size)[1]
+    offset_sigma = root_correlation * shared[offset_name].sigma[0]
+    usual_sigma = np.array([*np.repeat([constants.CALIBRATED_RAD, shift_m], 3), offset_sigma])
+    counts = {extrinsic_correction(1): 6, offset_name: 1}
+    free = {name: SharedUnknown(name, np.zeros(n), np.full(n, np.inf)) for name, n in counts.items()}
+    size_sigma = np.hypot([clip.size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root_correlation
+    size = SharedUnknown(SIZE, np.ones(1), size_sigma)
+    terms = [term for term in segment.problem.terms if not isinstance(term, OnGround)]
+    unknowns = free | shared | free | {SIZE: size}  # the camera's errors come first
+    unknowns.pop(extrinsic_correction(0), None)  # a turn of the first camera counts as one of the second
+    return replace(segment.problem, terms=terms, shared=[*unknowns.values()], nuisance=()), usual_sigma
+
+
+def _size_error_of_bias(clip: ClipProblem) -> float:
+    """Return the apparent error of the size if all keypoints are displaced from their markers in the same direction."""
+    body = clip.body
+    state = np.zeros((1, body.n_state))
+    state[0, ANGLES] = clip.prior.mean
+    points = body.tree.pose(state).points_m[0]
+    return clip.keypoint_sigma_m / float(np.linalg.norm(points - points.mean(axis=0)))
+
+
+def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
+    """Return the smallest extra cost of another start.
+
+    The mean distance of the joints, both poses centred, is written to `distance_m` (T,).
+    """
+    extra_cost = np.inf
+    points = clip.body.tree.pose(segment.estimate.states).points_m
+    for window, (best, *alternatives) in segment.windows:
+        if clip.options.fast or not alternatives or alternatives[0].cost > best.cost + ALTERNATIVE_COST:
+            continue
+        alternative = clip.body.tree.pose(alternatives[0].states).points_m
+        solution_points, alternative = (p - p.mean(axis=1, keepdims=True) for p in (points[window], alternative))
+        clip_rows = slice(segment.rows.start + window.start, segment.rows.start + window.stop)
+        distance_m[clip_rows] = size * np.linalg.norm(solution_points - alternative, axis=-1).mean(axis=1)
+        extra_cost = min(extra_cost, alternatives[0].cost - best.cost)
+    return extra_cost
+
+
+def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
+    """Return a mask of frames whose joints (T, J, 3) are too far away for any camera to see, (T,)."""
+    marker_index = clip.body.markers.index
+    limbs = (joints_m[:, [marker_index(marker) for marker in limb]] for limb in clip.body.limbs.values())
+    reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)
+    depth_by_focal = [np.median(view.to_camera(joints_m)[..., 2], axis=1) / view.focal_px for view in clip.views]
+    return np.all(reach_m < MIN_REACH_PX * np.array(depth_by_focal), axis=0)
+
+
+def _frame_flags(
+    clip: ClipProblem, joints_m: Array, weight: Array, alternative_m: Array, out_of_sight: Bools
+) -> tuple[tuple[str, ...], ...]:
+    """Return the flags of each frame, (T,), from weights (V, T, J)."""
+    detected = clip.present().sum(axis=1)
+    trusted = np.where(np.isfinite(weight), weight, 0.0).max(axis=0).sum(axis=1)
+    usual_trusted = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0
+    rear, front = (joints_m[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
+    trunk, middle = front - rear, joints_m.mean(axis=1)
+    camera_sees = np.array([view.present.sum(axis=1) >= MIN_JOINTS for view in clip.views])
+    sight = np.array([middle - view.centre_m for view in clip.views])
+    lengths = np.linalg.norm(sight, axis=2) * np.linalg.norm(trunk, axis=1)
+    end_on = np.abs(np.sum(sight * trunk, axis=2)) / lengths > np.cos(END_ON_RAD)
+    end_on_alone = (camera_sees.sum(axis=0) <= 1) & np.all(end_on | (~camera_sees & camera_sees.any(axis=0)), axis=0)
+    flagged = {
+        "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
+        "diverged": out_of_sight,
+        "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[2], POORER_SHARE * usual_trusted)),
+        "ambiguous depth": end_on_alone | (alternative_m > ALTERNATIVE_M),
+    }
+    return tuple(tuple(name for name, frames in flagged.items() if frames[t]) for t in range(len(joints_m)))
