@@ -31,6 +31,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
+from recon.clip import View
 from recon.fit.banded import Normal, eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
@@ -39,6 +40,8 @@ from recon.fit.terms import SIDESLIP, SIZE
 
 _MOST_WEIGHT = 0.99
 """Largest weight w for which P is computed."""
+_FRAMES_AT_ONCE = 512
+"""Number of frames whose derivatives are computed at once, which bounds the memory."""
 _RELATIVE_STEP = 1e-4
 """Size of e G relative to H, for the derivative of the covariance."""
 
@@ -101,28 +104,53 @@ def _segment_gain(
 ) -> Array:
     """Return the gain of a segment of n frames, (V, n, J), summed over its frames and joints."""
     states, size = estimate.states, solution.size
-    pose = clip.body.tree.pose_with_jacobian(states)
-    centred = size * (pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True))
-    flat = centred.reshape(len(states), -1, centred.shape[-1])
-    Z, Q = _covariance_and_derivative(problem, estimate, flat.swapaxes(1, 2) @ flat)
-    detected = clip.body.detected.pose_with_jacobian(states)
-    world_m = clip.in_world(detected.points_m, size)
-    gains, eye = [], np.eye(2)
-    for view, noise_px, weight in zip(clip.views, solution.noise_px[:, rows], solution.weight[:, rows], strict=True):
-        projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(world_m))
-        A = size * by_point @ detected.jacobian
-        A_Z_A, A_Q_A = (A @ square[:, None] @ A.swapaxes(-1, -2) for square in (Z, Q))
-        w = np.where(view.present, np.nan_to_num(weight) * view.confidence, 0.0)[..., None, None]
-        variance_px2 = noise_px[..., None, None] ** 2
-        precision = np.maximum(1.0 - w, 0.0) / variance_px2
-        fall = precision[..., 0, 0] * np.trace(np.linalg.solve(eye + precision * A_Z_A, A_Q_A), axis1=-2, axis2=-1)
-        residual_px = np.where(view.present[..., None], projected - view.xy_px, 0.0)[..., None]
-        # if the pose depends on a single detection, P does not exist
-        w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2
-        pulled = w_left * np.linalg.solve(eye - w_left * A_Z_A, residual_px)
-        pull = (pulled.swapaxes(-1, -2) @ A_Q_A @ pulled)[..., 0, 0]
-        gains.append(np.where(valid, clip.correlation_frames * fall + pull, np.nan))
-    return np.array(gains)
+    (n, D), V, J = states.shape, len(clip.views), len(clip.body.markers)
+    G, gains = np.empty((n, D, D)), np.empty((V, n, J))
+    parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
+    for part in parts:
+        jacobian = clip.body.tree.pose_with_jacobian(states[part]).jacobian
+        flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
+        G[part] = flat.swapaxes(1, 2) @ flat
+    Z, Q = _covariance_and_derivative(problem, estimate, G)
+    world_m = clip.in_world(clip.body.detected.pose(states).points_m, size)
+    views = [(view, view.shift_to_exposure(world_m)) for view in clip.views]
+    for part in parts:
+        jacobian = clip.body.detected.pose_with_jacobian(states[part]).jacobian
+        for number, (view, points_m) in enumerate(views):
+            noise_px, weight = solution.noise_px[number, rows][part], solution.weight[number, rows][part]
+            gains[number, part] = _gain_of_frames(
+                view.part(part), points_m[part], jacobian, (Z[part], Q[part]), (noise_px, weight), clip, size
+            )
+    return gains
+
+
+def _gain_of_frames(
+    view: View,
+    points_m: Array,
+    by_state: Array,
+    covariance_and_derivative: tuple[Array, Array],
+    noise_and_weight: tuple[Array, Array],
+    clip: ClipProblem,
+    size: float,
+) -> Array:
+    """Return the gain (N, J) of N frames of a view.
+
+    The markers (N, J, 3) move with the state by the derivatives (N, J, 3, D) at nominal size.
+    """
+    projected, by_point, valid = view.project_with_jacobian(points_m)
+    A, eye = size * by_point @ by_state, np.eye(2)
+    A_Z_A, A_Q_A = (A @ square[:, None] @ A.swapaxes(-1, -2) for square in covariance_and_derivative)
+    noise_px, weight = noise_and_weight
+    w = np.where(view.present, np.nan_to_num(weight) * view.confidence, 0.0)[..., None, None]
+    variance_px2 = noise_px[..., None, None] ** 2
+    precision = np.maximum(1.0 - w, 0.0) / variance_px2
+    fall = precision[..., 0, 0] * np.trace(np.linalg.solve(eye + precision * A_Z_A, A_Q_A), axis1=-2, axis2=-1)
+    residual_px = np.where(view.present[..., None], projected - view.xy_px, 0.0)[..., None]
+    # if the pose depends on a single detection, P does not exist
+    w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2
+    pulled = w_left * np.linalg.solve(eye - w_left * A_Z_A, residual_px)
+    pull = (pulled.swapaxes(-1, -2) @ A_Q_A @ pulled)[..., 0, 0]
+    return np.where(valid, clip.correlation_frames * fall + pull, np.nan)
 
 
 def _covariance_and_derivative(problem: LeastSquares, estimate: Estimate, G: Array) -> tuple[Array, Array]:
