@@ -83,10 +83,13 @@ def model(skeleton: str) -> tuple[Body, MotionPrior]:
     body = load_skeleton(skeleton)
     if not isinstance(body, Body):
         raise SystemExit(f"{skeleton}: expected a whole animal")
+    marked = body
+    with suppress(InputError):  # the detector is for another animal
+        marked = with_detector_offsets(body, "acinoset")
     for name in builtin_priors():
-        with suppress(InputError):  # the detector is for another animal
-            return with_detector_offsets(body, "acinoset"), as_one_gaussian(load_prior(name, body))
-    return with_detector_offsets(body, "acinoset"), prior_from_body(body)
+        with suppress(InputError):  # the prior is for another animal
+            return marked, as_one_gaussian(load_prior(name, body))
+    return marked, prior_from_body(body)
 
 
 def extent(body: Body) -> float:

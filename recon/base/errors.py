@@ -64,6 +64,10 @@ class InputError(ValueError):
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
         super().__init__("\n".join(line for p in self.problems for line in p.lines))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Problem, ...]]]:
+        """Return how to make the error again, so that it passes from a worker process to its parent."""
+        return type(self), (self.problems,)
+
 
 def raise_problems(problems: Iterable[Problem]) -> None:
     """Raise InputError with the problems, if there are any."""

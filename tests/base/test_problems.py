@@ -1,5 +1,7 @@
 """What is wrong with an input: the line that is made of it, and how tests look at it."""
 
+import pickle
+
 import pytest
 from command_line import refusal
 
@@ -20,6 +22,11 @@ from recon.base.errors import Problem
 )
 def test_a_problem_is_one_line(file, field, line):
     assert str(Problem(file, field, "3 cells", "8")) == line
+
+
+def test_an_error_passes_between_processes():
+    error = InputError([Problem("a.csv", "names", "x", "y"), Problem("b", "c", "d", "e")])
+    assert pickle.loads(pickle.dumps(error)).problems == error.problems
 
 
 def test_what_follows_a_problem():
