@@ -44,6 +44,8 @@ FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of others."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
 """Numbers of findings: the change of poses (joints about their middle) and of positions if the finding is right."""
+WITHOUT_FAULT = frozenset({"camera_agreement"})
+"""Codes of notes that say that something is in order."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, printable
-from recon.base.numbers import NORMAL_90
-from recon.check.codes import EFFECTS, sentence
+from recon.base.numbers import NORMAL_90, counted
+from recon.check.codes import EFFECTS, WITHOUT_FAULT, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
 from recon.fit.clip_problem import focal_sigma_of
@@ -51,9 +51,11 @@ WHY = {
 }
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "No check of the clip found a fault."
-"""Reason for the verdict "use", which a list of clips leaves out."""
+"""Reason for the verdict "use" without notes."""
+NOTHING_SERIOUS = "No check found a fault that spoils the result"
+"""Beginning of the reason for the verdict "use" with notes."""
 NOT_ALL_CHECKED = "No check that ran found a fault; frame rate, swaps, lens and zoom were not checked."
-"""Reason for the verdict "use" without a learned prior, which some checks need."""
+"""Reason for the verdict "use" without notes and without a learned prior, which some checks need."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -230,7 +232,20 @@ def _verdict(motion: Motion) -> Verdict:
 
 def _nothing_against(motion: Motion) -> str:
     solution = motion.solution
-    return NOT_ALL_CHECKED if isinstance(solution, TrajectorySolution) and solution.prior == NONE else NOTHING_AGAINST
+    are_all_checked = not (isinstance(solution, TrajectorySolution) and solution.prior == NONE)
+    notes = [item.code for item in motion.findings if item.severity == "note"]
+    if {*notes} <= WITHOUT_FAULT:
+        return NOTHING_AGAINST if are_all_checked else NOT_ALL_CHECKED
+    count = f"{counted(len(notes), 'note')} {'is' if len(notes) == 1 else 'are'} in the report"
+    if are_all_checked:
+        return f"{NOTHING_SERIOUS}; {count}."
+    ran = NOTHING_SERIOUS.replace("check", "check that ran")
+    return f"{ran}; {count}, and frame rate, swaps, lens and zoom were not checked."
+
+
+def reason_in_list(reason: str | None) -> str:
+    """Return a verdict's reason for a list of clips; "" if no check found a fault that spoils the result."""
+    return "" if not reason or reason == NOTHING_AGAINST or reason.startswith(NOTHING_SERIOUS) else reason
 
 
 def effects_of(findings: Sequence[Finding]) -> tuple[float, float]:

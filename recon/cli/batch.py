@@ -30,7 +30,7 @@ from recon.base.errors import raise_problems
 from recon.base.numbers import counted, quantity
 from recon.base.parallel import Event
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
-from recon.check.verdict import NOTHING_AGAINST
+from recon.check.verdict import reason_in_list
 from recon.cli.answers import Answer, progress_bar, say, stop, table_of, terminal
 from recon.cli.commands import OptionsOf
 from recon.fit.result import LEVELS
@@ -235,6 +235,6 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     if row["error"]:
         return text.append(f": {row['error']}")
     pose = "" if row["pose_mm"] is None else f", pose error {quantity(row['pose_mm'], 0, 'mm')}"
-    reason = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
+    reason = f": {listed}" if (listed := reason_in_list(row["reason"])) else ""
     text.append("  ").append(level, STYLES.get(level, ""))
     return text.append(f"{pose}, {row['frames']} frames, {quantity(row['seconds'], 1, 's')}{reason}")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.table import Table
 from rich.text import Text
+
+from recon.base.numbers import length_text
+from recon.check.codes import EFFECTS, WITHOUT_FAULT
 
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Style of each level of a verdict."""
@@ -19,6 +22,8 @@ TO_DO = {
 """Advice for each level of a verdict; "use" needs none."""
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
 """Lines of the summary that follow the verdict. The page has all lines."""
+NOTES = 2
+"""Largest number of notes in a summary. The page has all notes."""
 
 
 def finding_text(severity: str, text: str) -> Text:
@@ -28,7 +33,7 @@ def finding_text(severity: str, text: str) -> Text:
 
 
 def console_summary(report: Mapping[str, Any]) -> Table:
-    """Return the summary for rich to print: verdict, expected error, advice, warnings, then the lines of `FRONT`."""
+    """Return the summary for rich to print: verdict, expected error, advice, findings, then the lines of `FRONT`."""
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column()
@@ -43,8 +48,26 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         if finding["severity"] != "note" and finding["text"] != verdict["reason"]:
             colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
             table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
+    if verdict["level"] == "use":
+        for text in _largest_notes(report["findings"], verdict["reason"]):
+            table.add_row(Text("note", style="bold"), text)
     for label, text in report["lines"][verdict_count:]:
         are_all_used = label == "keypoints" and text.endswith(" used")  # nothing to point out
         if label in FRONT and not are_all_used:
             table.add_row(Text(label, style="bold"), text)
     return table
+
+
+def _largest_notes(findings: Sequence[Mapping[str, Any]], reason: str) -> list[str]:
+    """Return the first sentences of at most `NOTES` notes that the reason does not contain, the largest effect first.
+
+    Notes with an unknown effect come last.
+    """
+    notes = [
+        (max((item["numbers"].get(name) or 0.0 for name in EFFECTS), default=0.0), item["text"])
+        for item in findings
+        if item["severity"] == "note" and item["code"] not in WITHOUT_FAULT and item["text"] not in reason
+    ]
+    notes.sort(key=lambda note: -note[0])
+    texts = [(effect_m, text.partition(". ")[0].rstrip(".")) for effect_m, text in notes[:NOTES]]
+    return [f"{text} (by {length_text(m)})." if m else f"{text}." for m, text in texts]

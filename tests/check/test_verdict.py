@@ -12,10 +12,12 @@ from recon.check.verdict import (
     LIMIT_OF_TRUNK,
     NOT_ALL_CHECKED,
     NOTHING_AGAINST,
+    NOTHING_SERIOUS,
     add_verdict,
     evidence_of,
     expected_pose_of_trunk,
     expected_position,
+    reason_in_list,
     usable,
     verdict_lines,
 )
@@ -138,6 +140,35 @@ def test_without_a_learned_prior_the_reason_names_what_was_not_checked(small_tra
     for prior, reason in (("none", NOT_ALL_CHECKED), ("running-cheetah", NOTHING_AGAINST)):
         motion = replace(small_trajectory, solution=replace(small_trajectory.solution, prior=prior))
         assert add_verdict(motion).verdict.reason == reason
+
+
+NOTE = replace(finding("picture_zooms", way="out"), severity="note")
+AGREES = finding("camera_agreement", camera="a", error_px=1.0, level=1.0, max_level=2.0)
+
+
+@pytest.mark.parametrize(
+    ("prior", "notes", "reason"),
+    [
+        ("running-cheetah", (AGREES,), NOTHING_AGAINST),
+        ("running-cheetah", (NOTE,), f"{NOTHING_SERIOUS}; 1 note is in the report."),
+        ("running-cheetah", (NOTE, AGREES), f"{NOTHING_SERIOUS}; 2 notes are in the report."),
+        (
+            "none",
+            (NOTE,),
+            "No check that ran found a fault that spoils the result; 1 note is in the report, and frame rate, swaps, "
+            "lens and zoom were not checked.",
+        ),
+    ],
+)
+def test_with_notes_the_reason_does_not_say_that_no_check_found_a_fault(
+    small_trajectory, monkeypatch, prior, notes, reason
+):
+    monkeypatch.setattr("recon.check.verdict.findings_of", lambda motion: notes)
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, prior=prior))
+    verdict = add_verdict(motion).verdict
+    assert verdict.level == "use"
+    assert verdict.reason == reason
+    assert reason_in_list(verdict.reason) == (reason if prior == "none" else "")
 
 
 def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):

@@ -560,6 +560,25 @@ def test_a_summary_begins_with_the_verdict_and_what_to_do(trajectory, level):
     assert third.strip() == f"to do       {TO_DO[level]}" if level in TO_DO else third.split()[0] not in ("to", "use")
 
 
+def test_a_terminal_names_the_two_notes_with_the_largest_effect(trajectory):
+    effects_m = {"First": 0.02, "Second": 1.5, "Third": 0.3, "Fourth": None}
+    findings = [
+        {
+            "code": "picture_zooms",
+            "severity": "note",
+            "text": f"{name} thing. Look at it.",
+            "numbers": {"pose_effect_m": 0.01, "position_effect_m": effect_m},
+        }
+        for name, effect_m in effects_m.items()
+    ]
+    for level in ("use", "check"):
+        out = StringIO()
+        verdict = {"level": level, "reason": "It is so."}
+        Console(file=out, width=160).print(console_summary(trajectory | {"verdict": verdict, "findings": findings}))
+        notes = [line.split(maxsplit=1)[1].strip() for line in out.getvalue().splitlines() if line.startswith("note ")]
+        assert notes == (["Second thing (by 1.50 m).", "Third thing (by 0.30 m)."] if level == "use" else [])
+
+
 @pytest.mark.parametrize("listed", ["", "; missing: nose"])
 def test_a_terminal_says_nothing_of_keypoints_that_are_all_used(trajectory, listed):
     lines = [["keypoints", f"all of the skeleton's 24 used{listed}"], ["detections", "9 used"]]

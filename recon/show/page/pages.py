@@ -24,7 +24,7 @@ from recon.base.errors import InputError, printable
 from recon.base.numbers import quantity
 from recon.base.package import version
 from recon.check.codes import FLAGS
-from recon.check.verdict import NOTHING_AGAINST, verdict_lines
+from recon.check.verdict import reason_in_list, verdict_lines
 from recon.fit.motion import Motion
 from recon.fit.result import LEVELS
 from recon.gait.clip import ClipAnalysis
@@ -363,7 +363,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         numbers["median_px"] = [*numbers["median_px"], f"mean {mean_px:.0f}"]
     return {
         "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
-        "reason": cells["reason"] if state == cells["verdict"] and cells["reason"] != NOTHING_AGAINST else "",
+        "reason": reason_in_list(cells["reason"]) if state == cells["verdict"] else "",
         "numbers": numbers,
         "page": f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None,
         "flagged": flagged,
