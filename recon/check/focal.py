@@ -26,8 +26,8 @@ from recon.geometry.kinematics import ROOT
 SHORTER = (-0.4, -0.6)
 """Logarithms of the factors below 1 that are tried on the focal length.
 
-The second is tried if the first fits better than the given focal length. A much shorter lens would move the animal
-behind the nearest cameras.
+The second is tried if the first fits better than the given focal length, or if another focal length is possible. A
+much shorter lens would move the animal behind the nearest cameras.
 """
 LONGER = (0.2, 0.4)
 """Logarithms of the factors above 1 that are tried, in the same way."""
