@@ -7,7 +7,8 @@ which scales all lengths seen by one camera, and of the focal length, which scal
 the motion along the line of sight.
 
 If no foot completes a stride, the clip has the period of its motion (`recon.gait.gait.pose_period_s`). The stride
-length is then the speed times the period, and the duty factor is the duration of complete stances over the period.
+length is then the speed times the period, and the duty factor is the duration of complete stances over the period. A
+period that is much longer than the clip is not used.
 
 The asymmetry is (left - right) / mean of both. Errors of touch-down and lift-off that are equal for both feet cancel in
 it; those that differ from stride to stride are part of the scatter of the strides. It is not computed if the pose of
@@ -17,7 +18,7 @@ one side comes from the prior rather than from the video.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -35,6 +36,10 @@ PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
 """Feet by girdle: left, right."""
 NEXT_STEP = 0.6
 """Largest time, in strides, between two touch-downs that form a step: half a stride in symmetrical gaits, plus 0.1."""
+LONGEST_PERIOD = 1.3
+"""Longest period of the motion that is used, in durations of the clip. In parts of a dog's walks and runs, 97 % of the
+true strides are in the 90 % intervals of shorter periods, but only 61 % in those of longer periods.
+"""
 LEAST_STRIDES = 3
 """Smallest number of strides on each side for an asymmetry."""
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.02}
@@ -95,6 +100,7 @@ def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
     """
     quantities = [_speed(analysis)]
     if (gait := analysis.gait) is not None:
+        gait = _without_long_period(gait)
         quantities += _stride_quantities(analysis, gait, quantities[0])
         quantities += _duty_factors(gait)
         quantities += _phases(gait)
@@ -246,6 +252,13 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
     yield _quantity("stride_frequency_hz", 1 / period_s, period_sigma_s / period_s**2, 0.0, source, bounds=positive)
 
 
+def _without_long_period(gait: Gait) -> Gait:
+    """Return the gait without the duration of a stride if it is a period far beyond the ends of the clip."""
+    if gait.strides or not gait.stride_s > LONGEST_PERIOD * np.ptp(gait.tracks.time_s):
+        return gait
+    return replace(gait, stride_s=np.nan, stride_sigma_s=np.nan)
+
+
 def _duty_factors(gait: Gait) -> Iterator[GaitQuantity]:
     """Yield the duty factor of all feet together and of each foot."""
     bounds = 0.0, 1.0
@@ -262,7 +275,11 @@ def _duty_factors(gait: Gait) -> Iterator[GaitQuantity]:
         elif gait.strides or np.isnan(gait.stride_s):
             yield _unknown(name, "footfalls", "no complete stride")
         else:
-            yield _duty_by_period(gait, name, [s for s in _whole(gait.stances) if foot in ("", s.foot)])
+            stances = [s for s in _whole(gait.stances) if foot in ("", s.foot)]
+            if not foot and len(stances) == 1:
+                yield _unknown(name, "period of the motion", "only one complete stance")
+            else:
+                yield _duty_by_period(gait, name, stances)
 
 
 def _whole(stances: Sequence[Stance]) -> list[Stance]:

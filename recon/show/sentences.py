@@ -44,7 +44,13 @@ def result_sentences(
     if gait.strides:
         yield from _stride_sentences(gait, quantities)
     elif (length := quantities.get("stride_length_m")) is not None and math.isfinite(length.value):
-        frequency = quantities["stride_frequency_hz"]
+        frequency, period = quantities["stride_frequency_hz"], quantities["stride_s"]
+        if period.value > gait.tracks.time_s[-1] - gait.tracks.time_s[0]:
+            yield (
+                "No foot completes a stride, and the clip is shorter than a stride. The motion would repeat after "
+                f"{quantity_text(period, 's')}."
+            )
+            return
         yield (
             "No foot completes a stride. From the period of the motion, strides are "
             f"{quantity_text(length, 'm')} long, {quantity_text(frequency, 'Hz')}."
