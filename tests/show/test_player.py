@@ -15,8 +15,9 @@ from motions import with_first
 from recon.check.codes import finding
 from recon.show.page import pictures, player_data
 from recon.show.page.pictures import Cut, cut_of, encode_strip
-from recon.show.page.quality import quality_tables
+from recon.show.page.quality import quality_tables, worst_keypoint
 from recon.show.page.scripts import FOLDER, script
+from recon.show.sections.keypoints import keypoint_lines, keypoints_data
 
 MODULES = sorted(path.stem for path in (FOLDER / "player").glob("*.js"))
 
@@ -130,6 +131,26 @@ def test_a_finding_names_its_keypoints_and_camera(small_trajectory):
 
 
 # -- quality ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_and_the_numbers_name_the_same_worst_keypoint(two_cameras):
+    """The largest median in any camera, not in the first; detections far off in a few frames do not count."""
+    joint, few = (two_cameras.names.index(name) for name in ("l_shoulder", "nose"))
+    sources = [replace(source, keypoints=replace(source.keypoints)) for source in two_cameras.sources]
+    for v, rows, column, off_px in ((0, slice(0, 2), few, 900.0), (1, slice(None), joint, 40.0)):
+        xy_px = sources[v].keypoints.xy_px.copy()
+        xy_px[rows, column] += [off_px, 0.0]
+        sources[v] = replace(sources[v], keypoints=replace(sources[v].keypoints, xy_px=xy_px))
+    motion = replace(two_cameras, sources=tuple(sources))
+    tables = quality_tables(motion)
+    for table in tables:
+        medians_px = [-1 if row["median_px"] is None else row["median_px"] for row in table["rows"]]
+        assert medians_px == sorted(medians_px, reverse=True)
+    worst = worst_keypoint(tables)
+    assert (worst["name"], worst["camera"], worst["where"]) == ("l_shoulder", 1, " in cam2")
+    assert worst["text"].startswith("40.0 px from the pose (median)")
+    line = dict(keypoint_lines(motion, keypoints_data(motion)))["reprojection"]
+    assert line.endswith("; worst keypoint l_shoulder in cam2, 40.0 px median")
 
 
 def test_the_worst_keypoint_comes_first_with_where_it_is_stuck(small_trajectory):

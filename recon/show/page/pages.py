@@ -168,7 +168,7 @@ def clip_page(
         player_style=style("player"),
         player_script=script("main"),
         quality=quality,
-        worst=None if player is None else worst_keypoint(quality[number]),
+        worst=None if player is None else worst_keypoint(quality),
         sections=[] if analysis is None else list(_sections(analysis)),
         flagged=flagged[:SHOWN],
         more_flagged=max(0, len(flagged) - SHOWN),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from recon.base.arrays import Array, median
 from recon.base.numbers import counted, quantity
 from recon.fit.motion import Motion, Picture
+from recon.show.sections.keypoints import medians_px
 
 STUCK_PX, STUCK_LEAST = 3.0, 5
 """Radius (px) within which a keypoint's outliers lie if it is stuck at one point, and smallest number of frames with
@@ -23,35 +24,41 @@ NEEDS_LOOK = 0.1
 
 
 def quality_tables(motion: Motion) -> list[dict[str, Any]]:
-    """Return a table for each camera: name, number, and rows, the worst keypoint first."""
+    """Return a table for each camera: name, number, and rows, the largest median distance from the pose first."""
     return [
-        {"camera": picture.name, "number": v, "rows": sorted(_rows(motion, picture), key=lambda row: row["rank"])}
+        {"camera": picture.name, "number": v, "rows": sorted(_rows(motion, v), key=_median_px, reverse=True)}
         for v, picture in enumerate(motion.pictures)
     ]
 
 
-def worst_keypoint(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return number, camera, name and a text of the first keypoint of a table."""
+def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return number, camera, name and a text of the keypoint of the largest median distance from the pose."""
+    table = max(tables, key=lambda table: _median_px(table["rows"][0]))
     row = table["rows"][0]
-    texts = [] if row["median_px"] is None else [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"]
+    texts = [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"] if row["median_px"] is not None else []
     texts += [counted(row["outliers"], "outlier")] if row["outliers"] else []
     texts += [f"swapped in {counted(row['swapped'], 'frame')}"] if row["swapped"] else []
     return {
         "keypoint": row["keypoint"],
         "camera": table["number"],
         "name": row["name"],
+        "where": f" in {table['camera']}" if len(tables) > 1 else "",
         "text": ", ".join(texts) or "without a detection that was used",
     }
 
 
-def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
+def _median_px(row: Mapping[str, Any]) -> float:
+    return -1.0 if row["median_px"] is None else row["median_px"]
+
+
+def _rows(motion: Motion, camera: int) -> Iterator[dict[str, Any]]:
+    picture, errors_px = motion.pictures[camera], medians_px(motion)[camera]
     swapped = swapped_frames(motion, picture)
     for j, name in enumerate(motion.names):
         counts = picture.source.cleaning.keypoints.get(name)
         used, outliers = int(picture.present[:, j].sum()), int(picture.outliers[:, j].sum())
         rejected = 0 if counts is None else counts["rejected"]
-        error_px, stuck = median(picture.distance_px[:, j]), stuck_at(picture, j)
-        # Worst first: by the fraction of outliers and swaps, then by the error.
+        error_px, stuck = float(errors_px[j]), stuck_at(picture, j)
         share = (outliers + int(swapped[:, j].sum())) / max(1, len(motion.frames))
         yield {
             "keypoint": j,
@@ -64,7 +71,6 @@ def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
             "swapped": int(swapped[:, j].sum()),
             "median_px": error_px if math.isfinite(error_px) else None,
             "look": share > NEEDS_LOOK or stuck is not None,
-            "rank": (-round(share, 2), -np.nan_to_num(error_px)),
         }
 
 

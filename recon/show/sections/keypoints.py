@@ -87,7 +87,7 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     used, missing, rejected = (sum(numbers[count] for numbers in points) for count in ("used", "missing", "rejected"))
     yield "detections", _detections_text(motion, fitted, used, missing, rejected)
     errors = totals["reprojection_px"]
-    yield "reprojection", "none: no pose" if errors["worst_joint"] is None else _errors_text(errors)
+    yield "reprojection", "none: no pose" if errors["worst_joint"] is None else _errors_text(motion, errors)
     with_outliers = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     names = ", ".join(f"{name} {count}" for count, name in with_outliers[:3])
     listed_names = names + (", ..." if len(with_outliers) > 3 else "")
@@ -95,9 +95,19 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     yield "outliers", f"{totals['outliers']} of the {used} detections used disagree with the pose{joints}"
 
 
-def _errors_text(errors: Mapping[str, Any]) -> str:
-    average, middle, worst = (quantity(errors[name], 1, "px") for name in ("mean", "median", "worst_joint_mean"))
-    return f"{average} mean, {middle} median; worst joint {errors['worst_joint']}, {worst}"
+def medians_px(motion: Motion) -> Array:
+    """Return the median distance of each camera's detections of each keypoint from the pose, (V, J); NaN without."""
+    distance_px = _stacked(motion, "distance_px")
+    return np.array([[median(of_keypoint) for of_keypoint in of_camera.T] for of_camera in distance_px])
+
+
+def _errors_text(motion: Motion, errors: Mapping[str, Any]) -> str:
+    average, middle = (quantity(errors[name], 1, "px") for name in ("mean", "median"))
+    of_keypoints = medians_px(motion)
+    v, j = np.unravel_index(np.nanargmax(of_keypoints), of_keypoints.shape)
+    camera = f" in {motion.pictures[v].name}" if len(motion.pictures) > 1 else ""
+    worst = f"{motion.names[j]}{camera}, {quantity(of_keypoints[v, j], 1, 'px')} median"
+    return f"{average} mean, {middle} median; worst keypoint {worst}"
 
 
 def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, missing: int, rejected: int) -> str:
