@@ -212,9 +212,9 @@ def _verdict(motion: Motion) -> Verdict:
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
     evidence = evidence_of(motion)
-    pose_effect_m, position_effect_m = effects_of(motion.findings)
-    pose = _widened(expected_pose_of_trunk(evidence), pose_effect_m / evidence.trunk_m)
-    position = _widened(expected_position(evidence), position_effect_m)
+    pose_effect, position_effect = (_largest_effect(motion.findings, name) for name in EFFECTS)
+    pose = _widened(expected_pose_of_trunk(evidence), pose_effect, evidence.trunk_m)
+    position = _widened(expected_position(evidence), position_effect)
     if not np.isfinite(pose.expected + position.expected):  # the frame method without its priors has no expected errors
         return Verdict("do not use", WHY["posterior"])
     warnings = [finding for finding in motion.findings if finding.severity == "warning"]
@@ -248,18 +248,20 @@ def reason_in_list(reason: str | None) -> str:
     return "" if not reason or reason == NOTHING_AGAINST or reason.startswith(NOTHING_SERIOUS) else reason
 
 
-def effects_of(findings: Sequence[Finding]) -> tuple[float, float]:
-    """Return the largest errors, in metres, that findings may cause in poses and in positions."""
-    largest = []
-    for name in EFFECTS:
-        values = (item.numbers.get(name) for item in findings)
-        largest.append(max((v for v in values if isinstance(v, float) and math.isfinite(v)), default=0.0))
-    return largest[0], largest[1]
+def _largest_effect(findings: Sequence[Finding], name: str) -> tuple[float, str]:
+    """Return the largest of one of the numbers `EFFECTS`, in metres, and the code of its finding; 0 and "" if none."""
+    values = ((item.numbers.get(name), item.code) for item in findings)
+    return max(((v, code) for v, code in values if isinstance(v, float) and math.isfinite(v)), default=(0.0, ""))
 
 
-def _widened(error: ExpectedError, effect: float) -> ExpectedError:
-    """Return an expected error whose interval also contains an effect that may or may not be real."""
-    return replace(error, high=math.hypot(error.high, effect))
+def _widened(error: ExpectedError, effect: tuple[float, str], unit_m: float = 1.0) -> ExpectedError:
+    """Return an expected error whose interval also contains the effect of a finding, which may or may not be real.
+
+    The finding is named if its effect is larger than the interval's upper end without it. `unit_m` is the length that
+    the error is relative to.
+    """
+    size, code = effect[0] / unit_m, effect[1]
+    return replace(error, high=math.hypot(error.high, size), widened_by=code if size > error.high else "")
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field, replace
+import math
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
@@ -53,20 +54,25 @@ class ExpectedError(Brief):
     expected: float
     low: float
     high: float
+    widened_by: str = ""
+    """Code of the finding that makes up most of the upper end, whether it is right or not; empty without one."""
 
     @property
     def in_words(self) -> str:
         """Return the error as text: in metres, or in millimetres if the upper end is below half a metre.
 
-        A lower end close to zero is left out.
+        All three numbers have the same decimals. A lower end close to zero is left out.
         """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
-        expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
-        return f"{expected} {unit} ({f'{low} to' if self.low > _NOTHING * self.high else 'at most'} {high})"
+        digits = 0 if error.expected >= 10 else max(1, -math.floor(math.log10(max(error.expected, 1e-3))))
+        low, high = f"{error.low:.{digits}f}", f"{error.high:.{digits}f}"
+        ends = f"{low} to {high}" if self.low > _NOTHING * self.high else f"at most {high}"
+        cause = f", as the finding {self.widened_by} may be right" if self.widened_by else ""
+        return f"{error.expected:.{digits}f} {unit} (90 %: {ends}{cause})"
 
     def times(self, factor: float) -> ExpectedError:
         """Return the error multiplied by a factor, for another unit."""
-        return ExpectedError(factor * self.expected, factor * self.low, factor * self.high)
+        return replace(self, expected=factor * self.expected, low=factor * self.low, high=factor * self.high)
 
 
 @dataclass(frozen=True, repr=False)

@@ -105,8 +105,23 @@ def test_what_no_pixel_says_makes_the_error_larger_and_less_sure(small_trajector
 
 
 def test_an_interval_that_begins_at_nothing_is_said_in_words():
-    assert ExpectedError(0.48, 0.033, 1.2).in_words == "0.48 m (at most 1.2)"
-    assert ExpectedError(0.046, 0.031, 0.067).in_words == "46 mm (31 to 67)"
+    assert ExpectedError(0.48, 0.033, 1.2).in_words == "0.5 m (90 %: at most 1.2)"
+    assert ExpectedError(0.59, 0.04, 4.02).in_words == "0.6 m (90 %: at most 4.0)"
+    assert ExpectedError(0.046, 0.031, 0.067).in_words == "46 mm (90 %: 31 to 67)"
+    assert ExpectedError(0.004, 0.003, 0.006).in_words == "4.0 mm (90 %: 3.0 to 6.0)"
+    assert ExpectedError(12.3, 8.0, 20.0).in_words == "12 m (90 %: 8 to 20)"
+
+
+@pytest.mark.parametrize(("effect_m", "named"), [(5.0, True), (0.001, False)])
+def test_a_finding_that_makes_up_most_of_an_interval_is_named_with_it(whole_results, effect_m, named):
+    noted = finding("focal_length", factor=0.8, sigmas=0.8, pose_effect_m=0.001, position_effect_m=effect_m)
+    verdict = add_verdict(replace(Motion.load(whole_results), findings=(replace(noted, severity="note"),))).verdict
+    assert verdict is not None
+    assert verdict.pose_m is not None
+    assert verdict.position_m is not None
+    assert (verdict.pose_m.widened_by, verdict.position_m.widened_by) == ("", "focal_length" if named else "")
+    assert ("focal_length" in verdict.lines[1]) == named
+    assert verdict.position_m.high > effect_m
 
 
 def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
