@@ -163,8 +163,8 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
     if sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         yield _Check("display", "ok", "available")
     else:
-        hint = "a page shows a result in any browser: recon report DIR"
-        yield _Check("display", "note", "none: recon view cannot show anything on this machine", hint)
+        hint = "watch in a browser: recon view DIR --web, or make a page: recon report DIR"
+        yield _Check("display", "note", "none: recon view cannot open its window", hint)
 
 
 def self_test() -> Iterator[_Check]:

@@ -244,8 +244,8 @@ def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
         (small_trajectory, "23 of the skeleton's 24 used; missing: r_eye; not used: ear"),
         (
             replace(small_trajectory, sources=(file,)),
-            "23 of the skeleton's 24 used; missing: r_eye; not used: right_eye; perhaps the same (--rename): "
-            "right_eye for r_eye",
+            "23 of the skeleton's 24 used; missing: r_eye; not used: right_eye; perhaps only named differently: "
+            'fit again with --rename and a file of these lines: "right_eye,r_eye"',
         ),
     ):
         assert dict(build_report(motion)["lines"])["keypoints"] == said

@@ -142,7 +142,9 @@ def test_viewer_that_is_not_there_or_fails_is_broken(monkeypatch):
     monkeypatch.delenv("DISPLAY")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     if sys.platform == "linux":
-        assert statuses(viewer([sys.executable, "-c", ""]))["display"] == "note"
+        (display,) = (check for check in viewer([sys.executable, "-c", ""]) if check.name == "display")
+        assert display.status == "note"
+        assert "--web" in display.hint
     found, _ = viewer(["/no/such/program"])
     assert (found.status, found.state) == ("broken", "/no/such/program: No such file or directory")
     found, _ = viewer([sys.executable, "-c", "import sys; print('no GL', file=sys.stderr); sys.exit(3)"])

@@ -497,7 +497,7 @@ def test_viewer_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     (tmp_path / "motion.rrd").touch()
     for name in DISPLAYS:
         monkeypatch.delenv(name, raising=False)
-    with refusal(("recon view", "viewer", "no display", "recon report DIR")):
+    with refusal(("recon view", "viewer", "no display", "--web", "recon report DIR")):
         open_viewer(tmp_path / "motion.rrd")
 
 

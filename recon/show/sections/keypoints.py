@@ -75,9 +75,11 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     parts = {
         "missing": missing_names,
         "not used": motion.unused_keypoints,
-        "perhaps the same (--rename)": [f"{a} for {b}" for a, b in similar.items()],
     }
     listed = "".join(f"; {part}: {names_text(names)}" for part, names in parts.items() if names)
+    if similar:
+        rows = " ".join(f'"{name},{marker}"' for name, marker in similar.items())
+        listed += f"; perhaps only named differently: fit again with --rename and a file of these lines: {rows}"
     used_count = f"{totals['keypoints']['used']}" if missing_names else "all"
     is_assumed = missing_names and motion.settings and motion.settings.get("skeleton") is None
     assumed = f"; the skeleton {motion.body.name} is assumed (--skeleton)" if is_assumed else ""

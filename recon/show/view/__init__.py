@@ -275,7 +275,10 @@ def open_viewer(path: Path) -> None:
     Raises InputError if the viewer cannot run.
     """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
-        expected = "a display; without one, make a page (recon report DIR) or a recording (--out FILE.rrd)"
+        expected = (
+            "a display; without one, watch in a browser (--web), or make a page (recon report DIR) or a recording "
+            "(--out FILE.rrd)"
+        )
         raise InputError(Problem("recon view", "viewer", "no display", expected))
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
