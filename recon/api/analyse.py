@@ -304,7 +304,9 @@ def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     speed_by_joint, unknown = {analysis.reference: analysis.reference_motion}, analysis.why_no_speed is not None
     why_not = analysis.reference_motion.why_no_acceleration
     drawn: dict[str, Callable[[], Figure]] = {
-        "side_view": partial(side_view, analysis.pose.xyz_m, limbs, sides, during, time_s, ground),
+        "side_view": partial(
+            side_view, analysis.pose.xyz_m, limbs, sides, during, time_s, ground, of_stride=analysis.stride is not None
+        ),
         "composites": partial(composites, analysis.pose.xyz_m, limbs, time_s, ground, sides=sides),
         "speed": partial(speeds, speed_by_joint, why_not, unknown=unknown, acceleration=not why_not),
         "phase_portraits": lambda: phase_portraits(

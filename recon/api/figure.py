@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from recon.api.analyse import DEFAULT_FIGURES, figures_of
 from recon.base.errors import InputError, Problem
 from recon.base.numbers import counted
 from recon.base.package import version
@@ -17,19 +18,14 @@ if TYPE_CHECKING:
 
 CITATION = "The recon developers. recon: metric 3D motion of a running animal from one camera and DeepLabCut keypoints."
 CAPTIONS: Mapping[str, str] = {
-    "side_view": (
-        "Side view of the animal, which runs to the right, at even steps of a stride: the first complete "
-        "one of the foot with the most strides, whose touch-down is 0 %; grey: the ground."
-    ),
+    "side_view": "Side view of the animal, which runs to the right, at even steps of {steps}; grey: the ground.",
     "joint_flexion": (
         "Joint angles over the stride: flexion from a straight joint, 0 % at the touch-down of the limb's foot. Lines: "
         "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: "
         "stance of the foot (for spine and neck: of the foot with the most strides)."
     ),
-    "footfalls": (
-        "Stances of the feet over time; thin lines: 90 % interval of each end; lines with ticks: complete strides."
-    ),
-    "speed": "Speed over time, and the acceleration where it is known; bands: 90 %.",
+    "footfalls": "Stances of the feet over time; thin lines: 90 % interval of each end.",
+    "speed": "Speed over time; bands: 90 %.",
     "composites": (
         "Configurations over the clip from the side, from above and from ahead, coloured by time. Dashed: left; thin: "
         "right; thick: the rest."
@@ -46,6 +42,14 @@ CAPTIONS: Mapping[str, str] = {
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
 """Captions by figure; figures whose names begin with body_fixed or vector_field have their own captions below."""
+_STEPS: Mapping[str, str] = {
+    "gait": "a stride: the first complete one of the foot with the most strides, which begins at 0 %",
+    "given": "the given stride, which begins at 0 %",
+    "end effector": "the first stride of the end effector, which begins at 0 %",
+    "return": "the time after which the end effector returns; 0 %: its beginning",
+}
+"""Description of the stride of the side view, by the stride's origin."""
+_STRIDE_FIGURE = "joint_flexion"
 BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
 """Figures that use the colours of the left and right sides."""
 _BY_START: Mapping[str, str] = {
@@ -82,17 +86,25 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
     InputError
         If the analysis has no figure of a given name.
     """
-    from recon.api.analyse import figures_of
-
     drawn = figures_of(analysis)
     wrong = [name for name in names if name not in drawn]
     if wrong:
-        raise InputError(Problem("NAME", "figure", name, f"one of {', '.join(drawn)}") for name in wrong)
+        raise InputError(_no_figure(name, analysis, [*drawn]) for name in wrong)
     draws = [drawn[name] for name in names]
     if not draws:
         raise InputError(Problem("NAME", "figure", "none", f"one or more of {', '.join(drawn)}"))
     figure = _single(draws[0], width_mm) if len(draws) == 1 else _stacked(draws, width_mm)
     return PrintedFigure(figure, caption_of(analysis, names, results), width_mm)
+
+
+def _no_figure(name: str, analysis: ClipAnalysis, drawn: Sequence[str]) -> Problem:
+    """Return the problem of a figure that the analysis does not have; `drawn` are the names of those that it has."""
+    if name == _STRIDE_FIGURE and analysis.gait is not None and not analysis.gait.strides:
+        names = ", ".join(figure for figure in DEFAULT_FIGURES if figure in drawn)
+        return Problem(
+            "NAME", "figure", f"{name}, but no complete stride in the clip", f"another figure, such as {names}"
+        )
+    return Problem("NAME", "figure", name, f"one of {', '.join(drawn)}")
 
 
 def _single(draw: Callable[[], Figure], width_mm: float) -> Figure:
@@ -150,6 +162,17 @@ def _caption(name: str, analysis: ClipAnalysis) -> str:
     limb = next((name.removeprefix(begin).strip("_") for begin in _BY_START if name.startswith(begin)), "")
     if limb:
         text = f"{text.removesuffix('.')}: {limb.replace('_', ' ')}."
+    if name == "side_view":
+        stride = analysis.stride
+        steps = (
+            "the clip, which has no complete stride, with the times of the poses"
+            if stride is None
+            else _STEPS[stride.origin]
+        )
+        text = text.format(steps=steps)
+    if name == "speed" and not analysis.reference_motion.why_no_acceleration:
+        text = text.replace("Speed", "Speed and acceleration")
     if name == "footfalls" and analysis.gait is not None:
+        text = f"{text.removesuffix('.')}; lines with ticks: complete strides." if analysis.gait.strides else text
         text += f" Gait: {analysis.gait.name.name} ({analysis.gait.name.criterion})."
     return text

@@ -58,8 +58,10 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
     progress("analysis", 0.1)
     analysis = analyse(motion, settings.stride)
     if out is None or not settings.names:
-        rows = [(name, caption_of(analysis, (name,)).partition("\n")[0]) for name in figures_of(analysis)]
-        advice = f"Draw one with: recon figure {settings.folder} {DEFAULT_FIGURES[1]} --out fig1.pdf"
+        drawn = figures_of(analysis)
+        rows = [(name, caption_of(analysis, (name,)).partition("\n")[0]) for name in drawn]
+        example = next(name for name in (DEFAULT_FIGURES[1], *DEFAULT_FIGURES) if name in drawn)
+        advice = f"Draw one with: recon figure {settings.folder} {example} --out fig1.pdf"
         return Answer([row[0] for row in rows], [table_of("figure", "what it shows", rows=rows), advice])
     caption_path = out.with_suffix(".txt")
     output = Output(out.parent, "figure", settings.overwrite, input_paths(settings), made_from, exact=out.name)

@@ -194,4 +194,4 @@ def figure_of(motion: Motion) -> Figure:
     from recon.show.plots.side_view import side_view
 
     sides = motion.limb_sides
-    return side_view(motion.upright.xyz_m, motion.limbs, sides, motion.solved, motion.time_s)
+    return side_view(motion.upright.xyz_m, motion.limbs, sides, motion.solved, motion.time_s, of_stride=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from matplotlib.text import Text
 
 from recon.api.analyse import DEFAULT_FIGURES, figures_of
 from recon.api.figure import caption_of, draw_for_print
+from recon.base.errors import InputError
 from recon.gait.clip import ClipAnalysis
 from recon.show.plots import style
 
@@ -69,6 +71,32 @@ def test_the_caption_says_n_bands_method_and_citation(whole: ClipAnalysis):
     assert f"n = 1 animal, 1 clip, {len(whole.gait.strides)} complete strides" in caption  # type: ignore[union-attr]
     assert "60 frames at 60 Hz, 1 camera, skeleton cheetah-24" in caption
     assert "Cite: The recon developers" in caption
+
+
+def test_a_clip_without_a_stride_has_figures_of_the_clip(whole: ClipAnalysis):
+    assert whole.gait is not None
+    assert "a stride: the first complete one" in caption_of(whole, ("side_view",))
+    assert "lines with ticks" in caption_of(whole, ("footfalls",))
+    vars(analysis := ClipAnalysis(whole.motion))["gait"] = replace(whole.gait, strides=())
+    side_view, footfalls = (caption_of(analysis, (name,)).partition("\n")[0] for name in ("side_view", "footfalls"))
+    assert "the clip, which has no complete stride" in side_view
+    assert "%" not in side_view
+    assert "ticks" not in footfalls
+    figure = draw_for_print(analysis, ("side_view",), 183.0).figure
+    below = [text.get_text() for text in figure.findobj(Text) if re.fullmatch(r"[\d.]+ (s|%)", text.get_text())]
+    assert len(below) == 6
+    assert below[0] == f"{analysis.motion.time_s[analysis.motion.solved][0]:.2f} s"
+    with pytest.raises(InputError) as error:
+        draw_for_print(analysis, ("joint_flexion",), 183.0)
+    assert "no complete stride" in str(error.value)
+    assert "side_view, footfalls, speed" in str(error.value)
+
+
+def test_the_caption_of_the_speed_names_what_is_drawn(whole: ClipAnalysis):
+    is_known = not whole.reference_motion.why_no_acceleration
+    assert ("acceleration" in caption_of(whole, ("speed",))) == is_known
+    axes = draw_for_print(whole, ("speed",), 183.0).figure.axes
+    assert any(panel.get_ylabel().startswith("acceleration") for panel in axes) == is_known
 
 
 def test_every_figure_has_a_caption(whole: ClipAnalysis):

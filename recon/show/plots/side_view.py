@@ -1,4 +1,4 @@
-"""Draw the animal from the side at even steps of one stride, as papers do."""
+"""Draw the animal from the side at even steps of one stride, or of the clip, as papers do."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ def side_view(
     during: Bools,
     time_s: Array,
     grounds: Sequence[tuple[slice, Plane]] | None = None,
+    of_stride: bool = True,
 ) -> Figure:
-    """Draw `POSES` configurations at even steps of the stride, side by side, the animal running to the right.
+    """Draw `POSES` configurations at even steps, side by side, the animal running to the right.
 
     Parameters
     ----------
@@ -46,6 +47,8 @@ def side_view(
         Times, shape (T,).
     grounds : sequence, optional
         Planes of the ground, each with its rows of the clip; without a plane, a line touches the lowest foot.
+    of_stride : bool
+        Whether `during` is a stride. The poses then have percents of it below them, otherwise times in seconds.
     """
     drawn = sorted({joint for joints in limbs.values() for joint in joints})
     known = during & (np.isfinite(joints_m[:, drawn]).all(axis=2).mean(axis=1) >= 0.5)
@@ -73,7 +76,7 @@ def side_view(
                 i = line * per_line + column
                 shift = np.array([column * step_m - 0.5 * (low_x[i] + high_x[i]), -ground_m[i]])
                 _draw_pose(axes, poses[i][:, [0, 2]] + shift, limbs, sides)
-                text = f"{100 * i / POSES:.0f} %"
+                text = f"{100 * i / POSES:.0f} %" if of_stride else f"{time_s[chosen[i]]:.2f} s"
                 axes.text(column * step_m, -0.06 * tall_m, text, ha="center", va="top", fontsize=style.SMALL)
             axes.axhline(0, color=style.GREY, lw=0.8, zorder=1)
             axes.set_xlim(-0.5 * step_m, (per_line - 0.5) * step_m)
