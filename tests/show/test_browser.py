@@ -274,6 +274,23 @@ def test_every_view_shows_the_frame_of_the_cursor(pages, opened):
     assert page.locator("header p").text_content().startswith(f"{EVIL} · frames 10 to 17")
 
 
+def test_cursors_stay_on_their_curves_and_words_stay_whole_on_a_phone(pages, opened):
+    page = opened(pages["film"], "phone")
+    page.evaluate(f"{PLAYER}.strips.forEach((strip) => strip.draw(true))")
+    # A longer value wraps to a second line and moves the curve below it.
+    off_px = page.evaluate("""() => [...document.querySelectorAll(".strip")].map((strip) => {
+      strip.querySelector("output").textContent = "left \u221225 \u00b1 23\u00b0, right ".repeat(4);
+      const [canvas, line] = [strip.querySelector("canvas"), strip.querySelector(".cursor-line")];
+      return canvas.clientWidth ? Math.abs(canvas.getBoundingClientRect().top - line.getBoundingClientRect().top) : 0;
+    })""")
+    assert len(off_px) > 3
+    assert max(off_px) < 1
+    heights_px = page.evaluate("""() => [...document.querySelectorAll(".quality tbody td:first-child")]
+      .map((cell) => cell.getBoundingClientRect().height)""")
+    assert len(heights_px) == 24
+    assert max(heights_px) < 50
+
+
 def test_keys_and_buttons_move_the_cursor(pages, opened):
     page = opened(pages["film"])
     row = lambda: page.evaluate(f"{PLAYER}.cursor.row")  # noqa: E731

@@ -75,7 +75,8 @@ export class Strip {
       this.drawFlagged(pen, high, paint);
       this.drawStill(pen, wide, high, paint);
       pen.restore();
-      Object.assign(line.style, { top: `${canvas.offsetTop}px`, height: `${high}px`, left: `${canvas.offsetLeft - 1}px` });
+      // Without a top, the line begins below the canvas, wherever a longer text above it moves the canvas later.
+      Object.assign(line.style, { marginTop: `${-canvas.offsetHeight}px`, height: `${high}px`, left: `${canvas.offsetLeft - 1}px` });
     }
     line.style.transform = `translateX(${this.x(this.cursor.row)}px)`;
   }
@@ -140,7 +141,7 @@ export class CurveStrip extends Strip {
   }
 
   format(value) {
-    return this.panel.unit === "°" || Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(Math.abs(value) >= 10 ? 1 : 2);
+    return fixed(value, this.panel.unit === "°" || Math.abs(value) >= 100 ? 0 : Math.abs(value) >= 10 ? 1 : 2);
   }
 
   y(value, high) {
@@ -156,7 +157,7 @@ export class CurveStrip extends Strip {
       pen.fillStyle = paint.line;
       pen.fillRect(this.gutter, Math.round(y), wide - this.gutter - 10, 1);
       pen.fillStyle = paint.soft;
-      pen.fillText(String(+value.toFixed(6)), this.gutter - 6, y);
+      pen.fillText(withMinus(String(+value.toFixed(6))), this.gutter - 6, y);
     }
     if (this.filled) {
       pen.fillStyle = paint.soft;
@@ -229,7 +230,17 @@ export class CurveStrip extends Strip {
 /** Return a value with its band, both with as many digits as the band supports. */
 export function withBand(value, band) {
   const size = Number.isNaN(band) ? Math.abs(value) / 10 : band, digits = size >= 9.5 ? 0 : size >= 0.95 ? 1 : 2;
-  return Number.isNaN(band) ? value.toFixed(digits) : `${value.toFixed(digits)} ± ${band.toFixed(digits)}`;
+  return Number.isNaN(band) ? fixed(value, digits) : `${fixed(value, digits)} ± ${fixed(band, digits)}`;
+}
+
+/** Return a text of a number with a minus sign, as in the figures, in place of a hyphen. */
+function withMinus(text) {
+  return text.replace("-", "\u2212");
+}
+
+/** Return a number with a fixed number of digits; zero has no sign. */
+function fixed(value, digits) {
+  return withMinus(value.toFixed(digits).replace(/^-(?=[0.]*$)/, ""));
 }
 
 function clamp(y, high) {
