@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PureWindowsPath
@@ -19,6 +20,7 @@ from pathlib import Path, PureWindowsPath
 import numpy as np
 
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.numbers import counted
 from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints
@@ -374,10 +376,16 @@ def _metadata_files(path: Path) -> Iterator[Path]:
 def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Iterator[Problem]:
     if not columns:
         yield Problem(path, "header rows", "no columns", "at least one bodypart")
-    for animal, bodypart, coord in dict.fromkeys(columns):
+    distinct = dict.fromkeys(columns)
+    columns_with = Counter(coord for _, _, coord in distinct)
+    named = {*COORDS}
+    for animal, bodypart, coord in distinct:
         location = f"column {'/'.join(filter(None, (animal, bodypart, coord)))}"
-        if coord not in COORDS:
-            yield Problem(path, location, f"coordinate '{coord}'", ", ".join(COORDS))
+        if coord not in named:  # once for all columns, since a renamed coordinate is in all of them
+            named.add(coord)
+            count = columns_with[coord]
+            detail = f"coordinate '{coord}'" + (f", as in {counted(count - 1, 'more column')}" if count > 1 else "")
+            yield Problem(path, location, detail, ", ".join(COORDS))
         if not bodypart or not f"{animal}{bodypart}".isprintable():
             yield Problem(path, location, "a bodypart without a printable name", "printable characters")
 

@@ -440,7 +440,7 @@ def test_no_file(tmp_path):
 
 def test_unknown_format(tmp_path):
     refuses(save(tmp_path, "frame,x,y\n0,1,2\n"), ("format", "'frame,x,y'", "DeepLabCut CSV"))
-    refuses(save(tmp_path, " \n\n"), ("format", "blanks"))
+    refuses(save(tmp_path, " \n\n"), ("format", "empty lines"))
     binary = tmp_path / "binary.csv"
     for content in (b"\x00\x01\x02\x03", bytes(range(128, 192)), b"\x89PNG\r\n\x1a\n\x00\x00"):
         binary.write_bytes(content)
@@ -473,6 +473,7 @@ def test_binary_after_the_header(tmp_path):
         ("scorer\nbodyparts\ncoords\n0\n", ("header rows", "no columns")),
         (SINGLE.replace(",x,y,likelihood\n", "\n"), ("header rows", "7 in scorer, 7 in bodyparts, 4 in coords")),
         (SINGLE.replace("x,y,l", "x,why,l", 1), ("column nose/why", "'why'", "x, y, z, likelihood")),
+        (SINGLE.replace("x,y,l", "x,why,l"), ("column nose/why", ["'why'", "1 more column"], "x, y, z")),
         (SINGLE.replace("tail", "nose"), ("bodypart nose", "more than one")),
         (SINGLE.replace("tail", "nose "), ("bodypart nose", "more than one")),
         (SINGLE.replace("likelihood", "z"), ("coords", "3D positions", "2D keypoints")),
