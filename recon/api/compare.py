@@ -174,7 +174,8 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
         experiment = model_experiment(clips, strides, WITH_SIZE, covariates)
         shown = experiment.runs
         written |= {RUNS: shown, MODEL: experiment.effects, VARIANCES: experiment.variances}
-    notes = [*results.notes, *_same_runs(results, design), *(experiment.notes if experiment else ())]
+    notes = [*results.notes, *_by_period(clips), *_same_runs(results, design)]
+    notes += experiment.notes if experiment else ()
     groups = written[GROUPS] = _group_rows(shown)
     progress("tables", 0.95)
     by = settings.by or ("group" if len(groups) > 1 else "")
@@ -243,6 +244,16 @@ def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
     if left_out := [name for name in loaded if name not in usable_motions]:
         notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. --anyway includes them.')
     return _Results(folders, counting, levels, [*left_out, *copies], notes)
+
+
+def _by_period(clips: pd.DataFrame) -> Iterator[str]:
+    """Yield a note on the clips whose stride length and frequency do not come from complete strides."""
+    names = [str(name) for name in clips.loc[clips["stride_frequency_hz_source"] == "period of the motion", "clip"]]
+    if names:
+        yield (
+            f"No foot completes a stride in {names_text(names)}: stride length, stride frequency and duty factor come "
+            "from the period of the motion."
+        )
 
 
 def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:

@@ -18,6 +18,7 @@ from recon.base.numbers import counted, interval, percent
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, table_of
 from recon.gait.mixed_model import LEVELS
+from recon.show.page.compare_page import value_with_interval
 from recon.show.page.own_page import COMPARE_PAGE
 
 
@@ -65,14 +66,14 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
                 str,
                 (fill(row["group"], 20), QUANTITIES[quantity][0], known.loc[row["group"], quantity], row["strides"]),
             ),
-            *_cells(row[quantity], row[f"{quantity}_sigma"], row[f"{quantity}_spread"]),
+            *_cells(*value_with_interval(row, quantity), row[f"{quantity}_spread"]),
         )
         for row in groups.to_dict("records")
         for quantity in QUANTITIES
     )
-    yield table_of("group", "quantity", numbers=(f"{unit}s", "strides", "mean", "±", "spread"), rows=rows)
+    yield table_of("group", "quantity", numbers=(f"{unit}s", "strides", "mean", "90 % interval", "spread"), rows=rows)
     yield (
-        "±: one standard deviation of the mean, including that of the animal's size; spread: one standard deviation "
+        "The intervals include the error of the animal's size. Spread: one standard deviation "
         f"between the {unit}s, 0 if they differ by no more than their own uncertainties."
     )
     if missing := [QUANTITIES[quantity][0] for quantity in QUANTITIES if quantity not in known_quantities(clips)]:
@@ -88,7 +89,8 @@ def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
         return
     for quantity, effects in experiment.effects.groupby("quantity", sort=False):
         rows = [
-            (row["effect"], *_value(row), *(str(row[name]) for name in _COUNTS)) for row in effects.to_dict("records")
+            (row["effect"], *_value(row["value"], row["low"], row["high"]), *(str(row[name]) for name in _COUNTS))
+            for row in effects.to_dict("records")
         ]
         numbers = "value", "90 % interval", *_COUNTS
         yield table_of("effect", numbers=numbers, rows=rows, title=QUANTITIES[str(quantity)][0])
@@ -116,9 +118,9 @@ FEW_ANIMALS = 15
 _COUNTS = "animals", "runs", "strides"
 
 
-def _value(row: dict) -> tuple[str, str]:
+def _value(value: float, low: float, high: float) -> tuple[str, str]:
     """Return a value and the ends of its interval, as text."""
-    text, _, ends = interval(row["value"], row["low"], row["high"]).partition(" (")
+    text, _, ends = interval(value, low, high).partition(" (")
     return text, ends.rstrip(")")
 
 
@@ -126,9 +128,12 @@ def _short(value: float) -> str:
     return f"{value:.2g}" if math.isfinite(value) else "-"
 
 
-def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
-    shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
-    return tuple("-" if text == "nan" else text for text in shown)
+def _cells(mean: float, low: float, high: float, spread: float) -> tuple[str, ...]:
+    """Return a mean, its interval and the spread as texts."""
+    if not math.isfinite(mean):
+        return "-", "-", "-"
+    text, ends = _value(mean, low, high)
+    return text, ends or "-", _short(spread)
 
 
 # -- plans --------------------------------------------------------------------------------------------------------

@@ -14,10 +14,11 @@ import numpy as np
 import pandas as pd
 
 from recon.base.file_names import encodable
-from recon.base.numbers import NORMAL_90
 from recon.base.package import version
 from recon.base.tables import guarded
+from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import INTERVAL
 from recon.io.writing import formats_extra
 from recon.show.tables import DICTIONARY, LONG, TABLES, UNITS, table_content, unit_of
 
@@ -132,7 +133,7 @@ def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
     front = [
         [f"Analysis of {results} by recon {version()}"],
         *([line] for line in verdict),
-        [f"90 % intervals are {NORMAL_90} standard deviations on either side. Empty cells are not known."],
+        [f"90 % intervals are {radius(INTERVAL):.2f} standard deviations on either side. Empty cells are not known."],
         ["The sheet long has every number in a row of its own, also those of tables with many columns."],
         [],
     ]

@@ -12,10 +12,12 @@ import pandas as pd
 import pytest
 from command_line import Refusal, refused, run, says
 
-from recon.api.compare import QUANTITIES, _figure, _group_rows, _mean_of
+from recon.api.compare import QUANTITIES, _by_period, _figure, _group_rows, _mean_of
 from recon.base.files import write_manifest
+from recon.base.numbers import interval
 from recon.cli.compare import _lines
 from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
 
 pytestmark = pytest.mark.usefixtures("remembered_analyses")
 
@@ -34,12 +36,14 @@ def clips(tmp_path_factory: pytest.TempPathFactory, whole_motion: Motion) -> Pat
     return folder
 
 
-def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path):
+def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path, whole_analysis: ClipAnalysis):
     out = tmp_path / "out"
     # as a shell writes out all/*
     ended = run("compare", *clips.iterdir(), "--table", clips / "animals.csv", "--by", "sex", "--out", out)
     assert (ended.code, ended.err) == (0, "")
-    assert says(ended.out, "one standard deviation of the mean", "spread: one standard deviation between")
+    assert says(
+        ended.out, "90 % interval", "include the error of the animal's size", "Spread: one standard deviation between"
+    )
     groups, by_clip, strides = (pd.read_csv(out / f"{name}.csv") for name in ("groups", "clips", "strides"))
     assert (out / "clips.parquet").is_file()
     pd.testing.assert_frame_equal(pd.read_parquet(out / "strides.parquet"), strides)
@@ -52,6 +56,12 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
     assert page.count('<g class="dot') == 3 * len(QUANTITIES)
     assert page.count("n = 2</text>") == page.count("n = 1</text>") == len(QUANTITIES)
     assert f"{by_clip['speed_m_s'].iloc[0]:.1f} <span" in page
+    # The same interval everywhere: that of the clip's own analysis. Group m has one clip.
+    for name in QUANTITIES:
+        quantity = whole_analysis.quantities[name]
+        number, _, ends = interval(quantity.value, *quantity.interval).partition(" (")
+        assert page.count(f'{number} <span class="soft">({ends}</span>') == 4
+        assert f" {ends.removesuffix(')')} " in ended.out
     for name in QUANTITIES:
         # The same clip thrice: the same means, no spread, and two clips know what is no clip's own as well as one.
         np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-9)
@@ -108,6 +118,14 @@ def test_only_what_some_clip_has_is_drawn():
     assert [axes.get_title() for axes in _figure(clips, groups).axes] == ["speed (m/s)"]
     said = [line for line in _lines(clips, groups, Path("out")) if isinstance(line, str)]
     assert said[-3] == "No clip has a complete stride: no stride length (m), stride frequency (Hz), duty factor."
+
+
+def test_clips_without_a_complete_stride_are_named():
+    clips = pd.DataFrame({"clip": ["a", "b", "c"]})
+    clips["stride_frequency_hz_source"] = ["footfalls", "period of the motion", ""]
+    (note,) = _by_period(clips)
+    assert "in b: stride length" in note
+    assert [*_by_period(clips[clips["clip"] != "b"])] == []
 
 
 def test_the_mean_of_clips_knows_their_spread():

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from recon.base.numbers import NORMAL_90, counted, interval
+from recon.base.numbers import counted, interval
 from recon.fit.result import LEVELS
+from recon.gait.gait import interval_of
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script
 
@@ -49,7 +50,7 @@ def compare_page(
         (`_sigma`). Lines join the clips of an `animal` in several groups.
     groups
         Table with the columns group, clips and strides, and each measure's mean and standard deviation. The ends of its
-        90 % interval, if given as `_low` and `_high`, replace those of a normal distribution.
+        90 % interval may be given as `_low` and `_high`.
     measures
         Titles with units, by column.
     pages
@@ -88,12 +89,17 @@ def compare_page(
     )
 
 
-def _interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
-    """Return a value and the ends of its 90 % interval, NaN if unknown."""
+def value_with_interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
+    """Return a value of a clip or a group and the ends of its 90 % interval, NaN if unknown.
+
+    The ends are those of the columns `_low` and `_high`, or follow from `_sigma` as in every analysis. No measure is
+    negative.
+    """
     value, sigma = float(row[name]), float(row[f"{name}_sigma"])
     low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
     if pd.isna(low) or pd.isna(high):
-        return value, value - NORMAL_90 * sigma, value + NORMAL_90 * sigma
+        _, low, high = interval_of(value, sigma)
+        low = low if math.isnan(low) else max(low, 0.0)
     return value, float(low), float(high)
 
 
@@ -122,7 +128,10 @@ def _clip_row(
         "strides": int(row["strides"]),
         "error_px": f"{error_px:.1f}" if math.isfinite(error_px) else "",
         "values": {
-            name: {"sort": f"{row[name]:.6g}" if math.isfinite(row[name]) else "", "text": _text(*_interval(row, name))}
+            name: {
+                "sort": f"{row[name]:.6g}" if math.isfinite(row[name]) else "",
+                "text": _text(*value_with_interval(row, name)),
+            }
             for name in measures
         },
     }
@@ -134,7 +143,7 @@ def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[st
     values = {}
     for name in measures:
         known = group_clips[name].dropna()
-        value, low, high = _interval(row, name)
+        value, low, high = value_with_interval(row, name)
         digits = interval(value, low, high).partition(" ")[0].partition(".")[2] if math.isfinite(value) else ""
         median_text = f"{known.median():.{len(digits)}f}" if len(known) else ""
         values[name] = {"text": _text(value, low, high), "median": median_text, "clips": len(known)}
@@ -172,7 +181,7 @@ def _plot(
     if not clips[name].notna().any():
         return None
     clip_rows, group_rows = clips.to_dict("records"), groups.to_dict("records")
-    ends = [x for row in (*clip_rows, *group_rows) for x in _interval(row, name) if math.isfinite(x)]
+    ends = [x for row in (*clip_rows, *group_rows) for x in value_with_interval(row, name) if math.isfinite(x)]
     ticks = _ticks(min(ends), max(ends))
     scale = _Scale(min(ticks[0], min(ends)), max(ticks[-1], max(ends)))
     width = max(WIDTH, LEFT + RIGHT + GROUP_WIDTH * len(group_rows))
@@ -200,7 +209,9 @@ def _plot(
             }
         )
     pairs = [points for points in dots_by_animal.values() if len(points) > 1]
-    spoken = [f"{row['group']}: {' '.join(_text(*_interval(row, name))) or 'not known'}" for row in group_rows]
+    spoken = [
+        f"{row['group']}: {' '.join(_text(*value_with_interval(row, name))) or 'not known'}" for row in group_rows
+    ]
     return {
         "title": title,
         "width": round(width),
@@ -229,7 +240,7 @@ class _Scale:
 
 def _dot(row: Mapping[Any, Any], name: str, x: float, scale: _Scale, pages: Mapping[str, str]) -> dict[str, Any]:
     """Return the dot of a clip at x px, with the ends of its interval if they are known."""
-    value, low, high = _interval(row, name)
+    value, low, high = value_with_interval(row, name)
     clip = str(row["clip"])
     return {
         "x": round(x, 1),
@@ -244,7 +255,7 @@ def _dot(row: Mapping[Any, Any], name: str, x: float, scale: _Scale, pages: Mapp
 
 def _mean_of_group(row: Mapping[Any, Any], name: str, scale: _Scale, clips: int) -> dict[str, Any]:
     """Return the mean of a group and its band, which a single clip does not have."""
-    mean, low, high = _interval(row, name)
+    mean, low, high = value_with_interval(row, name)
     return {
         "mean": scale.height(mean) if math.isfinite(mean) and clips > 1 else None,
         "band": [scale.height(high), scale.height(low)] if math.isfinite(low) and clips > 1 else [],
