@@ -197,9 +197,9 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     elif motion.side is None and gait is not None:
         yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."
     if gait is not None and analysis.stride is None:
-        yield "No complete stride in the clip: no stride figures, and phase portraits are of the whole clip."
+        yield "No complete stride in the clip: no joint_flexion; side view and phase portraits show the whole clip."
     elif gait is not None and not gait.strides and analysis.stride is not None and analysis.stride.at == "return":
-        yield "No complete stride in the clip: no stride figures, and phase portraits are of a foot's nearest return."
+        yield "No complete stride in the clip: no joint_flexion; phase portraits show a foot's nearest return."
 
 
 def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:

@@ -302,7 +302,7 @@ class Gait(Brief):
     """Gait of a clip.
 
     Lengths and frequencies are means over complete strides, duty factors are medians. All are NaN without complete
-    strides.
+    strides; `quantities` of a clip's analysis then has those by the period of the motion.
     """
 
     tracks: Tracks
