@@ -637,6 +637,12 @@ def test_the_counts_are_those_of_all_cameras(several, two_cameras):
     assert (rows["nose"]["used"], rows["r_eye"]["used"], rows["nose"]["noise_px"]) == (13, 6, 15)
 
 
+def test_the_summary_names_the_camera_of_one_keypoint_file(small_trajectory, trajectory):
+    of_file = build_report(small_trajectory, {"camera": "cameras.toml"})
+    assert dict(of_file["lines"])["clip"] == "run.csv (camera cam1), frames 10 to 17 at 30 fps"
+    assert dict(trajectory["lines"])["clip"] == "run.csv, frames 10 to 17 at 30 fps"
+
+
 def test_console_summary_of_several_cameras(several, two_cameras):
     lines = summary_lines(several)
     assert ("clip", "run.csv, cam2.csv, frames 10 to 17 at 30 fps") in lines

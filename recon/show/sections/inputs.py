@@ -63,11 +63,13 @@ def clip_data(motion: Motion) -> dict[str, Any]:
 
 
 def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the clip's files, frames and frame rate."""
+    """Yield the clip's files, frames and frame rate, and which camera of its file one keypoint file belongs to."""
     sources = [source.keypoints.source for source in motion.sources]
     files = ", ".join(Path(path).name if path else "keypoints" for path in sources)
+    has_file = len(sources) == 1 and motion.settings and motion.settings.get("camera") is not None
+    camera = f" (camera {motion.camera.name})" if has_file else ""
     first, stop = data["frames"]
-    yield "clip", f"{files}, frames {first} to {stop - 1} at {motion.fps:g} fps"
+    yield "clip", f"{files}{camera}, frames {first} to {stop - 1} at {motion.fps:g} fps"
 
 
 def side_data(motion: Motion) -> dict[str, Any]:
