@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from recon.base.documents import builtin_file
-from recon.base.numbers import length_text
+from recon.base.numbers import length_text, quantity
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
@@ -44,6 +44,8 @@ FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of others."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
 """Numbers of findings: the change of poses (joints about their middle) and of positions if the finding is right."""
+SPEEDS: tuple[str, str] = ("given_speed_m_s", "other_speed_m_s")
+"""Numbers of findings on the frame rate: the mean speed at the given and at the other rate."""
 WITHOUT_FAULT = frozenset({"camera_agreement"})
 """Codes of notes that say that something is in order."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
@@ -116,12 +118,24 @@ def sentence(item: Finding, named: bool = True) -> str:
 
 
 def effect_text(numbers: Mapping[str, Any]) -> str:
-    """Return the effect of a finding on the result, as a sentence after a space, or "" if it is unknown."""
+    """Return the effect of a finding on the result, as a sentence after a space, or "" if it is unknown.
+
+    With another frame rate, which changes poses and positions little, it is the effect on the speed.
+    """
+    if {*SPEEDS} <= numbers.keys():
+        speed_text, other_text = (_speed_text(numbers[name]) for name in SPEEDS)
+        return f" The animal's speed would be {other_text}, not {speed_text}."
     pose_m, position_m = (numbers.get(name, math.nan) for name in EFFECTS)
     if not math.isfinite(pose_m + position_m):
         return ""
     lengths = f"{1000 * pose_m:.0f} mm and positions by {1000 * position_m:.0f} mm"
     return f" Without this fault, poses would change by {lengths}."
+
+
+def _speed_text(speed_m_s: float) -> str:
+    # two digits, because another frame rate is known only roughly
+    digits = 0 if speed_m_s >= 9.5 else 1 if speed_m_s >= 0.95 else 2
+    return quantity(speed_m_s, digits, "m/s")
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:

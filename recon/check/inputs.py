@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -18,7 +19,7 @@ from recon.animal.body import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.check.clocks import drift_findings
-from recon.check.codes import FLAG_OF, by_effect, finding
+from recon.check.codes import FLAG_OF, SPEEDS, by_effect, finding
 from recon.check.focal import focal_finding
 from recon.check.halves import halves_finding
 from recon.check.likelihood import (
@@ -200,6 +201,10 @@ def _rate_findings(
     rate_finding = frame_rate_finding(clip.part(longest), states, stated_hz, by_motion=not poor_share)
     if rate_finding is None:
         return ()
+    numbers: dict[str, Any] = rate_finding.numbers
+    speed_m_s = mean_speed_m_s(solution.states[longest], clip.fps)
+    speeds_m_s = speed_m_s, speed_m_s * numbers["other_hz"] / numbers["given_hz"]
+    rate_finding = replace(rate_finding, numbers={**numbers, **dict(zip(SPEEDS, speeds_m_s, strict=True))})
     return (replace(rate_finding, severity="note") if is_known else rate_finding,)
 
 

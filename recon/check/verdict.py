@@ -191,7 +191,7 @@ def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
     """Return the expected mean error of the joints, both poses centred, relative to the length of the trunk."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
     reach = NORMAL_90 * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
-    return ExpectedError(*map(math.exp, (middle, middle - reach, middle + reach)))
+    return ExpectedError(math.exp(middle), math.exp(middle - reach), math.exp(middle + reach))
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:

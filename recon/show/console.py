@@ -63,11 +63,12 @@ def _largest_notes(findings: Sequence[Mapping[str, Any]], reason: str) -> list[s
 
     Notes with an unknown effect come last.
     """
-    notes = [
-        (max((item["numbers"].get(name) or 0.0 for name in EFFECTS), default=0.0), item["text"])
-        for item in findings
-        if item["severity"] == "note" and item["code"] not in WITHOUT_FAULT and item["text"] not in reason
-    ]
-    notes.sort(key=lambda note: -note[0])
-    texts = [(effect_m, text.partition(". ")[0].rstrip(".")) for effect_m, text in notes[:NOTES]]
-    return [f"{text} (by {length_text(m)})." if m else f"{text}." for m, text in texts]
+    notes = []
+    for item in findings:
+        if item["severity"] == "note" and item["code"] not in WITHOUT_FAULT and item["text"] not in reason:
+            pose_m, position_m = (item["numbers"].get(name) or 0.0 for name in EFFECTS)
+            effect_m = max(pose_m, position_m)
+            affected = "pose" if pose_m > position_m else "position"
+            effect = f" ({affected} by {length_text(effect_m)})" if effect_m else ""
+            notes.append((effect_m, item["text"].partition(". ")[0].rstrip(".") + effect + "."))
+    return [text for _, text in sorted(notes, key=lambda note: -note[0])[:NOTES]]

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recon.animal.prior import prior_from_body
 from recon.check.codes import by_effect, finding, sentence
 from recon.check.inputs import GROSS, _rate_findings
 from recon.check.rules import frames_flagged, likelihoods_low, many_left_out, many_outliers, pair_disagrees
 from recon.check.verdict import add_verdict, frame_rms_m
 from recon.clip import leave_out
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.result import SecondCamera
 
 TRUNK_M = 0.7
@@ -57,6 +59,22 @@ def test_a_sentence_says_the_effect_where_it_is_known():
     assert "error). Measure the time offset with --set find-offsets=true" in sentence(late(np.nan, np.nan))
 
 
+def test_a_finding_on_the_frame_rate_says_the_speed(small_trajectory, monkeypatch):
+    """Poses and positions hardly change with the rate: their effect would play the fault down."""
+    rate = finding("frame_rate", given_hz=30.0, other_hz=83.0, pose_effect_m=0.01, position_effect_m=0.1)
+    monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: rate)
+    body, solution = small_trajectory.body, small_trajectory.solution
+    clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 30.0, TrajectoryOptions())
+    (found,) = _rate_findings(clip, solution, None, is_known=False)
+    root_m = solution.states[solution.longest_segment.rows][:, :2]
+    speed_m_s = 30.0 * np.nanmean(np.linalg.norm(np.diff(root_m, axis=0), axis=1))
+    assert found.numbers["given_speed_m_s"] == pytest.approx(speed_m_s)
+    assert found.numbers["other_speed_m_s"] == pytest.approx(speed_m_s * 83 / 30)
+    said = sentence(replace(found, numbers={**found.numbers, "given_speed_m_s": 4.34, "other_speed_m_s": 12.01}))
+    assert "by the same factor. The animal's speed would be 12 m/s, not 4.3 m/s. Check --fps" in said
+    assert "positions by" not in said
+
+
 def test_the_intervals_of_the_verdict_contain_the_effect(small_trajectory):
     plain = add_verdict(small_trajectory).verdict
     noted = add_verdict(replace(small_trajectory, findings=(replace(late(0.3, 0.4), severity="note"),))).verdict
@@ -69,9 +87,6 @@ def test_the_intervals_of_the_verdict_contain_the_effect(small_trajectory):
 def test_evidence_against_a_known_frame_rate_is_a_note(small_trajectory, monkeypatch):
     rate = finding("frame_rate", given_hz=120.0, other_hz=83.0, log_likelihood_ratio=40.0)
     monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: rate)
-    from recon.animal.prior import prior_from_body
-    from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-
     body, solution = small_trajectory.body, small_trajectory.solution
     clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 120.0, TrajectoryOptions())
     assert [item.severity for item in _rate_findings(clip, solution, None, is_known=False)] == ["error"]

@@ -576,7 +576,9 @@ def test_a_terminal_names_the_two_notes_with_the_largest_effect(trajectory):
         verdict = {"level": level, "reason": "It is so."}
         Console(file=out, width=160).print(console_summary(trajectory | {"verdict": verdict, "findings": findings}))
         notes = [line.split(maxsplit=1)[1].strip() for line in out.getvalue().splitlines() if line.startswith("note ")]
-        assert notes == (["Second thing (by 1.50 m).", "Third thing (by 0.30 m)."] if level == "use" else [])
+        assert notes == (
+            ["Second thing (position by 1.50 m).", "Third thing (position by 0.30 m)."] if level == "use" else []
+        )
 
 
 @pytest.mark.parametrize("listed", ["", "; missing: nose"])
