@@ -48,7 +48,7 @@ from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigma_columns
-from recon.show.page.compare_page import compare_page
+from recon.show.page.compare_page import compare_page, value_with_interval
 from recon.show.page.own_page import COMPARE_PAGE, PAGE
 from recon.show.page.pages import median_error_px
 from recon.show.plots.style import COLOURS, SMALL, drawing, png_of
@@ -497,7 +497,7 @@ def known_quantities(clips: pd.DataFrame) -> list[str]:
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Draw the mean of each clip or run, and of each group of more than one, with standard deviations.
+    """Draw the mean of each clip or run, and of each group of more than one, with 90 % intervals.
 
     There is one panel for each quantity.
     """
@@ -510,24 +510,30 @@ def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
                 positions = (
                     x + np.linspace(-0.18, 0.18, len(group_clips)) if len(group_clips) > 1 else np.array([float(x)])
                 )
+                value, low, high = _intervals(group_clips, name)
                 axes.errorbar(
                     positions,
-                    group_clips[name],
-                    group_clips[f"{name}_sigma"],
+                    value,
+                    [value - low, high - value],
                     fmt="o",
                     ms=3,
                     lw=0.8,
                     color=colour,
                     alpha=0.7,
                 )
-                mean, sigma = groups.loc[groups["group"] == group, [name, f"{name}_sigma"]].to_numpy(float)[0]
+                (mean,), low, high = _intervals(groups[groups["group"] == group], name)
                 if np.isfinite(mean) and len(group_clips) > 1:
                     line = [x - 0.32, x + 0.32]
-                    axes.fill_between(line, mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0)
+                    axes.fill_between(line, low, high, color=colour, alpha=0.25, lw=0)
                     axes.plot(line, [mean, mean], color=colour, lw=1.4)
             labels = [fill(name, 14) for name in groups["group"]]
             axes.set_xticks(range(len(labels)), labels, rotation=30 if len(labels) > 3 else 0)
             axes.set_title(QUANTITIES[name][0])
         dots = "runs" if "first_clip" in clips else "clips"
-        figure.supxlabel(f"dots: {dots}; lines: the groups' means; each ± one standard deviation", fontsize=SMALL)
+        figure.supxlabel(f"dots: {dots}; lines: the groups' means; bars and bands: 90 %", fontsize=SMALL)
     return figure
+
+
+def _intervals(rows: pd.DataFrame, name: str) -> Array:
+    """Return the values of a quantity and the ends of their 90 % intervals, shape (3, rows)."""
+    return np.array([value_with_interval(row, name) for row in rows.to_dict("records")]).T

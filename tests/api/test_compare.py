@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import Refusal, refused, run, says
+from matplotlib.collections import LineCollection
 
 from recon.api.compare import QUANTITIES, _by_period, _figure, _group_rows, _mean_of
 from recon.base.files import write_manifest
@@ -18,6 +19,7 @@ from recon.base.numbers import interval
 from recon.cli.compare import _lines
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import interval_of
 
 pytestmark = pytest.mark.usefixtures("remembered_analyses")
 
@@ -115,7 +117,10 @@ def test_only_what_some_clip_has_is_drawn():
     assert [axes.get_title() for axes in _figure(clips, _group_rows(clips)).axes] == [""]
     clips[["speed_m_s", "speed_m_s_sigma", "speed_m_s_own_sigma"]] = 5.0, 0.5, 0.5
     groups = _group_rows(clips)
-    assert [axes.get_title() for axes in _figure(clips, groups).axes] == ["speed (m/s)"]
+    (axes,) = _figure(clips, groups).axes
+    assert axes.get_title() == "speed (m/s)"
+    (bar,) = axes.findobj(LineCollection)
+    np.testing.assert_allclose(bar.get_segments()[0][:, 1], interval_of(5.0, 0.5)[1:])  # type: ignore[attr-defined]
     said = [line for line in _lines(clips, groups, Path("out")) if isinstance(line, str)]
     assert said[-3] == "No clip has a complete stride: no stride length (m), stride frequency (Hz), duty factor."
 
