@@ -148,7 +148,8 @@ SENTENCES = {
     ),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
     "pair_disagrees": (
-        "agree better. Check both poses, or give the animal's lengths (--subject).",
+        "agree better. Check both poses, and that the two keypoint files are not exchanged, or give the animal's "
+        "lengths (--subject).",
         {"cameras": ("cam1", "cam2"), "log_likelihood_ratio": 9.06},
     ),
     "pair_refined": (
