@@ -73,10 +73,10 @@ class Unread:
     def __setitem__(self, key: object, value: object) -> None: ...
 
     def append(self, value: object) -> None:
-        """Ignore a value."""
+        """Do nothing with a value that would be appended."""
 
     def extend(self, values: object) -> None:
-        """Ignore values."""
+        """Do nothing with values that would be appended."""
 
 
 class _ScalarUnpickler(pickle.Unpickler):

@@ -362,7 +362,7 @@ def test_picture_shows_corners_where_they_were_found(chess_views):
     (shaded,) = axes.images
     np.testing.assert_array_equal(shaded.get_array(), coverage(kept))
     assert axes.get_ylim() == (599.5, -0.5)
-    assert f"of all {kept.rms_px:.2f}" in bar.get_xlabel()
+    assert f"all pictures: {kept.rms_px:.2f}" in bar.get_xlabel()
 
 
 def test_command_writes_a_camera_that_can_be_read(radtan_folder, tmp_path):

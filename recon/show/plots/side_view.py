@@ -12,6 +12,7 @@ from matplotlib.typing import LineStyleType
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index
+from recon.base.numbers import quantity
 from recon.gait.gait import Plane
 from recon.show.plots import style
 from recon.show.plots.configurations import SIDE_COLOURS, run_frame
@@ -76,7 +77,7 @@ def side_view(
                 i = line * per_line + column
                 shift = np.array([column * step_m - 0.5 * (low_x[i] + high_x[i]), -ground_m[i]])
                 _draw_pose(axes, poses[i][:, [0, 2]] + shift, limbs, sides)
-                text = f"{100 * i / POSES:.0f} %" if of_stride else f"{time_s[chosen[i]]:.2f} s"
+                text = f"{100 * i / POSES:.0f} %" if of_stride else quantity(float(time_s[chosen[i]]), 2, "s")
                 axes.text(column * step_m, -0.06 * tall_m, text, ha="center", va="top", fontsize=style.SMALL)
             axes.axhline(0, color=style.GREY, lw=0.8, zorder=1)
             axes.set_xlim(-0.5 * step_m, (per_line - 0.5) * step_m)
