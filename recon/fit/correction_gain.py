@@ -23,7 +23,7 @@ first order, so that the recursion that gives Z gives Q as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -105,13 +105,16 @@ def _segment_gain(
     """Return the gain of a segment of n frames, (V, n, J), summed over its frames and joints."""
     states, size = estimate.states, solution.size
     (n, D), V, J = states.shape, len(clip.views), len(clip.body.markers)
-    G, gains = np.empty((n, D, D)), np.empty((V, n, J))
+    gains = np.empty((V, n, J))
     parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
-    for part in parts:
-        jacobian = clip.body.tree.pose_with_jacobian(states[part]).jacobian
+
+    def curvature(frames: slice) -> Array:
+        """Return G of some frames, (N, D, D). It is computed twice, since G of a long clip needs much memory."""
+        jacobian = clip.body.tree.pose_with_jacobian(states[frames]).jacobian
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
-        G[part] = flat.swapaxes(1, 2) @ flat
-    Z, Q = _covariance_and_derivative(problem, estimate, G)
+        return flat.swapaxes(1, 2) @ flat
+
+    Z, Q = _covariance_and_derivative(problem, estimate, curvature, parts)
     world_m = clip.in_world(clip.body.detected.pose(states).points_m, size)
     views = [(view, view.shift_to_exposure(world_m)) for view in clip.views]
     for part in parts:
@@ -153,23 +156,37 @@ def _gain_of_frames(
     return np.where(valid, clip.correlation_frames * fall + pull, np.nan)
 
 
-def _covariance_and_derivative(problem: LeastSquares, estimate: Estimate, G: Array) -> tuple[Array, Array]:
-    """Return the blocks (T, D, D) of Z and of Q within each frame, for the curvature G (T, D, D)."""
+def _covariance_and_derivative(
+    problem: LeastSquares, estimate: Estimate, curvature: Callable[[slice], Array], parts: Sequence[slice]
+) -> tuple[Array, Array]:
+    """Return the blocks (T, D, D) of Z and of Q within each frame.
+
+    `curvature` returns the curvature G of some frames (N, D, D); `parts` are all frames, a few hundred at once.
+    """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
-    Z = _marginals(normals())
-    step = _RELATIVE_STEP / max(float(np.einsum("tab,tba->t", Z, G).max()), 1e-12)
-    return Z, (Z - _marginals(_stiffened(normals(), step * G))) / step
+    Z = _marginals(normals(), estimate.states.shape)
+    largest = max(float(np.einsum("tab,tba->t", Z[part], curvature(part)).max()) for part in parts)
+    step = _RELATIVE_STEP / max(largest, 1e-12)
+    Q = _marginals(_stiffened(normals(), step, curvature), estimate.states.shape)
+    np.subtract(Z, Q, out=Q)  # in place, because Z and Q are the largest arrays of a long clip
+    Q /= step
+    return Z, Q
 
 
-def _marginals(pieces: Iterable[Normal]) -> Array:
-    return np.concatenate([window.marginal_blocks()[:, 0] for window in eliminated(pieces, bounded=True)])
+def _marginals(pieces: Iterable[Normal], shape: tuple[int, int]) -> Array:
+    """Return the covariance (T, D, D) of the states of each frame, for states of shape (T, D)."""
+    covariance = np.empty((*shape, shape[1]))
+    for window in eliminated(pieces, bounded=True):
+        # copied, so that the covariances between frames are freed
+        covariance[window.rows] = window.marginal_blocks()[:, 0]
+    return covariance
 
 
-def _stiffened(pieces: Iterable[Normal], added: Array) -> Iterator[Normal]:
-    """Yield the normal equations with (T, D, D) added to the blocks within each frame."""
+def _stiffened(pieces: Iterable[Normal], step: float, curvature: Callable[[slice], Array]) -> Iterator[Normal]:
+    """Yield the normal equations with `step` times the curvature (N, D, D) of N frames added to their blocks."""
     first = 0
     for piece in pieces:
         blocks = piece.blocks.copy()
-        blocks[:, 0] += added[first : first + len(blocks)]
+        blocks[:, 0] += step * curvature(slice(first, first + len(blocks)))
         first += len(blocks)
         yield replace(piece, blocks=blocks)
