@@ -260,7 +260,8 @@ def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_p
     as_said = fit_clip(settings(runs, 1, 2, cameras_known=True, frames="10:30", fast=True, **known))
     assert ["pair_refined" in {one.code for one in fit.findings} for fit in (motion, as_said)] == [True, False]
     still_off = Rotation.from_matrix(np.asarray(motion.sources[1].camera.rotation) @ ASIDE[:3, :3].T).magnitude()
-    assert still_off < np.radians(0.3)  # 0.7 where feet stay on the ground that the turned camera saw
+    # a part of the turn is given to the first camera; 0.7 where feet stay on the ground that the turned camera saw
+    assert still_off < np.radians(0.35)
     given = prepare(settings(runs, 1, 2, **known)).sources[1].camera
     assert as_said.sources[1].camera.to_dict() == given.to_dict()
 
