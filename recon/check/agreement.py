@@ -476,7 +476,7 @@ def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[floa
     A, error = np.concatenate(columns), np.concatenate(errors)
     if len(error) < MIN_POINTS:
         return np.nan, np.nan
-    weight, rest, scale = np.ones(len(error)), error, 1.0
+    weight, scale = np.ones(len(error)), 1.0
     estimate = covariance = np.full((3, 3), np.nan)
     for _ in range(_POINT_ROUNDS):
         covariance = np.linalg.pinv((A * weight[:, None]).T @ A)

@@ -45,7 +45,7 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution) -> dict[int, Step
 def drift_findings(
     clip: ClipProblem, solution: TrajectorySolution, names: Sequence[str], fps: float
 ) -> Iterator[Finding]:
-    """Yield a finding on the camera whose clock drifts most surely from the others'.
+    """Yield a finding on the camera whose clock drifts most surely from the others', unless rays refute the drift.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def drift_findings(
     camera = max(sigmas, key=lambda number: abs(sigmas[number]), default=None)
     if camera is None or abs(sigmas[camera]) < DRIFT_SIGMAS:
         return
-    if _is_refuted_by_rays(clip, solution, camera, steps[camera].value):
+    if _is_refuted_by_rays(clip, solution, segment.rows, camera, steps[camera].value):
         return
     drift_frames, middle_m = steps[camera].value, solution.joints_m[segment.rows].mean(axis=1)
     step_m = float(np.linalg.norm(np.diff(middle_m, axis=0), axis=1).mean())
@@ -82,12 +82,11 @@ def drift_findings(
     yield finding("clock_drifts", camera=names[camera], **numbers)
 
 
-def _is_refuted_by_rays(clip: ClipProblem, solution: TrajectorySolution, camera: int, drift_frames: float) -> bool:
-    """Return whether rays alone, without the animal's lengths, show less than half of a drift."""
+def _is_refuted_by_rays(
+    clip: ClipProblem, solution: TrajectorySolution, rows: slice, camera: int, drift_frames: float
+) -> bool:
+    """Return whether the rays of some frames alone, without the animal's lengths, show less than half of a drift."""
     from recon.check.agreement import drift_by_rays  # fits of one camera do not import it
 
-    segment = solution.longest_segment
-    assert segment is not None
-    views, markers_m = [view.part(segment.rows) for view in clip.views], solution.markers_m[segment.rows]
-    by_rays, sigma = drift_by_rays(views, markers_m, camera)
+    by_rays, sigma = drift_by_rays([view.part(rows) for view in clip.views], solution.markers_m[rows], camera)
     return bool(by_rays * np.sign(drift_frames) + RAY_SIGMAS * sigma < 0.5 * abs(drift_frames))

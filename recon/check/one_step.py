@@ -61,8 +61,7 @@ class _ExtendedReprojection(Reprojection):
         if self.by_unknown is None:
             return rows
         errors = self._errors(scene, span, jacobian=True)
-        confidence = np.where(scene.view.present, scene.view.confidence, 0.0)
-        weight = np.sqrt(np.where(errors.seen, confidence / (1.0 + errors.squares), 0.0)) / scene.sigma_px
+        weight = self._root_weights(scene, errors) / scene.sigma_px
         drift_m = np.zeros_like(scene.points_m) if self.drift_m is None else self.drift_m[scene.frames]
         detections = Detections(
             np.arange(scene.frames.start, scene.frames.stop),

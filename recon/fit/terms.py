@@ -379,8 +379,7 @@ class Reprojection:
         view, sigma = scene.view, scene.sigma_px
         errors = self._errors(scene, span, jacobian=True)
         seen = errors.seen
-        confidence = np.where(view.present, view.confidence, 0.0)
-        root_weight = np.sqrt(np.where(seen, confidence / (1.0 + errors.squares), 0.0))[..., None]
+        root_weight = self._root_weights(scene, errors)[..., None]
         by_point = errors.by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
         by_shared = self._by_scene(span, scene, by_point)
@@ -418,6 +417,11 @@ class Reprojection:
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
         return ReprojectionErrors(cost, e, q, seen, unbiased_px, by_point)
+
+    def _root_weights(self, scene: _Scene, errors: ReprojectionErrors) -> Array:
+        """Return the square roots (N, J) of the robust weights times the confidences, 0 for markers not seen."""
+        confidence = np.where(scene.view.present, scene.view.confidence, 0.0)
+        return np.sqrt(np.where(errors.seen, confidence / (1.0 + errors.squares), 0.0))
 
     def _scene(self, span: Span) -> _Scene:
         """Return the markers when the pictures were taken, and the camera with its corrections."""
