@@ -371,25 +371,31 @@ def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.nd
     `is_by_name` states whether columns were recognised by their names, which can state the unit of a time.
     """
     clock = role.get("frame", role.get("time", ""))
-    stamps = seconds(cells.table[clock][row] for row in cells.rows) if "frame" not in role else None
-    texts = [str(cells.table[clock][row]).strip() for row in cells.rows] if stamps is None else []
-    unread = next((text for text in texts if re.match(r"\d+\D\d+\D\d", text) and ":" in text), None)
-    if unread is not None and "frame" not in role:
-        expected = "seconds, or time stamps such as 2024-05-01T12:00:00.5 or 12:00:00.5"
-        raise InputError(Problem(cells.path, clock, f"'{unread}'", expected))
-    ticks = cells.numbers(clock) if stamps is None else stamps
-    if stamps is None and "frame" not in role:
-        unit = (_by_name(clock) or ("", "", None))[2] if is_by_name else None
-        ticks = since_first(ticks, unit)
-        step_s = float(np.median(np.diff(np.unique(ticks)))) if len({*ticks.tolist()}) > 1 else 0.0
-        if step_s > 1.0 and unit is None:
-            expected = "times in seconds, at most 1 s apart; if these are milliseconds, name the column time_ms"
-            raise InputError(Problem(cells.path, clock, f"times {step_s:g} s apart", expected))
+    ticks = cells.numbers(clock) if "frame" in role else _times_of(cells, clock, is_by_name)
     for i in np.flatnonzero(np.isnan(ticks)):
         location = f"line {cells.rows[i] + 2}, {clock}"
         cells.problems.append(Problem(cells.path, location, "nothing", "a frame number, or seconds"))
     cells.raise_problems()
     return ticks
+
+
+def _times_of(cells: _Cells, clock: str, is_by_name: bool) -> np.ndarray:
+    """Return the time of each row, in seconds; raise InputError for times of an unknown form or unit."""
+    stamps = seconds(cells.table[clock][row] for row in cells.rows)
+    if stamps is not None:
+        return stamps
+    texts = (str(cells.table[clock][row]).strip() for row in cells.rows)
+    unread = next((text for text in texts if re.match(r"\d+\D\d+\D\d", text) and ":" in text), None)
+    if unread is not None:
+        expected = "seconds, or time stamps such as 2024-05-01T12:00:00.5 or 12:00:00.5"
+        raise InputError(Problem(cells.path, clock, f"'{unread}'", expected))
+    unit = (_by_name(clock) or ("", "", None))[2] if is_by_name else None
+    times_s = since_first(cells.numbers(clock), unit)
+    step_s = float(np.median(np.diff(np.unique(times_s)))) if len({*times_s.tolist()}) > 1 else 0.0
+    if step_s > 1.0 and unit is None:
+        expected = "times in seconds, at most 1 s apart; if these are milliseconds, name the column time_ms"
+        raise InputError(Problem(cells.path, clock, f"times {step_s:g} s apart", expected))
+    return times_s
 
 
 def _points_of_rows(cells: _Cells, column: str) -> tuple[dict[str, int], np.ndarray]:

@@ -25,10 +25,11 @@ NEEDS_LOOK = 0.1
 
 def quality_tables(motion: Motion) -> list[dict[str, Any]]:
     """Return a table for each camera: name, number, and rows, the largest median distance from the pose first."""
-    return [
-        {"camera": picture.name, "number": v, "rows": sorted(_rows(motion, v), key=_median_px, reverse=True)}
-        for v, picture in enumerate(motion.pictures)
-    ]
+    tables = []
+    for v, (picture, errors_px) in enumerate(zip(motion.pictures, medians_px(motion), strict=True)):
+        rows = sorted(_rows(motion, picture, errors_px), key=_median_px, reverse=True)
+        tables.append({"camera": picture.name, "number": v, "rows": rows})
+    return tables
 
 
 def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -51,8 +52,7 @@ def _median_px(row: Mapping[str, Any]) -> float:
     return -1.0 if row["median_px"] is None else row["median_px"]
 
 
-def _rows(motion: Motion, camera: int) -> Iterator[dict[str, Any]]:
-    picture, errors_px = motion.pictures[camera], medians_px(motion)[camera]
+def _rows(motion: Motion, picture: Picture, errors_px: Array) -> Iterator[dict[str, Any]]:
     swapped = swapped_frames(motion, picture)
     for j, name in enumerate(motion.names):
         counts = picture.source.cleaning.keypoints.get(name)
