@@ -51,12 +51,9 @@ def _side_pattern() -> re.Pattern[str]:
     count: l1 may be a vertebra.
     """
     words = [word for word in _OPPOSITE if len(word) > 1]
-    long = [
-        word for word in words if word in ("left", "right")
-    ]  # as in leftear; of other words only leftover begins so
     lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
     return re.compile(
-        f"^(?:{title}|(?:{'|'.join(long)})(?=[a-z]{{3}})(?!over))"
+        f"^(?:{title}|(?:left|right)(?=[a-z]{{3}})(?!over))"  # as in leftear; of other words only leftover begins so
         f"|(?<![A-Za-z])(?:{upper})(?![A-Za-z])"
         f"|(?<![A-Za-z])(?:{lower}|{title})(?![a-z])"
         f"|(?<=[a-z0-9])(?:{title})(?![a-z])"

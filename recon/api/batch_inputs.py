@@ -487,8 +487,8 @@ def _joining_note(clips: Sequence[Sequence[_FileOfClip]]) -> str:
     """Return the note on clips of several files, and on the rule that joined them."""
     rules = dict.fromkeys(file.with_camera.rule for files in clips for file in files)
     rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
-    clip_count = f"{len(clips)} clips" if len(clips) > 1 else "1 clip"
     alternative = f" ({OPTION} {NONE} fits each file by itself)" if OPTION not in rules else ""
+    clip_count = counted(len(clips), "clip")
     return f"{sum(map(len, clips))} files are {clip_count} of several cameras, by {rule_text}{alternative}."
 
 

@@ -122,7 +122,8 @@ def write_clip(
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
-        if len(motion.frames) <= MAX_PLAYED_FRAMES if settings.playback == "auto" else settings.playback:
+        is_short = len(motion.frames) <= MAX_PLAYED_FRAMES
+        if settings.playback is True or (settings.playback == "auto" and is_short):
             from recon.show import view  # rerun is slow to import
 
             view.write(motion, folder / PLAYBACK)

@@ -114,7 +114,7 @@ def run_extrinsics(
     posed_cameras = _in_world_of_rig(cameras, rig, 0.0 if posed else -np.nan_to_num(rig.ground_m))
     with output.staged_file() as staged:
         write_cameras(posed_cameras, staged)
-    clip_rows = zip(clips, aligned, rig.time_offset_frames, rig.disagreement, strict=True)
+    clip_rows = zip(clips, aligned, firsts, rig.time_offset_frames, rig.disagreement, strict=True)
     return posed_cameras, {
         "cameras": [
             _camera_row(camera, sigma, math.nan if posed else height_sigma_m)
@@ -122,7 +122,7 @@ def run_extrinsics(
         ],
         "clips": [
             _clip_row(clip, sources, posed_cameras, np.array(late_frames) / first.fps, disagreement)
-            for (clip, sources, late_frames, disagreement), first in zip(clip_rows, firsts, strict=True)
+            for clip, sources, first, late_frames, disagreement in clip_rows
         ],
         "converged": rig.converged,
         "written": str(out),

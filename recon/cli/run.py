@@ -338,7 +338,9 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     if run_settings.model is not None:
         network = video_file | {"model": _model_file(run_settings.model)}
         made_from = partial(identity_of, network, {})
-        stages["detect"] = _Stage(partial(_detect, job), made_from, output("predict"), (keypoints.name,))
+        network_output = output("predict")
+        work = partial(_detect, job, network_output)
+        stages["detect"] = _Stage(work, made_from, network_output, (keypoints.name,))
     if run_settings.camera_motion is not None and fit_settings.camera is not None:
         motion_settings = settings_for_clip(
             fit_settings,
@@ -373,13 +375,12 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     }
 
 
-def _detect(job: _Job, progress: Progress) -> Answer:
-    """Find the keypoints in the video with the job's network."""
+def _detect(job: _Job, output: Output, progress: Progress) -> Answer:
+    """Find the keypoints in the video with the job's network, and write them to an output."""
     from recon.keypoint_net.network import run_prediction
 
     assert job.run.model is not None
     keypoints = job.settings.keypoints[0]
-    output = Output(job.run.out, "predict", overwrite=True, inputs=input_paths(job.run))
     parameters = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output}
     prediction = run_prediction(job.run.video, job.run.model, keypoints, **parameters)
     return Answer({}, files=[keypoints], notes=prediction.notes)

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import refusal
 from rich.console import Console
+from shared_fixtures import SAMPLES
 
 from recon import InputError, Motion
 from recon.api.clip import refit_clip
@@ -18,8 +20,6 @@ from recon.base.locks import sole_editor
 from recon.cli.fix import _decode, _require_length, _server
 from recon.io.corrections import Correction, read_corrections, write_corrections
 from recon.show.sections.keypoints import counts
-from tests.command_line import refusal
-from tests.shared_fixtures import SAMPLES
 
 
 @pytest.fixture
