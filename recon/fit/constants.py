@@ -50,8 +50,9 @@ CALIBRATED_RAD = 0.008726646259971648
 SHARE_OF_PAIR = 2**-0.5
 """Share of the error between two cameras that each of them has.
 
-With half of it, 97 % instead of 98 % of the coordinates of the benchmark's untouched pairs are inside 90 % intervals,
-but far fewer positions if the second camera was turned by 2 degrees or moved by a quarter of a metre.
+With half of it, 97 % instead of 99 % of the coordinates of the benchmark's untouched pairs are inside 90 % intervals
+(`benchmarks/cameras.py --only pairs`), but far fewer positions if the second camera was turned by 2 degrees or moved by
+a quarter of a metre (`benchmarks/wrong_inputs.py --only inputs`).
 """
 MISPLACED_RAD = 0.05235987755982988
 """Rotation about an axis of one of two cameras that was turned after its calibration.
