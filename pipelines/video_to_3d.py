@@ -32,7 +32,7 @@ settings = recon.read_settings(FILE, {"keypoints": results / "keypoints.csv"})
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results / "motion")
 summary = report["summary"]
-print(f"{summary['frames_with_pose']} of {summary['frames']} frames have a pose, {summary['frames_flagged']} doubtful")
+print(f"{summary['frames_with_pose']} of {summary['frames']} frames have a pose, {summary['frames_flagged']} flagged")
 for finding in report["findings"]:
     if finding["severity"] != "note":
         print(finding["text"])

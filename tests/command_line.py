@@ -120,8 +120,8 @@ def copy_results(results: Path, to: Path) -> Path:
     return to
 
 
-def carry_out_here(work: Work, tasks: Sequence[tuple[str, Any]], tell: Callable[[Event], None], **_: Any) -> None:
-    """`carry_out` in this process: tests of what it does need no other."""
+def run_tasks_here(work: Work, tasks: Sequence[tuple[str, Any]], tell: Callable[[Event], None], **_: Any) -> None:
+    """`run_tasks` in this process: tests of what it does need no other."""
     for name, task in tasks:
         tell(Event("progress", name, stage=STARTING))
         tell(Event("ended", name, outcome=outcome_of(work, task, silent)))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from command_line import carry_out_here, copy_results, run
+from command_line import copy_results, run, run_tasks_here
 from motions import with_first
 from shortcuts import (
     draw_small,
@@ -135,7 +135,7 @@ def frames_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Batches run in this process: for tests of what is done, not of how processes share it."""
     for module in ("recon.api.batch", "recon.cli.look"):
-        monkeypatch.setattr(f"{module}.carry_out", carry_out_here)
+        monkeypatch.setattr(f"{module}.run_tasks", run_tasks_here)
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from arguments import parser_of
 from markdown_table import print_table
 from scipy.stats import t
 
-from recon.gait.mixed_model import MixedModel, Variances, fit_mixed_model, smallest_effect
+from recon.gait.mixed_model import LevelSigmas, MixedModel, fit_mixed_model, smallest_effect
 
-TRUE = Variances(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
+TRUE = LevelSigmas(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
 RUNS, STRIDES, SHARED = 2, 6, 0.05
 MEAN, POWER = 4.0, 0.8
 LEVELS_SHOWN = "animal", "run", "stride"
@@ -56,7 +56,7 @@ def rows(herds: int) -> list[dict]:
         reached = np.mean([abs(model.effects[1]) / model.covariance[1, 1] ** 0.5 > limit for model in models])
         row: dict[str, object] = {"animals": animals, "herds": herds}
         for level in LEVELS_SHOWN:
-            square = np.mean([getattr(model.variances, level) ** 2 for model in models])
+            square = np.mean([getattr(model.sigmas, level) ** 2 for model in models])
             row[f"{level}, variance / true"] = f"{square / getattr(TRUE, level) ** 2:.2f}"
         row["effect in 90 % interval"] = f"{coverage(models, [0, 1], effect):.0%}"
         row["mean in 90 % interval"] = f"{coverage(models, [1, 0], MEAN):.0%}"

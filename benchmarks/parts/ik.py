@@ -287,7 +287,7 @@ class Leg:
     chain: SerialChain
     q: Array
     fps: float
-    lasts_s: tuple[float, float]
+    duration_range_s: tuple[float, float]
 
     def online(self, stride: StridePath) -> dict[str, list[Method]]:
         """Return, by method, parameters refitted at every frame of a stride."""
@@ -306,20 +306,20 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
         def points(names: Sequence[str], pose: Pose3D = pose) -> Array:
             return pose.xyz_m[:, [pose.names.index(name) for name in names]]
 
-        root, lasts_s = points(["tail_base"])[:, 0], stride_duration_range_s(pose_gait(pose, fps))
+        root, duration_range_s = points(["tail_base"])[:, 0], stride_duration_range_s(pose_gait(pose, fps))
         body_states, _, size = solve_points(body, points(body.markers), None)
         for side in SIDES:
             name = f"{meta.parent.name}, {side}"
             leg = ("tail_base", "spine", "neck_base", *(f"{side[0]}_front_{part}" for part in ("knee", "ankle", "paw")))
             known = np.isfinite(root[:, 0])
             flat, q, _ = projected_chain(points(leg), root[known][-1] - root[known][0])
-            legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
+            legs["2D"].append(Leg(name, flat, q, fps, duration_range_s))
             states, _, factor = solve_points(skeleton.body, points(skeleton.body.keypoint_names(side)), None)
             summed = spine_front_leg(skeleton, factor * skeleton.nominal_base_length_m, 3, limited=False)
-            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
+            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, duration_range_s))
             whole = body_chain(body, leg[-1], size, limited=False)
             q = body_chain_angles(body, leg[-1], body_states)
-            legs["whole animal"].append(Leg(name, whole, q, fps, lasts_s))
+            legs["whole animal"].append(Leg(name, whole, q, fps, duration_range_s))
     return legs
 
 
@@ -341,7 +341,7 @@ def animal_closures(stride: StridePath, fps: float) -> dict[str, np.ndarray]:
 def print_strides(folder: Path) -> None:
     legs_of = real_legs(folder)
     found = {
-        kind: [find_stride(leg.chain, leg.q, leg.fps, lasts_s=leg.lasts_s) for leg in legs]
+        kind: [find_stride(leg.chain, leg.q, leg.fps, duration_range_s=leg.duration_range_s) for leg in legs]
         for kind, legs in legs_of.items()
     }
     print("\nStrides of the end effector, and the gap that was closed, in percent of the path's diameter:\n")
@@ -436,7 +436,7 @@ class Shown:
 
     @classmethod
     def of(cls, leg: Leg) -> Shown:
-        stride = find_stride(leg.chain, leg.q, leg.fps, lasts_s=leg.lasts_s)
+        stride = find_stride(leg.chain, leg.q, leg.fps, duration_range_s=leg.duration_range_s)
         return cls(leg, stride, frames_of(leg, (stride.start_s, stride.end_s)))
 
     @property

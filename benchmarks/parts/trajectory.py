@@ -44,7 +44,7 @@ from recon.fit.points import solve_points
 from recon.fit.posterior import radius, sigmas
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
-from recon.gait.clip import POSE_LASTS, POSITION_LASTS, lasts_s
+from recon.gait.clip import POSE_ERROR_TIME, POSITION_ERROR_TIME, error_time_s
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
@@ -449,11 +449,11 @@ def _rate_errors(job: Job) -> dict[str, np.ndarray]:
     pose_m2, place_m2 = (_in_camera(solution, c) for c in (solution.relative_covariance_m2, of_middle))
     by_size = solution.size_sigma / solution.size * middle
     parts = {
-        "pose": (found - middle - truth_m + true_middle, pose_m2, 0 * found, POSE_LASTS),
-        "place": (middle - true_middle, place_m2, by_size, POSITION_LASTS),
+        "pose": (found - middle - truth_m + true_middle, pose_m2, 0 * found, POSE_ERROR_TIME),
+        "place": (middle - true_middle, place_m2, by_size, POSITION_ERROR_TIME),
     }
     rows = {}
-    last_s = lasts_s(found, meta_of(job.run)["fps"])
+    last_s = error_time_s(found, meta_of(job.run)["fps"])
     for part, (off, covariance, size_m, lasts) in parts.items():
         rest = np.sqrt(np.maximum(np.diagonal(covariance, axis1=2, axis2=3) - size_m**2, 1e-12))
         errors = Errors(size_m, np.inf), Errors(rest, lasts * last_s)

@@ -168,7 +168,7 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
 
 
 def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
-    with documents.damage_named(source, _EXPECTED, "file"):
+    with documents.damage_as_input_error(source, _EXPECTED, "file"):
         stored = documents.arrays_of(content, f"{documents.KINDS}U")
         text = str(stored.get("about", ""))
     lacking = [key for key in ("about", *SHAPES) if key not in stored]

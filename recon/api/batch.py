@@ -44,7 +44,7 @@ from recon.base.locks import sole_writer
 from recon.base.numbers import counted
 from recon.base.outputs import Output
 from recon.base.package import version
-from recon.base.parallel import STARTING, Event, EventCallback, carry_out, carry_out_on_cluster
+from recon.base.parallel import STARTING, Event, EventCallback, run_tasks, run_tasks_on_cluster
 from recon.base.progress import Progress
 from recon.base.tables import guarded, unguarded
 from recon.fit.result import LEVELS
@@ -237,7 +237,7 @@ def run_batch(
         record = Record(out / RECORD)
         record.tidy()
         tasks = [(name, replace(planned, out=planned.out.absolute())) for name, planned in todo.items()]
-        run = partial(carry_out_on_cluster, scheduler) if scheduler else partial(carry_out, jobs=jobs)
+        run = partial(run_tasks_on_cluster, scheduler) if scheduler else partial(run_tasks, jobs=jobs)
         return run_plan(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
 
 

@@ -20,7 +20,7 @@ from recon.base.numbers import percent, quantity
 from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, up_at_tilt, up_by_marks
 from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker, TurningMotion, panorama, thumbnail
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
@@ -202,7 +202,7 @@ def _up(
     """
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
-        return tilted(np.radians(s.tilt_deg)), level
+        return up_at_tilt(np.radians(s.tilt_deg)), level
     if s.level_marks is None:
         return None, "the mean of all frames is taken as level: its tilt and roll are 0"
     by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))

@@ -340,12 +340,12 @@ class QuantityModel:
         counts = {"animals": table["animal"].nunique(), "runs": len(table)}
         return counts | {name: int(table[name].sum()) for name in ("clips", "strides")}
 
-    def variances(self) -> dict[str, object]:
+    def sigmas_row(self) -> dict[str, object]:
         """Return standard deviations by level, the intraclass correlation, and the smallest detectable change."""
-        variances = self.model.variances
+        sigmas = self.model.sigmas
         row: dict[str, object] = {"quantity": self.name, "mean": float(np.mean(self.model.effects[: len(self.groups)]))}
-        row |= {f"{level}_sd": getattr(variances, level) for level in ("animal", "run", "stride", "measurement")}
-        row |= {"icc": variances.icc, "smallest_detectable_change": variances.detectable_change(self.strides_of_run)}
+        row |= {f"{level}_sd": getattr(sigmas, level) for level in ("animal", "run", "stride", "measurement")}
+        row |= {"icc": sigmas.icc, "smallest_detectable_change": sigmas.detectable_change(self.strides_of_run)}
         row |= {"shared_sigma_relative": self.shared, "strides_of_run": self.strides_of_run}
         return row | self._counts(self.groups)
 
@@ -464,7 +464,7 @@ class Experiment:
     @property
     def variances(self) -> pd.DataFrame:
         """Return the standard deviations between animals, runs and strides and of the measurement."""
-        rows = [model.variances() for model in self.models]
+        rows = [model.sigmas_row() for model in self.models]
         return pd.DataFrame(rows, columns=None if rows else ["quantity"])
 
     def with_model_means(self, groups: pd.DataFrame) -> pd.DataFrame:

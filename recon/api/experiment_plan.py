@@ -15,9 +15,9 @@ from pathlib import Path
 import pandas as pd
 
 from recon.api.experiment import SPEED
-from recon.base.documents import damage_named
+from recon.base.documents import damage_as_input_error
 from recon.base.errors import InputError, Problem, raise_problems
-from recon.gait.mixed_model import LEVELS, Variances, animals_needed, power, smallest_effect
+from recon.gait.mixed_model import LEVELS, LevelSigmas, animals_needed, power, smallest_effect
 from recon.io.common import text_rows
 
 PLAN = "--plan"
@@ -55,7 +55,7 @@ class PlanTable:
     plan: Plan
     effect: float
     """Difference in the unit of the quantity."""
-    variances: Variances
+    sigmas: LevelSigmas
     animals_known: int | None
     """Number of animals that the variances come from; None if the variances were given."""
     rows: pd.DataFrame
@@ -129,7 +129,7 @@ def read_variances(path: Path) -> pd.DataFrame:
     """
     rows = [cells for _, cells in text_rows(path)]
     table = [dict(zip(rows[0], cells, strict=False)) for cells in rows[1:]] if rows else []
-    with damage_named(path, "the table that recon compare writes"):
+    with damage_as_input_error(path, "the table that recon compare writes"):
         numbers = ("mean", "animals", *(f"{level}_sd" for level in _SIGMAS))
         return pd.DataFrame([{"quantity": row["quantity"], **{n: float(row[n]) for n in numbers}} for row in table])
 
@@ -171,18 +171,18 @@ def plan_experiment(plan: Plan, variances: pd.DataFrame | None = None) -> PlanTa
         problems.append(Problem(PLAN, "mean", "nothing", "the quantity's mean, as the effect is given in %"))
     raise_problems(problems)
     effect = plan.effect * (abs(mean) if plan.is_relative and mean is not None else 1.0)
-    known = Variances(**sigmas)
+    known = LevelSigmas(**sigmas)
     tried = {name: (plan.counts or {}).get(name, _USUAL[name]) for name in COUNTS}
     rows = [_row(plan, effect, known, *numbers) for numbers in product(*tried.values())]
     animals_known = None if earlier is None else int(earlier["animals"])
     return PlanTable(plan, effect, known, animals_known, pd.DataFrame(rows))
 
 
-def _row(plan: Plan, effect: float, variances: Variances, runs: int, strides: int, cameras: int) -> dict[str, float]:
+def _row(plan: Plan, effect: float, sigmas: LevelSigmas, runs: int, strides: int, cameras: int) -> dict[str, float]:
     numbers = runs, strides, cameras
-    animals = plan.animals or animals_needed(effect, variances, *numbers, plan.power, plan.paired) or 0
+    animals = plan.animals or animals_needed(effect, sigmas, *numbers, plan.power, plan.paired) or 0
     row: dict[str, float] = {"runs": runs, "strides": strides, "cameras": cameras, "animals": animals}
     row["clips"] = 2 * animals * runs * cameras
-    row["power"] = power(effect, variances, animals, *numbers, plan.paired)
-    row["smallest_effect"] = smallest_effect(variances, animals, *numbers, plan.power, plan.paired)
+    row["power"] = power(effect, sigmas, animals, *numbers, plan.paired)
+    row["smallest_effect"] = smallest_effect(sigmas, animals, *numbers, plan.power, plan.paired)
     return row

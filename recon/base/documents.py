@@ -36,7 +36,7 @@ MAX_TOML_BYTES = 1 << 23
 
 
 @contextmanager
-def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
+def damage_as_input_error(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
     """Turn almost every exception that a damaged file causes into an InputError.
 
     `expected` describes an undamaged file, for the message.
@@ -88,7 +88,7 @@ def read_head(path: Path, expected: str = ANY_FILE, length: int = 64) -> bytes:
     Raises InputError for an empty file, and for anything that is not a readable file.
     """
     require_file(path, expected)
-    with damage_named(path, expected, "file"), path.open("rb") as file:
+    with damage_as_input_error(path, expected, "file"), path.open("rb") as file:
         head = file.read(min(os.fstat(file.fileno()).st_size, length))
     if not head:
         raise InputError(Problem(path, "file", "an empty file", expected))
@@ -105,7 +105,7 @@ def utf8_path(path: Path) -> str:
 
 def require_file(path: Path, expected: str = ANY_FILE) -> None:
     """Raise InputError for anything but a file, such as a pipe, which would block while reading."""
-    with damage_named(path, expected, "file"):
+    with damage_as_input_error(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))
 
@@ -129,7 +129,7 @@ def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
 
 def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Json:
     """Return the content of a JSON text; raise InputError for anything else."""
-    with damage_named(source, expected):
+    with damage_as_input_error(source, expected):
         return json.loads(text)
 
 
@@ -138,7 +138,7 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
     """Return the table of a TOML text; raise InputError for anything else."""
-    with damage_named(source, expected):
+    with damage_as_input_error(source, expected):
         if _LONG_KEY.search(text):
             raise RecursionError  # the time and memory of tomllib grow with the square of a key's length
         return tomllib.loads(text)

@@ -95,7 +95,7 @@ def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, 
     return {"seconds": round(time.perf_counter() - began, 3), "attempts": 1, **outcome}
 
 
-def carry_out(
+def run_tasks(
     work: Work[_Task], tasks: Tasks[_Task], on_event: EventCallback, jobs: int | None = None, retries: int = 0
 ) -> None:
     """Run tasks in processes on this machine with one thread each, and report their events to `on_event`.
@@ -289,7 +289,7 @@ class _StoppedError(Exception):
     """A task that was stopped because its batch has ended."""
 
 
-def carry_out_on_cluster(
+def run_tasks_on_cluster(
     address: str, work: Work[_Task], tasks: Tasks[_Task], on_event: EventCallback, retries: int = 0
 ) -> None:
     """Run all tasks as futures of the Dask scheduler at an address, and report the end of each.

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
+from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_as_input_error, read_content
 from recon.base.errors import InputError, Problem
 from recon.base.field_problems import problems_of
 
@@ -83,7 +83,7 @@ def load_record(
     file that would take too much memory: all sizes are checked before anything is unpacked.
     """
     content = read_content(path, expected, MAX_UNPACKED)
-    with damage_named(path, expected):
+    with damage_as_input_error(path, expected):
         arrays = arrays_of(content, KINDS)
         record = json.loads(arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes())
         schema_found = record["schema"]

@@ -153,9 +153,9 @@ def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
 
 def _planned(table: PlanTable) -> Answer:
     plan = table.plan
-    sigmas = {level: getattr(table.variances, level) for level in (*LEVELS, "measurement")}
+    sigmas = {level: getattr(table.sigmas, level) for level in (*LEVELS, "measurement")}
     data = {"effect": table.effect, "quantity": plan.quantity, "power": plan.power, "paired": plan.paired}
-    data |= {"sd": sigmas, "icc": table.variances.icc, "plan": table.rows.to_dict("records")}
+    data |= {"sd": sigmas, "icc": table.sigmas.icc, "plan": table.rows.to_dict("records")}
     return Answer({"plan": data}, _plan_lines(table, sigmas))
 
 

@@ -25,7 +25,7 @@ from recon.base.errors import InputError, Problem, collect_problems, raise_probl
 from recon.base.files import MANIFEST, read_manifest, staged_file
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults, is_current, output_file
-from recon.base.parallel import Event, carry_out
+from recon.base.parallel import Event, run_tasks
 from recon.base.progress import Progress, silent
 from recon.base.settings import input_paths
 from recon.check.codes import FLAG_OF
@@ -349,7 +349,7 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
                     failed[event.name] = event.outcome["error"]
                 progress(f"{done} of {len(clips)} pages", done / len(clips))
 
-        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], note_end)
+        run_tasks(_page_of, [(clip.name, clip.absolute()) for clip in clips], note_end)
         page = write_summary_page(out)
     errors = [f"{clip}: {error}" for clip, error in failed.items()]
     return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."], errors)

@@ -42,7 +42,7 @@ from recon.base.files import MANIFEST, read_manifest
 from recon.base.locks import sole_writer
 from recon.base.numbers import quantity
 from recon.base.outputs import Output, adopt
-from recon.base.parallel import carry_out
+from recon.base.parallel import run_tasks
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Option, Settings, input_paths
 from recon.cli.analyse import analyse_command
@@ -271,7 +271,7 @@ def run_video(
             if name in ("analyse", "overlay", "playback") and report_of_fit["summary"]["frames_with_pose"] < MIN_POINTS:
                 outcome = _StageOutcome(name, "left out", 0.0)
             else:
-                outcome = _carry_out(name, stage, job, record, must_run, show_progress)
+                outcome = _run_stage(name, stage, job, record, must_run, show_progress)
             if name == "fit":
                 report_of_fit = build_report(Motion.load(out))
             outcomes.append(outcome)
@@ -279,7 +279,7 @@ def run_video(
         return outcomes, report_of_fit
 
 
-def _carry_out(
+def _run_stage(
     name: str, stage: _Stage, job: _Job, record: Record, must_run: bool, progress: Progress
 ) -> _StageOutcome:
     began, made_from, out = time.perf_counter(), stage.identity(), job.run.out
@@ -453,7 +453,7 @@ def run_folder(
             ClipPlan(Clip(name, job.settings), job.run.out, "new", "", identity(job.settings)) for name, job in folders
         ]
         tasks = [(name, replace(job, threads=1)) for name, job in folders]
-        return run_plan(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
+        return run_plan(plan, out, partial(run_tasks, _row_of, tasks, jobs=processes), on_event)
 
 
 def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:

@@ -287,7 +287,7 @@ class Solution(Brief):
         return None
 
     @property
-    def position_lasts_s(self) -> float | None:
+    def position_error_time_s(self) -> float | None:
         """Return the duration of an error of the animal's position, if the method estimates the path separately."""
         return None
 

@@ -7,8 +7,8 @@ and everything else is computed from the smoothed ones.
 The errors of a fit with uncertainty have three parts that last for different times: the animal's size, which changes
 the distance from a single camera by the same factor in every frame; the position of the whole animal; and the pose. The
 latter two change as fast as the errors of detections and the animal's motion. Their correlation time is the geometric
-mean of the times of these two (`lasts_s`), multiplied by a factor with which the standard deviations of velocities are
-large enough on average in real runs (`python benchmarks/gait.py --only rates`).
+mean of the times of these two (`error_time_s`), multiplied by a factor with which the standard deviations of velocities
+are large enough on average in real runs (`python benchmarks/gait.py --only rates`).
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ from recon.io.common import Pose3D
 if TYPE_CHECKING:
     import pandas as pd
 
-POSITION_LASTS, POSE_LASTS = 2.0, 0.6
+POSITION_ERROR_TIME, POSE_ERROR_TIME = 2.0, 0.6
 """Correlation times of the errors of the animal's position, and of the joints relative to their mean, in units of
-`lasts_s`. Both were measured on running cheetahs, and are right to 5 % for the walk of a dog, which is three times
+`error_time_s`. Both were measured on running cheetahs, and are right to 5 % for the walk of a dog, which is three times
 slower.
 """
 RUNNING_S = 0.1
-"""`lasts_s` of a running animal, with which all stances are found. The stances of a walking dog would be 5 to 20 % too
-short with the dog's own `lasts_s`.
+"""`error_time_s` of a running animal, with which all stances are found.
+
+The stances of a walking dog would be 5 to 20 % too short with the dog's own `error_time_s`.
 """
 SPEED_KNOWN = 0.2
 """Largest relative standard deviation of a peak speed at which speeds count as known."""
@@ -91,7 +92,7 @@ class ClipAnalysis(Brief):
         If the fit has no errors over time, they are estimated from the jitter.
         """
         xyz_m = self.tracked.xyz_m
-        return _errors(self.motion, xyz_m, lasts_s(xyz_m, self.motion.fps))
+        return _errors(self.motion, xyz_m, error_time_s(xyz_m, self.motion.fps))
 
     @cached_property
     def tracked(self) -> Pose3D:
@@ -339,7 +340,7 @@ class ClipAnalysis(Brief):
         """
         if not self.motion.jitters:
             return None
-        if self.motion.solution.position_lasts_s is None:
+        if self.motion.solution.position_error_time_s is None:
             return "each frame was solved separately, and the depth in a single frame is hardly known"
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
         return f"its peak is {interval_text(peak, sigma, 'm/s')}" if sigma > SPEED_KNOWN * peak else None
@@ -464,20 +465,20 @@ def _errors(motion: Motion, xyz_m: Array, last_s: float) -> Sequence[Errors]:
     solution, floor = motion.solution, 1e-4
     if motion.jitters:
         independent_and_lasting, path = kinematics.lasting_errors(xyz_m, motion.fps), solution.reference_path
-        lasting_s = solution.position_lasts_s
-        if path is None or lasting_s is None:
+        position_time_s = solution.position_error_time_s
+        if path is None or position_time_s is None:
             return independent_and_lasting
         path_sigma = np.sqrt(np.diagonal(path.covariance[:, :3, :3], axis1=1, axis2=2))[:, None]
         rest = np.broadcast_to(np.maximum(path_sigma, floor), xyz_m.shape)
-        return *independent_and_lasting, Errors(_by_size(motion), np.inf), Errors(rest, lasting_s)
+        return *independent_and_lasting, Errors(_by_size(motion), np.inf), Errors(rest, position_time_s)
     # These are the common errors of all joints. The relative errors of one joint can exceed its absolute errors.
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
-    of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)
+    of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_ERROR_TIME * last_s)
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
-        return Errors(position, POSITION_LASTS * last_s), of_pose
+        return Errors(position, POSITION_ERROR_TIME * last_s), of_pose
     by_size = _by_size(motion)
     rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
-    return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS * last_s), of_pose
+    return Errors(by_size, np.inf), Errors(rest, POSITION_ERROR_TIME * last_s), of_pose
 
 
 def _by_size(motion: Motion) -> Array:
@@ -487,7 +488,7 @@ def _by_size(motion: Motion) -> Array:
     return np.asarray(size_sigma / solution.size * (solution.joints_m - solution.views[0].centre_m[:, None]))
 
 
-def lasts_s(xyz_m: Array, fps: float) -> float:
+def error_time_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
 
     The latter is the root mean square distance of the joints (T, J, 3), relative to their mean, from their average

@@ -567,7 +567,7 @@ def gait(tracks: Tracks) -> Gait:
     all_strides = strides(tracks, all_stances)
     counted, rejected = _counted(all_strides, pose_period_s(tracks) if len(all_strides) == 1 else np.nan)
     lengths, durations = [s.length_m for s in counted], [s.duration_s for s in counted]
-    lasts_s, sigma_s = _stride_time(tracks, counted)
+    duration_s, sigma_s = _stride_time(tracks, counted)
     touch_downs = sorted((s for s in all_stances if s.begins), key=lambda s: s.start_s)
     why_unknown = why_no_ground(tracks)
     if why_unknown is None and not {*FEET} <= {*tracks.feet}:
@@ -579,11 +579,11 @@ def gait(tracks: Tracks) -> Gait:
         order=tuple(s.foot for s in touch_downs),
         stride_length_m=mean(lengths),
         stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
-        stride_s=lasts_s,
+        stride_s=duration_s,
         stride_sigma_s=sigma_s,
         duty_factor={foot: median([s.duty_factor for s in counted if s.foot == foot]) for foot in tracks.feet},
         speed_m_s=mean(tracks.body_speed_m_s),
-        name=name_gait(all_stances, counted, lasts_s, why_unknown),
+        name=name_gait(all_stances, counted, duration_s, why_unknown),
         rejected_strides=rejected,
     )
 
@@ -635,15 +635,15 @@ def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[St
     The only stride of a clip is compared with the period of the motion in seconds, unless this is NaN.
     """
     counted, rejected = [], []
-    start_s, end_s, lasts_s = (
+    start_s, end_s, duration_s = (
         np.array([getattr(s, field) for s in all_strides]) for field in ("start_s", "end_s", "duration_s")
     )
     for stride in all_strides:
         # A long clip has thousands of strides, so only nearby strides are examined.
-        longest_s = lasts_s.max()
+        longest_s = duration_s.max()
         nearby = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
         overlapping = (start_s[nearby] < stride.end_s) & (end_s[nearby] > stride.start_s)
-        others_s = median(lasts_s[nearby][overlapping] if overlapping.sum() > 1 else lasts_s[nearby])
+        others_s = median(duration_s[nearby][overlapping] if overlapping.sum() > 1 else duration_s[nearby])
         others_s = others_s if np.isnan(period_s) else period_s
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)

@@ -24,7 +24,7 @@ _LEAST, _SHOWN = 1e-4, 1e-2
 
 
 @dataclass(frozen=True)
-class Variances:
+class LevelSigmas:
     """Standard deviations of an experiment's levels, in the unit of the quantity."""
 
     animal: float
@@ -68,7 +68,7 @@ class MixedModel:
     """Coefficients of the columns, shape (P,)."""
     covariance: Array
     """Covariance of the effects, shape (P, P), without errors that all clips share."""
-    variances: Variances
+    sigmas: LevelSigmas
     animals: int
     runs: int
     strides: int
@@ -144,9 +144,9 @@ def fit_mixed_model(
     effects, covariance, _ = _solve(blocks, sigmas)
     animal, run, stride = np.where(sigmas > _SHOWN, sigmas, 0.0) * unit
     measured = float(np.sqrt(np.mean(np.square([*by_run.values()]))))
-    variances = Variances(float(animal), float(run), float(stride), measured)
+    sigmas = LevelSigmas(float(animal), float(run), float(stride), measured)
     counts = len(single), len(by_run), len(values)
-    return MixedModel(tuple(names), effects * unit, covariance * unit**2, variances, *counts)
+    return MixedModel(tuple(names), effects * unit, covariance * unit**2, sigmas, *counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,7 @@ def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float
 
 def power(
     effect: float,
-    variances: Variances,
+    sigmas: LevelSigmas,
     animals: int,
     runs: int,
     strides: int,
@@ -224,7 +224,7 @@ def power(
     ----------
     effect : float
         The difference, in the quantity's unit.
-    variances : Variances
+    sigmas : LevelSigmas
         Standard deviations of the levels.
     animals, runs, strides, cameras : int
         Numbers of animals per group, runs per animal and group, strides per run, and cameras that film a run.
@@ -235,7 +235,7 @@ def power(
 
     if animals < 2:
         return 0.0
-    variance = variances.of_mean(runs, strides, cameras) - (variances.animal**2 if paired else 0.0)
+    variance = sigmas.of_mean(runs, strides, cameras) - (sigmas.animal**2 if paired else 0.0)
     sigma = np.sqrt(2 * variance / animals)
     freedom = animals - 1 if paired else 2 * animals - 2
     limit, shift = t.ppf(0.975, freedom), abs(effect) / max(float(sigma), 1e-12)
@@ -247,7 +247,7 @@ def power(
 
 def animals_needed(
     effect: float,
-    variances: Variances,
+    sigmas: LevelSigmas,
     runs: int,
     strides: int,
     cameras: int = 1,
@@ -257,7 +257,7 @@ def animals_needed(
     """Return the animals per group needed to find an effect with the power `wanted`; None if 1000 are too few."""
 
     def is_enough(animals: int) -> bool:
-        return power(effect, variances, animals, runs, strides, cameras, paired) >= wanted
+        return power(effect, sigmas, animals, runs, strides, cameras, paired) >= wanted
 
     low, high = 2, 1000
     if not is_enough(high):
@@ -269,7 +269,7 @@ def animals_needed(
 
 
 def smallest_effect(
-    variances: Variances,
+    sigmas: LevelSigmas,
     animals: int,
     runs: int,
     strides: int,
@@ -282,9 +282,9 @@ def smallest_effect(
         return float("nan")
 
     def lacks(effect: float) -> float:
-        return power(effect, variances, animals, runs, strides, cameras, paired) - wanted
+        return power(effect, sigmas, animals, runs, strides, cameras, paired) - wanted
 
-    highest = variances.of_mean(runs, strides, cameras) ** 0.5 or 1.0
+    highest = sigmas.of_mean(runs, strides, cameras) ** 0.5 or 1.0
     while lacks(highest) < 0:
         highest *= 2
     return float(brentq(lacks, 0.0, highest))

@@ -276,34 +276,37 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     """
     notes: list[str] = []
     if stride_s is not None:
-        stride, lasts_s = stride_given(motion, stride_s), None
+        stride, duration_range_s = stride_given(motion, stride_s), None
     elif isinstance(motion.chain, Chain):
         # One stride for the analysis and for the chains in two and three dimensions.
-        stride, lasts_s = ClipAnalysis(motion).stride, None
+        stride, duration_range_s = ClipAnalysis(motion).stride, None
     else:
         gait = ClipAnalysis(motion).gait
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
         notes = [rejection_text(stride) for stride in gait.rejected_strides if stride.foot == label]
-        stride, lasts_s = next((s for s in gait.strides if s.foot == label), None), stride_duration_range_s(gait)
-    path = _path_of(motion, limb, stride, lasts_s)
+        stride = next((s for s in gait.strides if s.foot == label), None)
+        duration_range_s = stride_duration_range_s(gait)
+    path = _path_of(motion, limb, stride, duration_range_s)
     return replace(path, notes=tuple(notes))
 
 
-def _path_of(motion: Motion, limb: Limb, stride: Stride | None, lasts_s: tuple[float, float] | None) -> StridePath:
+def _path_of(
+    motion: Motion, limb: Limb, stride: Stride | None, duration_range_s: tuple[float, float] | None
+) -> StridePath:
     """Return a stride as the path of a limb's foot.
 
-    Without a stride it is the foot's nearest return in space whose duration is in the range lasts_s, or the whole clip
-    if lasts_s is None. Raises InputError if the clip shows too little of a stride.
+    Without a stride it is the foot's nearest return in space with a duration in the given range, or the whole clip if
+    the range is None. Raises InputError if the clip shows too little of a stride.
     """
     try:
         if stride is not None:
             span_s = stride.start_s - limb.first_s, stride.end_s - limb.first_s
             return replace(find_stride(limb.chain, limb.q, limb.fps, span_s), origin=stride.origin)
-        if lasts_s is None:
-            return find_stride(limb.chain, limb.q, limb.fps, lasts_s=None)
+        if duration_range_s is None:
+            return find_stride(limb.chain, limb.q, limb.fps, duration_range_s=None)
         in_space = limb if limb.chain.dim == 3 else limb_of(motion, limb.foot, 3)
-        path = find_stride(in_space.chain, in_space.q, limb.fps, lasts_s=lasts_s)
+        path = find_stride(in_space.chain, in_space.q, limb.fps, duration_range_s=duration_range_s)
         if in_space is limb:
             return path
         return replace(find_stride(limb.chain, limb.q, limb.fps, (path.start_s, path.end_s)), origin=path.origin)

@@ -56,7 +56,7 @@ def find_stride(
     q: Array,
     fps: float,
     span_s: tuple[float, float] | None = None,
-    lasts_s: tuple[float, float] | None = (0.0, np.inf),
+    duration_range_s: tuple[float, float] | None = (0.0, np.inf),
 ) -> StridePath:
     """Return the stride of a chain from its joint angles; the module describes the search.
 
@@ -72,7 +72,7 @@ def find_stride(
         Frames per second.
     span_s
         Start and end of the stride, if known.
-    lasts_s
+    duration_range_s
         Shortest and longest possible duration of a return, if known; None for the whole clip.
 
     Raises
@@ -101,7 +101,10 @@ def find_stride(
     else:
         path = np.full((len(q), chain.dim), np.nan)
         path[known] = ends
-        frames_of_return = None if lasts_s is None else nearest_return(path, lasts_s[0] * fps, lasts_s[1] * fps)
+        frames_of_return = None
+        if duration_range_s is not None:
+            shortest_s, longest_s = duration_range_s
+            frames_of_return = nearest_return(path, shortest_s * fps, longest_s * fps)
         origin = WHOLE_CLIP if frames_of_return is None else "return"
         start, end = frames_of_return or (int(known[0]), float(known[-1]))
     if end <= start + 1 - 1e-6:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.base.documents import MAX_UNPACKED, damage_named
+from recon.base.documents import MAX_UNPACKED, damage_as_input_error
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
@@ -450,7 +450,9 @@ INDIVIDUALS = ("individuals", "individual")
 def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Keypoints:
     """Return keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
     source = Path("DataFrame")
-    with damage_named(source, "numbers, with DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"):
+    with damage_as_input_error(
+        source, "numbers, with DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"
+    ):
         if table.columns.nlevels > 1:
             stored = _points_of_levels(source, table, individual)
         else:
@@ -483,7 +485,7 @@ def from_xarray(dataset: xr.Dataset, fps: float | None, individual: str | None) 
     from recon.io.hdf5_poses import points_of_dataset
 
     source = Path("Dataset")
-    with damage_named(source, "movement's poses"):
+    with damage_as_input_error(source, "movement's poses"):
         return _keypoints(source, points_of_dataset(source, dataset, fps, individual), fps)
 
 

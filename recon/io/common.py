@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.arrays import Brief
-from recon.base.documents import damage_named
+from recon.base.documents import damage_as_input_error
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.numbers import counted
 
@@ -419,7 +419,7 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
     commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8, and for no table.
     """
     expected = "a table of text in UTF-8"
-    with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
+    with damage_as_input_error(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
         header_separator, skipped = table_start(file.readline())
         if not skipped:
             file.seek(0)

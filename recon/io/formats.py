@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from recon.base.documents import damage_named, read_head
+from recon.base.documents import damage_as_input_error, read_head
 from recon.base.errors import InputError, Problem
 from recon.clip import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, frames_seen, joined_tracks
@@ -83,7 +83,7 @@ class Format:
 
         Raises InputError, also in place of the errors that Python and libraries raise for a damaged file.
         """
-        with damage_named(path, f"a whole file: {self.title}"):
+        with damage_as_input_error(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)
 
     def write(self, data: object, path: Path) -> None:

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 from h5py import h5t
 
-from recon.base.documents import MAX_UNPACKED, damage_named
+from recon.base.documents import MAX_UNPACKED, damage_as_input_error
 from recon.base.errors import InputError, Problem
 from recon.io.common import starts_with
 
@@ -51,7 +51,7 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     With `names_only`, only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError
     for a damaged file, also for h5py's errors inside the block.
     """
-    with damage_named(path, "a complete, undamaged HDF5 file"):
+    with damage_as_input_error(path, "a complete, undamaged HDF5 file"):
         if not names_only:
             _require_sound_heaps(path)
         try:

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from recon.base.documents import damage_named, read_json
+from recon.base.documents import damage_as_input_error, read_json
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.io import common
 from recon.io.common import StoredPoints
@@ -239,7 +239,7 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     seen: list[_Seen] = []
     for file, number in files.items():
         content = read_json(file, _EXPECTED)
-        with damage_named(file, "x, y, confidence of each point", "people"):
+        with damage_as_input_error(file, "x, y, confidence of each point", "people"):
             rows = [np.array(person[KEY], dtype=float) for person in content["people"]]
             people = [row.reshape(-1, 3) for row in rows if row.size]
         for k, points in enumerate(people, start=1):

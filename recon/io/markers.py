@@ -134,7 +134,7 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
 def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
     """Return parameters, positions (T, J, 3), NaN where missing, and the number of the first frame, from 1.
 
-    Raises the errors that `damage_named` expects of a file that is damaged or cut off.
+    Raises the errors that `damage_as_input_error` expects of a file that is damaged or cut off.
     """
     start = BLOCK * (content[0] - 1)
     order = ">" if content[start + 3] == MIPS else "<"

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
+from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_as_input_error, read_content
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.io import common, writing
@@ -72,7 +72,7 @@ def _pose_of(path: Path, points: int) -> np.ndarray:
     Its size is checked before the next file is read.
     """
     expected = f"the {points} points of one animal as pose3d"
-    with damage_named(path, expected):
+    with damage_as_input_error(path, expected):
         pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]
     if pose.shape not in ((points, 3), (1, points, 3)):
         raise InputError(Problem(path, "pose3d", f"an array of shape {pose.shape}", expected))

@@ -410,7 +410,7 @@ MEASURED_ERRORS = (
     (20, "on a made-up film, of an animal 101 px long", "1.1 px"),
     (40, "on a made-up film, of an animal 101 px long", "1.1 px"),
     (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
-    (150, "on a video of a horse, in other light than that of the labels", "3.1 px"),
+    (150, "on a video of a horse, in light unlike that of the labels", "3.1 px"),
 )
 """Numbers of labelled pictures, their film and animal, and the median errors in pictures without labels, in order of
 the numbers (the tables of docs/net.md, `python benchmarks/net.py --only circle labels large horse`).

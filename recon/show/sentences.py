@@ -102,9 +102,9 @@ def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Ite
         f"Strides are {length_m} long, {frequency}, averaged over {_strides_text(gait)}; a foot stands "
         f"{percent(gait.name.duty_factor)} of the time (90 %: {percent_range(low, high)})."
     )
-    lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
-    if lasts_s > swing_s:
+    duration_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
+    if duration_s > swing_s:
         yield (
-            f"Strides last {quantity(lasts_s, 1, 's')}, longer than a leg of this length swings to and fro by itself "
-            f"({quantity(swing_s, 1, 's')}): the video may be in slow motion. Check --fps."
+            f"Strides last {quantity(duration_s, 1, 's')}, longer than a leg of this length swings to and fro by "
+            f"itself ({quantity(swing_s, 1, 's')}): the video may be in slow motion. Check --fps."
         )

@@ -122,7 +122,7 @@ class FrameSolution(Solution):
         return self.travel.speed_m_s
 
     @property
-    def position_lasts_s(self) -> float | None:
+    def position_error_time_s(self) -> float | None:
         """Correlation time of an error of the path; None without a path."""
         if self.path is None:
             return None

@@ -465,7 +465,7 @@ def test_every_problem_of_a_command(body, tmp_path):
 
 
 def test_results(whole_results, body, tmp_path):
-    """Two folders of results say skeleton, frame rate and names themselves; doubtful frames are left out."""
+    """Two folders of results say skeleton, frame rate and names themselves; flagged frames are left out."""
     for name in ("run1", "run2"):
         shutil.copytree(whole_results, tmp_path / name)
     ended = run("prior", "fit", tmp_path / "run1", tmp_path / "run2", "--out", tmp_path / "x.npz", "--json")

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 import tomli_w
-from command_line import Refusal, carry_out_here, compare, refusal, refused, run, says
+from command_line import Refusal, compare, refusal, refused, run, run_tasks_here, says
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
 from recon.api.analyse import AnalyseSettings
@@ -529,7 +529,7 @@ def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str
     """(action, reason) of each clip, and do it, in this process."""
     plan = plan_batch(clips, out, overwrite)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("recon.api.batch.carry_out", carry_out_here)
+        patch.setattr("recon.api.batch.run_tasks", run_tasks_here)
         summary = run_batch(plan, out)
     assert {*summary.counts()} <= {"done", "done earlier"}
     return [(planned.action, planned.reason) for planned in plan]

@@ -19,7 +19,7 @@ from recon import ClipAnalysis, analyse
 from recon.api.analyse import DEFAULT_FIGURES, figures_of, notes, summarise
 from recon.fit import constants
 from recon.fit.motion import Motion
-from recon.gait.clip import POSE_LASTS, lasts_s, limb_chains
+from recon.gait.clip import POSE_ERROR_TIME, error_time_s, limb_chains
 from recon.gait.kinematics import at_frames
 from recon.io.positions import read_pose3d
 from recon.show.plots import style
@@ -91,12 +91,12 @@ def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
 def test_errors_of_a_slower_animal_last_longer(whole):
     # At most as long as those of detections; without a pose as long.
     pose_m = whole.motion.upright.xyz_m
-    runs_s = lasts_s(pose_m, 120.0)
-    assert lasts_s(pose_m, 60.0) == pytest.approx(np.sqrt(2) * runs_s)
-    assert lasts_s(pose_m, 1.0) == lasts_s(np.full_like(pose_m, np.nan), 60.0) == constants.ERROR_TIME_S
+    runs_s = error_time_s(pose_m, 120.0)
+    assert error_time_s(pose_m, 60.0) == pytest.approx(np.sqrt(2) * runs_s)
+    assert error_time_s(pose_m, 1.0) == error_time_s(np.full_like(pose_m, np.nan), 60.0) == constants.ERROR_TIME_S
     size, place, pose = (error.correlation_s for error in whole.errors)
     assert size == np.inf
-    assert place > pose == pytest.approx(POSE_LASTS * lasts_s(pose_m, whole.motion.fps))
+    assert place > pose == pytest.approx(POSE_ERROR_TIME * error_time_s(pose_m, whole.motion.fps))
 
 
 def test_a_larger_animal_is_as_much_faster(whole):

@@ -23,7 +23,7 @@ from recon.api.experiment import (
     model_experiment,
 )
 from recon.api.experiment_plan import plan_experiment, read_plan
-from recon.gait.mixed_model import Variances, animals_needed, power, smallest_effect
+from recon.gait.mixed_model import LevelSigmas, animals_needed, power, smallest_effect
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +206,7 @@ def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFra
 
 
 def test_a_plan_says_how_many_animals_an_effect_needs(experiment: Experiment):
-    known = Variances(0.4, 0.2, 0.2, 0.15)
+    known = LevelSigmas(0.4, 0.2, 0.2, 0.15)
     text = "effect=10% mean=3 animal=0.4 run=0.2 stride=0.2 measurement=0.15"
     table = plan_experiment(read_plan([text, "runs=1,2 strides=5 cameras=2"]))
     assert table.effect == pytest.approx(0.3)
@@ -219,8 +219,8 @@ def test_a_plan_says_how_many_animals_an_effect_needs(experiment: Experiment):
     assert smallest_effect(known, 9, 2, 5) > smallest_effect(known, 9, 2, 5, paired=True)
     of_herd = plan_experiment(read_plan(["effect=0.3", "quantity=stride_length_m"]), experiment.variances)
     row = experiment.variances.set_index("quantity").loc["stride_length_m"]
-    assert of_herd.variances.animal == row["animal_sd"]
-    assert of_herd.variances.measurement == row["measurement_sd"] > 0
+    assert of_herd.sigmas.animal == row["animal_sd"]
+    assert of_herd.sigmas.measurement == row["measurement_sd"] > 0
 
 
 def test_a_wrong_plan_is_refused(experiment: Experiment):

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from command_line import carry_out_here, copy_results, refusal, run
+from command_line import copy_results, refusal, run, run_tasks_here
 from users_files import REFUSED, contents, put_foreign, require_untouched
 
 from recon import InputError
@@ -545,7 +545,7 @@ def test_no_command_touches_files_of_the_names_that_it_is_given(whole_results, o
 
 def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
     """`recon report` has no --overwrite: it renews its own page."""
-    monkeypatch.setattr("recon.cli.look.carry_out", carry_out_here)
+    monkeypatch.setattr("recon.cli.look.run_tasks", run_tasks_here)
     clip = copy_results(whole_results, tmp_path / "all" / "clip")
     put_foreign(clip, [PAGE, "summary.html"])
     before = contents(tmp_path)

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import recon.base.parallel as parallel
-from recon.base.parallel import Event, carry_out
+from recon.base.parallel import Event, run_tasks
 from recon.base.progress import Progress
 
 
@@ -46,7 +46,7 @@ def ended(*tasks: str, **more: Any) -> dict[str, Any]:
         if event.kind == "ended":
             outcomes[event.name] = event.outcome
 
-    carry_out(work, [(task, task.split(":")[0]) for task in tasks], tell, **more)
+    run_tasks(work, [(task, task.split(":")[0]) for task in tasks], tell, **more)
     return outcomes
 
 
@@ -87,7 +87,7 @@ def test_an_interrupt_stops_the_processes():
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        carry_out(work, [("wait", "wait")] * 3, interrupt, jobs=2)
+        run_tasks(work, [("wait", "wait")] * 3, interrupt, jobs=2)
     assert seen[-1] == "waiting"
     assert not multiprocessing.active_children()
 
@@ -96,8 +96,8 @@ def test_a_script_needs_no_main(tmp_path):
     """What it does is not done again in the processes, as with multiprocessing alone."""
     script = tmp_path / "script.py"
     script.write_text(
-        "from recon.base.parallel import carry_out\nfrom recon.base.progress import silent\n"
-        "print('once')\ncarry_out(silent, [('one', 1)], lambda event: print(event.kind), jobs=1)\n"
+        "from recon.base.parallel import run_tasks\nfrom recon.base.progress import silent\n"
+        "print('once')\nrun_tasks(silent, [('one', 1)], lambda event: print(event.kind), jobs=1)\n"
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=60)
     assert (done.stdout.split(), done.stderr) == (["once", "progress", "ended"], "")

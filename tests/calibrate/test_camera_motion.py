@@ -14,7 +14,7 @@ import pytest
 from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
-from recon.calibrate.camera_motion.rotation import Orientation, as_level, rays_of, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion.rotation import Orientation, as_level, rays_of, read_marks, up_at_tilt, up_by_marks
 from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker
 from recon.geometry.camera import Camera
 from recon.io.camera_files import write_camera
@@ -178,7 +178,7 @@ def test_a_camera_that_is_carried_is_recognised(follows):
 
 def test_level_is_the_first_frame_as_told_or_the_mean_frame():
     orientations = [Orientation(R) for R in pan(9, 10.0)]
-    told = as_level(orientations, tilted(np.radians(12)))[0].rotation
+    told = as_level(orientations, up_at_tilt(np.radians(12)))[0].rotation
     np.testing.assert_allclose(told[2, 2], -np.sin(np.radians(12)))
     np.testing.assert_allclose(told[0], [1, 0, 0], atol=1e-12)
     mean = np.mean([one.rotation for one in as_level(orientations, None)], axis=0)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import carry_out_here, refusal, refused, run, says
+from command_line import refusal, refused, run, run_tasks_here, says
 
 import recon.cli.run as module
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
@@ -357,11 +357,11 @@ def test_the_keypoints_of_a_video_have_its_name(tmp_path):
 
 
 def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
-    def carry_out(work, tasks, tell, **more) -> None:
+    def run_tasks(work, tasks, tell, **more) -> None:
         assert [job.threads for _, job in tasks] == [1] * len(tasks)
-        carry_out_here(work, pickle.loads(pickle.dumps(tasks)), tell, **more)
+        run_tasks_here(work, pickle.loads(pickle.dumps(tasks)), tell, **more)
 
-    monkeypatch.setattr("recon.cli.run.carry_out", carry_out)
+    monkeypatch.setattr("recon.cli.run.run_tasks", run_tasks)
     videos = tmp_path / "videos"
     videos.mkdir()
     for name in ("a", "b"):

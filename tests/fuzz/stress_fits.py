@@ -402,7 +402,7 @@ def faults(motion: Motion, report: dict, folder: Path) -> list[str]:
         found.append(f"no pose and no flag that says why in frames {bare[:5]}")
     quality = pd.read_csv(folder / "quality.csv", dtype=str, keep_default_na=False)
     if quality["flags"].tolist() != [";".join(names) for names in flags]:
-        found.append("quality.csv has other flags than report.json")
+        found.append("quality.csv and report.json have different flags")
     found += _numbers(motion, report)
     json.loads((folder / "report.json").read_text(encoding="utf-8"))
     return found

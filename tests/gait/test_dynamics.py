@@ -156,7 +156,7 @@ def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inerti
 
 
 def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
-    rng, share, lasts_s = np.random.default_rng(0), np.array([0.2, 0.2, 0.3, 0.3]), 0.05
+    rng, share, error_time_s = np.random.default_rng(0), np.array([0.2, 0.2, 0.3, 0.3]), 0.05
     of_joint, share_sigma = np.array([0, 1, 1, 2]), np.array([0.04, 0.06])
     at_m, rate_m_s, sigma_m = (
         rng.normal(size=(1, 4, 3)),
@@ -165,10 +165,10 @@ def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
     )
     # Of the centre of mass, as the rods' ends are.
     at_m, rate_m_s = (of - np.einsum("tek,e->tk", of, share)[:, None] for of in (at_m, rate_m_s))
-    near = Errors(sigma_m[:, of_joint], lasts_s)
+    near = Errors(sigma_m[:, of_joint], error_time_s)
     said = _turning_sigma(at_m, rate_m_s, share, share_sigma, of_joint, near)[0]
 
-    place, rate = (rng.normal(size=(20000, 3, 3)) * sigma_m * of for of in (1, 1 / lasts_s))
+    place, rate = (rng.normal(size=(20000, 3, 3)) * sigma_m * of for of in (1, 1 / error_time_s))
     drawn = np.repeat(share[::2] + share_sigma / 2 * rng.normal(size=(20000, 2)), 2, axis=1)
     drawn /= drawn.sum(axis=1, keepdims=True)
     at_m, rate_m_s = at_m + place[:, of_joint], rate_m_s + rate[:, of_joint]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.gait.mixed_model import Variances, animals_needed, fit_mixed_model, power
+from recon.gait.mixed_model import LevelSigmas, animals_needed, fit_mixed_model, power
 
-TRUE = Variances(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
+TRUE = LevelSigmas(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
 
 
 def test_components_and_effect_of_a_made_up_herd():
@@ -26,8 +26,8 @@ def test_components_and_effect_of_a_made_up_herd():
     model = fit_mixed_model(np.array(values), design, ("all", "group"), animals, runs, known)
     assert (model.animals, model.runs, model.strides) == (60, 180, 720)
     for level in ("animal", "run", "stride"):
-        assert getattr(model.variances, level) == pytest.approx(getattr(TRUE, level), rel=0.25)
-    assert model.variances.measurement == pytest.approx(0.15)
+        assert getattr(model.sigmas, level) == pytest.approx(getattr(TRUE, level), rel=0.25)
+    assert model.sigmas.measurement == pytest.approx(0.15)
     value, sigma, low, high = model.contrast(np.array([0.0, 1.0]))
     assert low < 0.5 < high
     assert sigma == pytest.approx(np.sqrt(2 * TRUE.of_mean(3, 4) / 30), rel=0.25)

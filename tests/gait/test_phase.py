@@ -117,10 +117,10 @@ def test_closure_of_a_full_and_of_a_half_turn():
 def test_deviation_of_a_closure_by_hand():
     """A full turn whose ends err on their own, each by sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
     and the deviation of |n| is that of n times sqrt(1 - 2 / pi)."""
-    sigma, lasts_s = 0.006, 0.05
+    sigma, error_time_s = 0.006, 0.05
     time_s = np.linspace(0.0, 0.8, 201)
     turn = 2 * np.pi * time_s / 0.8
-    of_both = np.full(201, sigma), np.full(201, sigma / lasts_s)
+    of_both = np.full(201, sigma), np.full(201, sigma / error_time_s)
     found = closure(Portrait(time_s, 0.3 * np.cos(turn), -0.3 * 2 * np.pi / 0.8 * np.sin(turn), *of_both))
     assert found.angle_sigma == pytest.approx(100 * np.sqrt(2) * sigma / 0.6 * np.sqrt(1 - 2 / np.pi), rel=0.2)
     without = closure(Portrait(time_s, np.cos(turn), np.sin(turn)))

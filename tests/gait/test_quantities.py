@@ -64,19 +64,19 @@ def test_without_a_complete_stride_the_period_counts(whole: ClipAnalysis):
 
 def test_a_period_beyond_the_clip_is_no_stride(whole: ClipAnalysis):
     assert whole.gait is not None
-    lasts_s = float(np.ptp(whole.gait.tracks.time_s))
+    duration_s = float(np.ptp(whole.gait.tracks.time_s))
 
     def with_period(share: float, stances: int | None = None) -> ClipAnalysis:
         assert whole.gait is not None
         kept = [s for s in whole.gait.stances if s.begins and s.ends][:stances]
-        found = replace(whole.gait, strides=(), stances=tuple(kept), stride_s=share * lasts_s, stride_sigma_s=0.02)
+        found = replace(whole.gait, strides=(), stances=tuple(kept), stride_s=share * duration_s, stride_sigma_s=0.02)
         vars(analysis := ClipAnalysis(whole.motion))["gait"] = found
         return analysis
 
     texts = {share: " ".join(analysis_sentences(with_period(share))) for share in (0.9, 1.1, 1.5)}
     assert [share for share, text in texts.items() if "strides are" in text] == [0.9]
     assert [share for share, text in texts.items() if "would repeat after" in text] == [1.1]
-    assert with_period(1.1).quantities["stride_s"].value == pytest.approx(1.1 * lasts_s)
+    assert with_period(1.1).quantities["stride_s"].value == pytest.approx(1.1 * duration_s)
     too_long = with_period(1.5).quantities
     for name in ("stride_s", "stride_length_m", "stride_frequency_hz", "duty_factor"):
         assert np.isnan(too_long[name].value)

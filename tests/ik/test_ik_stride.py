@@ -70,7 +70,9 @@ def test_a_return_takes_as_long_as_a_stride_may():
     """A foot that comes back near to where it was half-way, and exactly after a stride."""
     phase = 2 * np.pi * np.arange(50)[:, None] / 30
     q = [0.9, 0.8, -0.6] + [0.4, 0.4, 0.5] * np.sin(2 * phase + [0, 1, 2]) + 0.05 * np.sin(phase)
-    half, whole = (find_stride(CHAIN, q[:40], 100, lasts_s=lasts) for lasts in ((0.0, 0.2), (0.25, np.inf)))
+    half, whole = (
+        find_stride(CHAIN, q[:40], 100, duration_range_s=duration) for duration in ((0.0, 0.2), (0.25, np.inf))
+    )
     assert half.end_s - half.start_s == pytest.approx(0.15, abs=0.02)
     assert whole.end_s - whole.start_s == pytest.approx(0.3, abs=0.01)
     assert whole.gap_percent < 1

@@ -27,7 +27,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 import typer
-from command_line import carry_out_here, copy_results, run
+from command_line import copy_results, run, run_tasks_here
 from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
 from made_up_herd import make_herd, use_made_up_numbers
 from shortcuts import (
@@ -232,7 +232,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 leave_out_drawing(patch)
                 draw_two_methods(patch)
                 remember_analyses(patch)
-                patch.setattr("recon.api.batch.carry_out", carry_out_here)
+                patch.setattr("recon.api.batch.run_tasks", run_tasks_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
                 shorten_cost_study(patch)

@@ -302,7 +302,7 @@ def test_keys_and_buttons_move_the_cursor(pages, opened):
     assert row() == 2
     page.keyboard.press("d")
     assert (row(), page.locator(".status").text_content()) == (3, "frame 13, 0.433 s, no data")
-    page.click("[data-do=doubtful]")
+    page.click("[data-do=flagged]")
     assert row() == 5
     page.locator(".player input[type=range]").focus()
     page.keyboard.press("ArrowLeft")

@@ -82,7 +82,7 @@ def test_a_comparison_has_all_its_text(scale):
 
 
 def test_figures_are_drawn_and_saved_by_the_style_alone():
-    """A figure that is saved otherwise has ticks of another size than it was laid out for."""
+    """A figure that is saved otherwise has ticks of a size that it was not laid out for."""
     strangers = []
     for path in sorted((ROOT / "recon").rglob("*.py")):
         if path.name == "style.py" and path.parent.name == "plots":

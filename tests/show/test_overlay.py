@@ -139,7 +139,7 @@ def test_detections_are_rings(overlay):
     assert (drawn[900, 300] == 128).all()
 
 
-def test_doubtful_frames_have_a_border(overlay):
+def test_flagged_frames_have_a_border(overlay):
     borders = [tuple(draw_frame(overlay, t, 10 + t, GREY)[540, 1]) == FLAGGED for t in range(8)]
     assert borders == [bool(flags) for flags in overlay.flags]
     assert tuple(draw_frame(overlay, None, 3, GREY)[540, 1]) == FLAGGED

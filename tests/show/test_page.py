@@ -121,7 +121,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     results = Motion.load(folder)
     report = build_report(results)
     for text in (
-        "Frames: 8 of 8 with a pose, 2 doubtful (some for several reasons: 1 no data, 1 data poor, 1 ambiguous depth).",
+        "Frames: 8 of 8 with a pose, 2 flagged (some for several reasons: 1 no data, 1 data poor, 1 ambiguous depth).",
         "The animal moved 2.1 m, at 9.0 m/s (90 %: 8.1 to 9.9) on average and at most 9",
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
@@ -140,7 +140,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "Speed",
         "Footfalls",
         "Angles over time",
-        "Doubtful frames",
+        "Flagged frames",
         "Keypoints",
     ]
     # A picture comes before the words.

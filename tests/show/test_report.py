@@ -509,7 +509,7 @@ def test_no_pose_at_all(small_trajectory):
     assert is_unsolved(report)
     assert codes(report) == ["no_pose"]
     lines = dict(summary_lines(report))
-    assert lines["frames"] == "0 of 8 with a pose, 8 doubtful (8 no data)"
+    assert lines["frames"] == "0 of 8 with a pose, 8 flagged (8 no data)"
     assert "nan" not in str(lines)
 
 
@@ -520,7 +520,7 @@ def test_console_summary_of_a_trajectory(trajectory):
     shown = out.getvalue()
     for text in (
         "run.csv, frames 10 to 17 at 30 fps",
-        "8 of 8 with a pose, 2 doubtful (some for several reasons: 1 no data, 1 data poor, 1 ambiguous depth)",
+        "8 of 8 with a pose, 2 flagged (some for several reasons: 1 no data, 1 data poor, 1 ambiguous depth)",
         "161 used, 31 missing",
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s on average",

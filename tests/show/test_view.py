@@ -356,7 +356,7 @@ def test_limbs_are_interrupted_by_joints_that_are_not_seen() -> None:
     assert classes == [[0, 1], [0]]
 
 
-def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:
+def test_flagged_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:
     shown = {flag: [f for f in range(10, 18) if played.values(flag, f)] for flag in FLAGS if flag in played.frames}
     assert shown == {"/no_data": [13], "/data_poor": [15], "/ambiguous_depth": [15]}
     red, plain = (played.frames["/world/uncertainty"][f]["Ellipsoids3D:colors"] for f in (15, 14))

@@ -81,7 +81,7 @@ class GreyPicture:
         return (full_px + 0.5) / self.scale - 0.5
 
 
-def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
+def strongest_corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     """Return the strongest corners of every cell outside the mask, as pixels (N, 2) of the original picture.
 
     `masked` is the mask, (height, width) of the working picture; None masks nothing.
@@ -105,7 +105,7 @@ def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     return frame.full_px(np.column_stack([x[chosen], y[chosen]]).astype(float))
 
 
-def followed(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
+def follow_points(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
     """Return the positions of points (N, 2) in another picture, and whether each was found.
 
     The search starts at `guess_px`, the expected positions (N, 2).
@@ -130,7 +130,7 @@ def followed(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_p
     return later.full_px(found_px.astype(float)), is_good
 
 
-def described(frame: GreyPicture) -> tuple[Array, Image]:
+def describe_points(frame: GreyPicture) -> tuple[Array, Image]:
     """Return pixels (N, 2) and descriptors (N, 32) of points that can be recognised anywhere in another picture."""
     side = frame.window_px * 3 // 2
     finder = cv2.ORB.create(ORB_POINTS, edgeThreshold=side, patchSize=side)
@@ -141,9 +141,9 @@ def described(frame: GreyPicture) -> tuple[Array, Image]:
     return frame.full_px(work), np.asarray(descriptors, dtype=np.uint8)
 
 
-def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
+def is_same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
     """Return whether points of two pictures (pixels, descriptors) match by a homography."""
-    pairs = matched(a[1], b[1])
+    pairs = match_descriptors(a[1], b[1])
     if len(pairs) < MIN_SAME:
         return False
     positions = [picture[0][pairs[:, i]].astype(np.float32) for i, picture in enumerate((a, b))]
@@ -152,13 +152,13 @@ def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
     return is_same is not None and int(is_same.sum()) >= MIN_SAME
 
 
-def similar(a: GreyPicture, b: GreyPicture) -> bool:
+def is_similar(a: GreyPicture, b: GreyPicture) -> bool:
     """Return whether light and dark are distributed similarly in two pictures, as in neighbouring frames of a take."""
     small = [cv2.resize(picture.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for picture in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
 
 
-def matched(a: Image, b: Image) -> Integers:
+def match_descriptors(a: Image, b: Image) -> Integers:
     """Return the index pairs (N, 2) of descriptors that are each other's nearest neighbours."""
     if not len(a) or not len(b):
         return np.zeros((0, 2), np.int64)
@@ -237,7 +237,7 @@ class AgreedOrientation:
     sigma_px: float
     """Standard deviation of the points that agree, along each axis."""
     spread: float
-    """Covered fraction of the picture times the points' spread, both as `spread` returns them."""
+    """Covered fraction of the picture times the points' spread, both as `cover_and_spread` returns them."""
 
     @property
     def agree(self) -> Bools:
@@ -245,7 +245,7 @@ class AgreedOrientation:
         return self.weights > 0
 
 
-def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Array, Array]:
+def cover_and_spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Array, Array]:
     """Return the fraction of the picture's area that H sets of points cover, and how widely the points spread.
 
     `weights` (H, N) are those of the N points in each set, 0 to 1. The spread is 1 for an evenly covered picture.
@@ -263,7 +263,7 @@ def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Arr
     return total / (across * down), 12 * np.sqrt(np.maximum(determinant, 0))
 
 
-def agreed_turn(
+def find_orientation(
     camera: Camera, rays: Array, seen_px: Array, background: Array, zoom: float, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
     """Return the orientation, near the given zoom, that takes world rays (N, 3) to the pixels (N, 2) of their points.
@@ -274,30 +274,30 @@ def agreed_turn(
     if len(rays) < MIN_POINTS:
         return None
     seen_rays, _ = rays_of(camera, seen_px, zoom)
-    turns = _tried(rays, seen_rays, seen_px, camera.image_size_px)
+    turns = _trial_rotations(rays, seen_rays, seen_px, camera.image_size_px)
     if not len(turns):
         return None
     misalignment = 1 - np.einsum("hij,nj,ni->hn", turns, rays, seen_rays, optimize=True)
     angle = limit_px / (camera.matrix[0, 0] * zoom)
     weights = background**2 * (misalignment < 0.5 * angle**2)
-    coverage, area = spread(seen_px, camera.image_size_px, weights)
+    coverage, area = cover_and_spread(seen_px, camera.image_size_px, weights)
     best: AgreedOrientation | None = None
     examined: list[Array] = []
     for h in np.argsort(-coverage * area)[:CANDIDATES]:
         if any(np.trace(turns[h] @ earlier.T) > 1 + 2 * np.cos(2 * angle) for earlier in examined):
             continue
         examined.append(turns[h])
-        result = refined(camera, rays, seen_px, Orientation(turns[h], zoom), solve_zoom, limit_px)
+        result = refine(camera, rays, seen_px, Orientation(turns[h], zoom), solve_zoom, limit_px)
         if result is None:
             continue
-        c, a = spread(seen_px, camera.image_size_px, (background**2 * result.agree)[None])
+        c, a = cover_and_spread(seen_px, camera.image_size_px, (background**2 * result.agree)[None])
         result = replace(result, spread=float(c[0] * a[0]))
         if a[0] >= MIN_SPREAD and (best is None or result.spread > best.spread):
             best = result
     return best
 
 
-def _tried(rays: Array, seen: Array, pixels: Array, size_px: tuple[int, int]) -> Array:
+def _trial_rotations(rays: Array, seen: Array, pixels: Array, size_px: tuple[int, int]) -> Array:
     """Return trial rotations (H, 3, 3) from pairs of points that are far enough apart in the picture."""
     rng = np.random.default_rng(0)
     i, j = rng.integers(0, len(rays), (2, 2 * TRIALS))
@@ -312,7 +312,7 @@ def _axes(a: Array, b: Array) -> Array:
     return np.stack([c / np.linalg.norm(c, axis=1, keepdims=True) for c in columns], axis=2)
 
 
-def refined(
+def refine(
     camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
     """Return the orientation refined by robust least squares in pixels, starting close to the solution.
@@ -322,7 +322,7 @@ def refined(
     free_columns = slice(0, 4 if solve_zoom else 3)
     limit, rounds = limit_px, ROUNDS
     while True:
-        residual, jacobian = _linearised(camera, rays, seen_px, orientation)
+        residual, jacobian = _linearise(camera, rays, seen_px, orientation)
         size = np.linalg.norm(residual, axis=1)
         weights = tukey(size, limit)
         if (weights > 0).sum() < MIN_POINTS:
@@ -351,7 +351,7 @@ def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tup
     return weighted.T @ flat, weighted.T @ residual_px.ravel()
 
 
-def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orientation) -> tuple[Array, Array]:
+def _linearise(camera: Camera, rays: Array, seen_px: Array, orientation: Orientation) -> tuple[Array, Array]:
     camera_rays = rays @ orientation.rotation.T
     pixels, by_point, _ = camera.project_with_jacobian(camera_rays)
     from_focus = orientation.zoom * (pixels - focus_px(camera))
@@ -395,12 +395,12 @@ def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Ori
     reference = orientations[0].rotation
     if up is None:
         reference = Rotation.from_matrix([turn.rotation for turn in orientations]).mean().as_matrix()
-        up = tilted(0.0)
+        up = up_at_tilt(0.0)
     level = level_from_camera(up) @ reference  # from the previous world to the level world
     return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 
 
-def tilted(tilt_rad: float) -> Array:
+def up_at_tilt(tilt_rad: float) -> Array:
     """Return the upward direction (3,) for a camera tilted down by an angle, without roll."""
     return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
 

@@ -78,7 +78,7 @@ class _Keyframe:
     background: Array
     """How consistently each point has been background, shape (N,), from 0 to 1."""
     known: tuple[Array, Image]
-    """Points that can be recognised in any picture, as `described` returns them."""
+    """Points that can be recognised in any picture, as `describe_points` returns them."""
     rays: Array
     """Unit rays to the points in the camera frame, shape (N, 3)."""
     settled: Bools
@@ -169,18 +169,18 @@ class Tracker:
         mask = None if points is None else turning.hull_mask(frame, points)
         if not self.keys:
             return self._begin(number, frame, mask)
-        alignment = self._placed(number, frame, mask, self._predicted(number), KEYS_AT_ONCE)
-        if alignment is None and (recovered := self._relocalised(frame, mask)) is not None:
-            alignment = self._placed(number, frame, mask, recovered, KEYS_AT_ONCE)
+        alignment = self._align(number, frame, mask, self._continued_turn(number), KEYS_AT_ONCE)
+        if alignment is None and (recovered := self._relocalise(frame, mask)) is not None:
+            alignment = self._align(number, frame, mask, recovered, KEYS_AT_ONCE)
         if alignment is None:
             self.lost.append(number)
-            if len(turning.corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
-                is_same_scene = turning.same_scene(self.keys[-1].known, turning.described(frame))
+            if len(turning.strongest_corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
+                is_same_scene = turning.is_same_scene(self.keys[-1].known, turning.describe_points(frame))
                 self.torn_frames += is_same_scene
                 if (
                     not is_same_scene
                     and self.frames[-1] == number - 1
-                    and not (self.last and turning.similar(self.last, frame))
+                    and not (self.last and turning.is_similar(self.last, frame))
                 ):
                     self.cut = number
             return False
@@ -191,7 +191,7 @@ class Tracker:
         is_new_key = max(self._likeness(key, agreement.orientation) for key in seen.keys) < NEW_KEY_LIKENESS
         is_new_key |= agreement.spread < NEW_KEY_SUPPORT * self.support and not came_apart
         if is_new_key:
-            agreement, seen = self._placed(number, frame, mask, agreement.orientation, KEYS_TO_LINK) or alignment
+            agreement, seen = self._align(number, frame, mask, agreement.orientation, KEYS_TO_LINK) or alignment
             self._look_back(agreement, seen)
         self._keep(number, agreement, seen)
         self.last = frame
@@ -206,7 +206,7 @@ class Tracker:
     # -- one frame --
 
     def _begin(self, number: int, frame: GreyPicture, mask: Bools | None) -> bool:
-        points = turning.corners(frame, mask)
+        points = turning.strongest_corners(frame, mask)
         if len(points) < MIN_CORNERS:
             self.lost.append(number)
             return False
@@ -216,14 +216,14 @@ class Tracker:
         self._remember(frame, points, np.full(len(points), 0.5))
         return True
 
-    def _predicted(self, number: int) -> Orientation:
+    def _continued_turn(self, number: int) -> Orientation:
         """Return the orientation that the camera has if it continues to turn as before."""
         if len(self.orientations) < 2 or self.frames[-2:] != [number - 2, number - 1]:
             return self.orientations[-1]
         a, b = self.orientations[-2:]
         return Orientation(b.rotation @ a.rotation.T @ b.rotation, b.zoom * b.zoom / a.zoom)
 
-    def _placed(
+    def _align(
         self, number: int, frame: GreyPicture, mask: Bools | None, guess: Orientation, count: int
     ) -> tuple[AgreedOrientation, _FollowedPoints] | None:
         keys = self._nearest(guess, count)
@@ -231,7 +231,7 @@ class Tracker:
         for key in keys:
             key.used = number
         points = points_seen.rays, points_seen.pixels, points_seen.background
-        agreement = turning.agreed_turn(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
+        agreement = turning.find_orientation(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
         return (agreement, points_seen) if agreement is not None and enough else None
 
@@ -258,13 +258,13 @@ class Tracker:
         share_inside = turning.expected_px(self.camera, rays[valid] @ orientation.rotation, key.orientation)[1].mean()
         return float(share_inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
-    def _relocalised(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
+    def _relocalise(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
         """Return the orientation from points recognised anywhere in the picture, after a jerk or lost frames."""
-        pixels, descriptors = turning.described(frame)
+        pixels, descriptors = turning.describe_points(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
         rays, pixel_sets = [], []
         for key in recent:
-            pairs = turning.matched(key.known[1], descriptors)
+            pairs = turning.match_descriptors(key.known[1], descriptors)
             key_rays, valid = turning.rays_of(self.camera, key.known[0][pairs[:, 0]], key.orientation.zoom)
             rays.append(key_rays[valid] @ key.orientation.rotation)
             pixel_sets.append(pixels[pairs[valid, 1]])
@@ -273,7 +273,7 @@ class Tracker:
         zoom, seen_px = self.orientations[-1].zoom, np.concatenate(pixel_sets)
         valid = turning.rays_of(self.camera, seen_px, zoom)[1]
         points = np.concatenate(rays)[valid], seen_px[valid], np.ones(valid.sum())
-        agreement = turning.agreed_turn(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
+        agreement = turning.find_orientation(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
         return None if agreement is None else agreement.orientation
 
     # -- learning the background --
@@ -350,7 +350,7 @@ class Tracker:
         self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _FollowedPoints
     ) -> None:
         """Make the frame a keyframe, with points trusted as much as the nearest tracked points."""
-        points = turning.corners(frame, mask)
+        points = turning.strongest_corners(frame, mask)
         background = np.full(len(points), 0.5)
         if len(points) >= MIN_CORNERS:
             distance_px = np.linalg.norm(points[:, None] - seen.pixels, axis=2)
@@ -363,7 +363,7 @@ class Tracker:
         self.support = 0.0
         orientation = self.orientations[-1]
         rays, valid = turning.rays_of(self.camera, points, orientation.zoom)
-        description, settled = turning.described(frame), np.zeros(int(valid.sum()), bool)
+        description, settled = turning.describe_points(frame), np.zeros(int(valid.sum()), bool)
         content = points[valid], orientation, background[valid], description, rays[valid], settled
         self.keys.append(_Keyframe(len(self.frames) - 1, frame, *content, self.frames[-1]))
         with_picture = [key for key in self.keys if key.frame is not None]
@@ -422,7 +422,7 @@ class _FollowedPoints(NamedTuple):
             world = key.world_rays
             expected, is_inside = turning.expected_px(camera, world, guess)
             rows = np.flatnonzero(is_inside)
-            found_px, is_good = turning.followed(key.frame, frame, key.points_px[rows], expected[rows])
+            found_px, is_good = turning.follow_points(key.frame, frame, key.points_px[rows], expected[rows])
             is_good &= turning.rays_of(camera, found_px, guess.zoom)[1]
             if mask is not None:
                 x, y = np.rint(frame.work_px(found_px)).astype(int).T
@@ -627,7 +627,7 @@ class _Canvas:
         lon, lat = _angles(rays, self.west + self.step * self.size_px[0] / 2)
         return np.column_stack([(lon - self.west) / self.step, (self.north - lat) / self.step])
 
-    def warped(self, camera: Camera, orientation: Orientation, picture: Image) -> tuple[Image, Array]:
+    def warp(self, camera: Camera, orientation: Orientation, picture: Image) -> tuple[Image, Array]:
         """Return a picture warped onto the canvas, and the depth (height, width) of each pixel inside the picture.
 
         The depth is 1 in the middle of the picture and 0 outside. The picture may be smaller than the camera's.
@@ -668,7 +668,7 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
     sum_of_pictures = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
     weight = np.full(sum_of_pictures.shape[:2], 1e-6, np.float32)
     for key, picture in zip(motion.keys, pictures, strict=True):
-        warped, depth = canvas.warped(camera, motion.orientations[key], picture)
+        warped, depth = canvas.warp(camera, motion.orientations[key], picture)
         share = (depth**2).astype(np.float32)
         sum_of_pictures += share[..., None] * warped
         weight += share

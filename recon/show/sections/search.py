@@ -39,10 +39,10 @@ def summary_data(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the frames with a pose, the doubtful ones, and a distance that is hardly known."""
+    """Yield the frames with a pose, the flagged ones, and a distance that is hardly known."""
     reasons = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
     several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
-    flagged = f"{data['frames_flagged']} doubtful ({several}{', '.join(reasons)})" if reasons else "none doubtful"
+    flagged = f"{data['frames_flagged']} flagged ({several}{', '.join(reasons)})" if reasons else "none flagged"
     left_out = data["frames_left_out"]
     note = f"; {left_out} far from all detections, and in no table" if left_out else ""
     yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{note}"

@@ -127,7 +127,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
     other_plots_shown = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
-    state_view = state_rows(rows, "Doubtful frames, standing feet")
+    state_view = state_rows(rows, "Flagged frames, standing feet")
     column_shares = [4, *([3] * len(other_plots_shown)), 4]
     lower: rrb.Container = rrb.Horizontal(
         rrb.Tabs(*angles, active_tab=0), *other_plots_shown, state_view, column_shares=column_shares

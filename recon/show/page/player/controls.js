@@ -15,7 +15,7 @@ export class Controls {
       play: () => cursor.play(!cursor.playing),
       back: () => cursor.step(-1),
       next: () => cursor.step(1),
-      doubtful: () => this.nextDoubtful(),
+      flagged: () => this.nextFlagged(),
       link: () => this.copyLink(),
       side: () => scene.preset("side"),
       front: () => scene.preset("front"),
@@ -27,8 +27,8 @@ export class Controls {
       "picture-all": () => picture.reset(),
     };
     for (const button of root.querySelectorAll("[data-do]")) button.addEventListener("click", actions[button.dataset.do]);
-    this.doubtful = root.querySelector("[data-do=doubtful]");
-    this.doubtful.hidden = !clip.flags.length;
+    this.flagged = root.querySelector("[data-do=flagged]");
+    this.flagged.hidden = !clip.flags.length;
     for (const box of root.querySelectorAll("input[data-show]")) {
       box.addEventListener("change", () => {
         if (box.dataset.show === "marks") picture.marks = box.checked;
@@ -83,7 +83,7 @@ export class Controls {
       End: () => cursor.go(this.clip.count - 1),
       "<": () => this.faster(-1),
       ">": () => this.faster(1),
-      d: () => this.nextDoubtful(),
+      d: () => this.nextFlagged(),
     };
     const action = actions[event.key];
     if (!action || (event.key === "Home" || event.key === "End") && !this.root.contains(event.target)) return;
@@ -96,7 +96,7 @@ export class Controls {
     if (at >= 0 && at < SPEEDS.length) this.cursor.setSpeed(SPEEDS[at]);
   }
 
-  nextDoubtful() {
+  nextFlagged() {
     const { cursor, clip } = this, next = clip.flags.find(([first]) => first > cursor.row) || clip.flags[0];
     if (next) cursor.go(next[0]);
   }
@@ -136,7 +136,7 @@ export class Controls {
   }
 }
 
-/** Make buttons of the page's findings, doubtful frames and keypoints, which lead to their frame in the player. */
+/** Make buttons of the page's findings, flagged frames and keypoints, which lead to their frame in the player. */
 export function linkText(clip, cursor, player) {
   const show = (row, keypoints) => {
     if (keypoints) cursor.name(keypoints);

@@ -85,8 +85,8 @@ function start() {
   const angles = clip.curves.filter((panel) => panel.group !== "speed");
   angles.slice(0, 2).forEach((_, i) => strips.push(addChoice(clip, cursor, angles, i)));
   if (clip.flags.length) {
-    const { canvas, output } = addStrip("doubtful frames", 24);
-    canvas.setAttribute("aria-label", "Doubtful frames. A click on a bar goes to its first frame.");
+    const { canvas, output } = addStrip("flagged frames", 24);
+    canvas.setAttribute("aria-label", "Flagged frames. A click on a bar goes to its first frame.");
     strips.push(new FlagStrip(canvas, clip, cursor, output));
   }
   const error = addStrip("median keypoint error", 64);

@@ -82,7 +82,7 @@ export class PictureView {
     if (!this.video || this.seeking) return;
     const first = this.clip.pictures ? this.clip.pictures.first_frame : 0;
     const count = Math.round(this.video.duration * this.clip.fps);
-    // A file with another frame rate than the clip's is played at its own rate: frames have to match, not times.
+    // A file whose frame rate differs from the clip's is played at its own rate: frames have to match, not times.
     const rate = this.rate || (count ? count / this.video.duration : this.clip.fps);
     this.due = this.cursor.row;
     this.seeking = true;

@@ -309,7 +309,7 @@ export class FootStrip extends Strip {
   }
 }
 
-/** Doubtful frames, with a row for each flag. A click goes to the first frame of a run. */
+/** Flagged frames, with a row for each flag. A click goes to the first frame of a run. */
 export class FlagStrip extends Strip {
   constructor(canvas, clip, cursor, output) {
     super(canvas, clip, cursor, output);
