@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
-"""Limits by which an exact position counts as a constant that stands for missing points.
-
-These are the largest distance from the picture's corner, the smallest share of all points, and the smallest number of
-keypoints that have this position.
-"""
+CORNER_PX = 1.0
+"""Largest distance from the picture's corner of an exact position that stands for missing points."""
+CONSTANT_SHARE = 0.005
+"""Smallest fraction of all points that have this position."""
+CONSTANT_KEYPOINTS = 3
+"""Smallest number of keypoints that have this position; a single keypoint may be stuck there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

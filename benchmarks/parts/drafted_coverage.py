@@ -38,9 +38,12 @@ from recon.fit.triangulation import triangulate_views
 from recon.testing.cameras import camera_ring
 from recon.testing.coverage import coverage
 
-BIAS_SHARE, FRAMES, RAT_DRAFT = 0.025, 60, 500
-"""Distance of the keypoints from the recorded points as a share of the body's length; frames of a clip that is
-fitted, and of the rat's recording that drafts its skeleton."""
+BIAS_SHARE = 0.025
+"""Distance of the simulated keypoints from the recorded points, as a fraction of the body's length."""
+FRAMES = 60
+"""Frames of a clip that is fitted."""
+RAT_DRAFT = 500
+"""Frames of the rat's recording that draft its skeleton."""
 RAT_NAMES = {"Snout": "nose", "EarL": "l_ear", "EarR": "r_ear", "SpineF": "neck_base", "SpineM": "spine"}
 RAT_NAMES |= {"SpineL": "lower_back", "TailBase": "tail_base"}
 for _side in "LR":

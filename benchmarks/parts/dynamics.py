@@ -229,8 +229,10 @@ def carried_rows(motion: Motion) -> list[list[str]]:
     return rows
 
 
-VIEWS, SHARES = 5, 200
-"""Number of clips of each simulated run, and of draws of the feet's shares of the impulse for each clip."""
+VIEWS = 5
+"""Number of clips of each simulated run."""
+SHARES = 200
+"""Number of draws of the feet's shares of the impulse for each clip."""
 
 
 def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:

@@ -45,10 +45,16 @@ PARTS = {
 drawn.
 """
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
-SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
-"""Simulated detections: keypoint bias along each axis, by the eighth of the animal's sides that is seen, and passing
-deviations with their duration.
-"""
+SECTORS = 8
+"""Sectors of the animal's sides; a keypoint's bias depends on the sector that is seen."""
+LASTING_M = 0.03
+"""Standard deviation of a keypoint's bias along each axis."""
+PASSING_M = 0.03
+"""Standard deviation of a keypoint's passing deviations along each axis."""
+PASSING_S = 0.16
+"""Duration of a passing deviation, as `recon.fit.constants.ERROR_TIME_S`."""
+WHITE_PX = 5.0
+"""Standard deviation of the independent noise of detections, px."""
 LEVEL_RAD = float(np.radians(1.0))
 """Error of cameras that were levelled, or whose tilt and roll were measured."""
 TOUCHED_DEG = (2.0, 5.0)

@@ -78,10 +78,12 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
     "distance from the middle pose": lambda chain: pose_distance(np.zeros(chain.n)),
     HARMONIC: lambda chain: harmonic_map(),
 }
-NEAR_RAD, CLOSED_RAD, APART = 1e-6, 1e-3, 1e3
-"""Distance of two near starts; largest gap of a closed path; and factor by which the distance of two chaotic paths
-grows.
-"""
+NEAR_RAD = 1e-6
+"""Distance of two near starts."""
+CLOSED_RAD = 1e-3
+"""Largest gap of a path that counts as closed."""
+APART = 1e3
+"""Factor by which the distance of two paths grows if they count as chaotic."""
 
 
 def joined(parts: list[Frames]) -> Frames:

@@ -63,10 +63,16 @@ from recon.testing.cameras import camera_ring
 from recon.testing.rigs import FPS, MISSING, SIGMA_PX, random_clip
 
 METHODS = "fit", "triangulated", "with splines", "aniposelib"
-RAT_FPS, RAT_DRAFT, RAT_CLIP = 50.0, slice(0, 500), slice(700, 800)
-"""Frame rate of the recorded rat, frames from which its skeleton is drafted, and frames of the clip."""
-RAT_LENGTH_M, RAT_BIAS_M = 0.2, 0.005
-"""Length of the rat, and standard deviation of its keypoint bias along each axis."""
+RAT_FPS = 50.0
+"""Frame rate of the recorded rat."""
+RAT_DRAFT = slice(0, 500)
+"""Frames from which the rat's skeleton is drafted."""
+RAT_CLIP = slice(700, 800)
+"""Frames of the rat's clip, none of which drafted the skeleton."""
+RAT_LENGTH_M = 0.2
+"""Length of the rat."""
+RAT_BIAS_M = 0.005
+"""Standard deviation of its keypoint bias along each axis."""
 
 
 @dataclass(frozen=True, eq=False)

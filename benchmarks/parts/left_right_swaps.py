@@ -51,8 +51,10 @@ from recon.gait.evaluation import aligned, joint_errors
 from recon.io.deeplabcut import write_csv
 
 SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
-TEN, END = 10, 12
-"""Frames exchanged in the middle, and frames of gross outliers at an end."""
+TEN = 10
+"""Frames exchanged in the middle of a clip."""
+END = 12
+"""Frames of gross outliers at an end of a clip."""
 FALSE = 0.02
 """Largest fraction of the frames of unchanged clips that may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}

@@ -51,8 +51,10 @@ CHROMIUM = next(
 )
 
 
-SCRUBBED_S, SETTLED_MS = 3.0, 3000.0
-"""Time for which the slider is moved, and time before that in which the page draws what is below the screen."""
+SCRUBBED_S = 3.0
+"""Time for which the slider is moved."""
+SETTLED_MS = 3000.0
+"""Time before that, in which the page draws what is below the screen."""
 SCRUB = """(seconds) => new Promise((done) => {
   const slider = document.querySelector(".player input[type=range]"), most = Number(slider.max);
   const began = performance.now();

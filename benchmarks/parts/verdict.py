@@ -40,12 +40,14 @@ from recon.base.documents import builtin_file
 from recon.check import verdict
 from recon.check.verdict import Evidence, evidence_of
 
-WORSE_WEIGHT, RIDGE = 0.05, 1.0
-"""Weight of a view with worse detections relative to an unchanged view, and strength of the ridge on powers, in
-standard scores.
-"""
-USE_BELOW_MM, NOT_ABOVE_MM = 130, 90
-"""Error above which views should not be "use", and error below which views should not be "do not use"."""
+WORSE_WEIGHT = 0.05
+"""Weight of a view with worse detections relative to an unchanged view."""
+RIDGE = 1.0
+"""Strength of the ridge on powers, in standard scores."""
+USE_BELOW_MM = 130
+"""Error above which views should not be "use"."""
+NOT_ABOVE_MM = 90
+"""Error below which views should not be "do not use"."""
 COLUMNS = (
     *("clips", "number", "rank correlation", "error / expected, 90 % of use", "pose inside", "position inside"),
     *("use / check / do not use", "below 90 mm not used", "above 130 mm used", "warnings of use"),

@@ -31,7 +31,10 @@ STILL_SIGMA_RAD = 0.15
 """Spread of angles that are constant in the data."""
 MISSING_BELOW_RAD = 0.01
 """Spread below which an angle does not exist in the model behind the poses."""
-_EM_ITERATIONS, _K_MEANS_ITERATIONS = 30, 50
+_EM_ITERATIONS = 30
+"""Iterations of expectation-maximisation for a mixture."""
+_K_MEANS_ITERATIONS = 50
+"""Iterations of k-means, from which a mixture starts."""
 RIDGE_PER_ROW = 0.1
 """Ridge for each row; the value maximises the likelihood of held-out accelerations (docs/priors.md)."""
 ACCELERATION_FLOOR_RAD_S2 = 10.0

@@ -40,17 +40,22 @@ RATES_HZ = (1.0, 10_000.0)
 At a lower rate a whole stride fits between two frames, and nothing connects them. At a higher rate, rounding hides the
 animal's acceleration between frames.
 """
-FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
-"""Limits below which a file has other keypoint names than the skeleton.
+FEW_OF_SKELETON = 0.25
+"""Fraction of the skeleton's keypoints below which a file may have other keypoint names than the skeleton."""
+FEW_OF_FILE = 0.5
+"""Fraction of the file's own keypoints that are in the skeleton, below which the names are other ones.
 
-The file then has fewer than this fraction of the skeleton's keypoints, and fewer than this fraction of its own
-keypoints are in the skeleton.
+Both fractions have to be small: a file may have many further points, or only a few of a large skeleton.
 """
-HEIGHT_SIGMA, HEIGHT_SIGMA_OF_NO_SPECIES = 0.05, 0.15
-"""Relative uncertainty of a size that follows from the height at the withers.
+HEIGHT_SIGMA = 0.05
+"""Relative standard deviation of a size that follows from the height at the withers, within a species.
 
-Proportions differ between animals of one species, and more between species: the size of dogs whose height is given with
-the skeleton quadruped is 13 % off.
+The proportions of animals of one species differ.
+"""
+HEIGHT_SIGMA_OF_NO_SPECIES = 0.15
+"""The same for a skeleton of no species, whose proportions differ more.
+
+The size of dogs whose height is given with the skeleton quadruped is 13 % off.
 """
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 

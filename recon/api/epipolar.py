@@ -10,8 +10,12 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.fit.motion import Motion
 
-NEAREST, FARTHEST, COUNT = 0.1, 10.0, 97
-"""Range of distances along a ray relative to that of the animal, and the number of points on it."""
+NEAREST = 0.1
+"""Nearest distance along a ray, relative to that of the animal."""
+FARTHEST = 10.0
+"""Farthest distance along a ray, relative to that of the animal."""
+COUNT = 97
+"""Number of points on a ray, evenly spaced in the logarithm of the distance."""
 
 
 def epipolar_lines_px(

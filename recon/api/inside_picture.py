@@ -12,10 +12,10 @@ from recon.base.numbers import quantity
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 
-PADDED, INSIDE = 0.05, 0.9
-"""Fraction of the picture's size by which keypoints may lie outside, because detectors pad it; fraction of a clip's
-keypoints that have to lie inside.
-"""
+PADDED = 0.05
+"""Fraction of the picture's size by which keypoints may lie outside, because detectors pad the picture."""
+INSIDE = 0.9
+"""Fraction of a clip's keypoints that have to lie inside; the rest may be outliers."""
 
 
 def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:

@@ -42,8 +42,10 @@ from recon.io.formats import read_keypoints
 from recon.show.plain import by_name, picked
 
 BASE = "quadruped"
-REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
-"""Markers of the quadruped at which `forward` may begin and end, the preferred ones first."""
+REAR = ("tail_base", "l_hip", "spine")
+"""Markers of the quadruped at which `forward` may begin, the preferred one first."""
+FRONT = ("neck_base", "withers", "l_shoulder", "nose")
+"""Markers of the quadruped at which `forward` may end, the preferred one first."""
 FEWEST_FRAMES = 20
 """Smallest number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID = 0.01
@@ -59,13 +61,16 @@ A median deviation would call every distance constant in an animal that stands f
 """
 TAIL_SIGMAS = 3.29
 """Width of a normal distribution without `TAIL` at each end, in standard deviations."""
-KEYPOINT_SHARE, MARKER_SHARE, SIZE_SIGMA = 0.03, 0.025, 0.05
-"""Values for the skeleton file: keypoint_sigma_m and marker_sigma_m as fractions of the animal's length, and size_sigma
-of a measured animal.
+KEYPOINT_SHARE = 0.03
+"""`keypoint_sigma_m` of a draft, as a fraction of the animal's length."""
+MARKER_SHARE = 0.025
+"""`marker_sigma_m` of a draft, as a fraction of the animal's length.
 
 A draft has its markers where the detector sees them, which is a little off the joints. Its segments are rigid, so the
-observed changes of their lengths are added to marker_sigma_m.
+observed changes of their lengths are added.
 """
+SIZE_SIGMA = 0.05
+"""`size_sigma` of a draft whose animal was measured."""
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
 SWING_RAD = (0.3, 1.2)
 """Limits of a segment's swing."""

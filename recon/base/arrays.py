@@ -20,8 +20,12 @@ Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Indices of elements of another array."""
-LONGEST, LONGEST_PART, SMALL = 250, 75, 12
-"""Largest number of characters shown for an object and for a part of it; largest array that is shown in full."""
+LONGEST = 250
+"""Largest number of characters shown for an object."""
+LONGEST_PART = 75
+"""Largest number of characters shown for a part of an object."""
+SMALL = 12
+"""Number of elements up to which an array is shown in full."""
 
 
 class Brief:

@@ -166,8 +166,10 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 
 # -- arrays ---------------------------------------------------------------------------------------------------------
 
-MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
-"""Largest size of an unpacked archive in bytes, and largest number of its arrays."""
+MAX_UNPACKED = 1 << 30
+"""Largest size of an unpacked archive, bytes; a larger one could fill the memory."""
+MAX_ARRAYS = 1 << 16
+"""Largest number of arrays in an archive."""
 KINDS = "biuf"
 """NumPy's letters for the types that can be read: booleans, whole numbers and floats."""
 

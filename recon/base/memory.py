@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Numbers of glibc's settings, from malloc.h."""
-KEPT_BYTES, LARGEST_BYTES = 1 << 28, 1 << 25
-"""Largest amount of freed memory that the process keeps, and size from which an array is returned when it is freed;
-glibc takes no larger one.
-"""
+_TRIM_THRESHOLD = -1
+"""Number of glibc's setting M_TRIM_THRESHOLD, from malloc.h."""
+_MMAP_THRESHOLD = -3
+"""Number of glibc's setting M_MMAP_THRESHOLD, from malloc.h."""
+KEPT_BYTES = 1 << 28
+"""Largest amount of freed memory at the end of the heap that the process keeps."""
+LARGEST_BYTES = 1 << 25
+"""Size from which an array is returned to the system when it is freed; glibc accepts no larger setting."""
 
 
 def keep_freed_memory() -> None:

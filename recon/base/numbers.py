@@ -12,8 +12,10 @@ SHORT_M = 0.1
 """Length below which lengths are given in millimetres; the lengths of a mouse would be 0.00 m."""
 NORMAL_90 = 1.645
 """Number of standard deviations on either side that contain 90 % of a normal distribution."""
-_ONE_DIGIT, _ONE_DIGIT_OF_INTERVAL = 1.95, 3.55
-"""Leading digits of an uncertainty, and of an interval's half width, above which one digit is enough."""
+_ONE_DIGIT = 1.95
+"""Leading digits of an uncertainty above which one digit is enough: 2 stands for 1.95 to 2.5."""
+_ONE_DIGIT_OF_INTERVAL = 3.55
+"""Leading digits of an interval's half width above which one digit is enough."""
 
 
 def decimals(value: float) -> str:

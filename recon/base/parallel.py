@@ -375,4 +375,5 @@ def _on_worker(batch: str, work: Work[_Task], task: _Task) -> dict[str, Any]:
         if batch in _STOPPED:
             raise _StoppedError
 
+    keep_freed_memory()
     return outcome_of(work, task, progress)

@@ -67,6 +67,7 @@ mostly cost time.
 MAX_EXAMINED = 600
 """Maximum number of frames of a video in which the board is searched for."""
 EXAMINED_HZ = 5.0
+"""Frames per second of a video in which the board is searched for."""
 SHARPNESS_KEPT = 0.7
 """Minimum sharpness of a frame relative to the 75th percentile of all frames."""
 MIN_DIFFERENCE = 0.02

@@ -29,9 +29,14 @@ AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
 """Azimuths around the animal, counterclockwise from above: 0 is ahead of the animal, a quarter turn is to its left."""
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
 """Elevations above the level of the animal's middle."""
-FPS, FRAMES = 60.0, 21
-STRIDES_HZ, LENGTHS_S = 3.0, 5.0
-"""Number of strides, and of body lengths, per second."""
+FPS = 60.0
+"""Frame rate of the simulated clip, Hz."""
+FRAMES = 21
+"""Frames of the simulated clip: a stride."""
+STRIDES_HZ = 3.0
+"""Strides per second of the simulated animal."""
+LENGTHS_S = 5.0
+"""Body lengths per second that the simulated animal runs."""
 AWAY_LENGTHS = 4.0
 """Default distance of the camera in body lengths."""
 PICTURE_PX = (1920, 1080)

@@ -81,8 +81,10 @@ _POINT_ROUNDS = 3
 """Rounds of reweighting in which outliers lose their weight in a point."""
 _OFFSET_ROUNDS = 3
 """Largest number of rounds over the cameras in the search for time offsets."""
-_MEDIAN_OF_LINE, _MEDIAN_OF_POINT = 0.4549, 1.3863
-"""Medians of the squared length of a normal error, in units of its variance, in one dimension and in two."""
+_MEDIAN_OF_LINE = 0.4549
+"""Median of the squared length of a normal error in one dimension, in units of its variance."""
+_MEDIAN_OF_POINT = 1.3863
+"""Median of the squared length of a normal error in two dimensions, in units of its variance along an axis."""
 _PARALLEL = 1e-4
 """Smallest ratio of the precision of a point along its rays to that across them."""
 

@@ -24,7 +24,7 @@ RAY_SIGMAS = 3.0
 """Standard deviations by which the drift that rays show has to be below half of the reported one to refute it.
 
 A rough skeleton's wrong lengths look like a drift of 2.5 frames in an exact pair, where rays show 0.2 ± 0.2. If a clock
-does drift, by 1 frame, rays show 1.1 ± 0.05.
+does drift, by 1 frame, rays show 1.1 ± 0.05 (simulated pairs of `tests/check/test_clocks.py`).
 """
 
 

@@ -401,15 +401,18 @@ STILL_RAD_S = 0.6
 """Largest median angular speed of the joints of an animal that stands still."""
 STILL_TRUNKS = 0.5
 """Largest extent of the path of an animal that stands still, in trunk lengths."""
-BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
-"""Speed above which no animal runs backwards, and the fraction of the frames above which the clip is reversed."""
+BACKWARDS_M_S = 1.0
+"""Speed above which no animal runs backwards."""
+BACKWARDS = 0.9
+"""Fraction of frames faster than `BACKWARDS_M_S` backwards, above which the clip is reversed in time."""
 SLOWEST = 0.1
 """Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
 LOWEST = 0.2
 """Fraction of a foot's frames, those in which it is lowest, in which it is on the ground.
 
 On a belt or under a camera that pans, feet move in these frames at 0.72 to 1.01 of the speed of `SLOWEST` (24 clips of
-cheetahs). If a dog stands, steps or turns on the spot, they move at -0.13 to 0.28 of it (7 clips).
+cheetahs, `python benchmarks/wrong_inputs.py --only inputs`). If a dog stands, steps or turns on the spot, they move at
+-0.13 to 0.28 of it (7 clips, `--only standing`).
 """
 SLIDE_SHARE = 0.25
 """Backward speed of standing feet, relative to the body's speed over them, above which they slide.

@@ -34,8 +34,10 @@ from recon.fit.triangulation import triangulate_views
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse
 
-_TOLERANCE, _ITERATIONS = 3e-3, 12
-"""Relative tolerance and largest number of iterations of a minimum in this module."""
+_TOLERANCE = 3e-3
+"""Relative decrease of the cost at which a minimum in this module ends."""
+_ITERATIONS = 12
+"""Largest number of iterations of a minimum in this module."""
 CLEAR = float(np.log(1000.0))
 """Log-likelihood gain above which a hypothesis is examined further."""
 MARGIN = 25.0
@@ -402,7 +404,8 @@ Smaller zooms also fit better if an animal of other proportions comes nearer. Th
 """
 LARGEST = 5.0
 """Largest factor on `ZOOM` that is tried."""
-_ROUNDS = 6
+_LENS_ITERATIONS = 6
+"""Largest number of iterations of a fit with another lens."""
 LASTING = 0.25
 """Fraction of the first and of the last third of a second in which a lasting keypoint is seen.
 
@@ -436,7 +439,7 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
 
     def minimum(view: View, states: Array) -> Estimate:
         problem = replace(clip, views=(view,)).problem(noise_px[None, stretch], 1.0, standing)
-        return problem.minimise(states, _RATE_TOLERANCE, _ROUNDS)
+        return problem.minimise(states, _RATE_TOLERANCE, _LENS_ITERATIONS)
 
     as_given = minimum(view, states)
     flat = replace(view.camera, model="pinhole", distortion=np.zeros(0))
@@ -498,8 +501,10 @@ def with_calibration_at_either_end(item: Finding) -> Finding:
 
 # -- the frame rate ----------------------------------------------------------------------------------------------------
 
-RATE_STEP, RATE_STEPS = 2**0.5, 8
-"""Factor between the rates that are tried, and the largest number of steps upwards or downwards."""
+RATE_STEP = 2**0.5
+"""Factor between two frame rates that are tried; a parabola through three of them gives the rate in between."""
+RATE_STEPS = 8
+"""Largest number of steps upwards or downwards: a factor of 16."""
 NEARLY = 1.02
 """Factor within which stated frame rates are the same."""
 ANOTHER = 1.3
@@ -521,7 +526,10 @@ legs 1.45 times slower than animals that run straight ahead.
 """
 RATE_S = 5.0
 """Seconds of a clip that are tested."""
-_RATE_TOLERANCE, _RATE_ITERATIONS = 1e-3, 10
+_RATE_TOLERANCE = 1e-3
+"""Relative decrease of the cost at which the fit at a frame rate ends."""
+_RATE_ITERATIONS = 10
+"""Largest number of iterations of the fit at a frame rate."""
 
 
 def frame_rate_finding(

@@ -19,10 +19,14 @@ from recon.check.inputs import FEWEST, SLIDE_LEGS_S, SLIDE_SHARE, SLOWEST
 from recon.check.track_checks import mean_of_known
 from recon.clip import frame_ranges
 
-LENGTH_SHARE, LENGTH_SPREADS = 0.1, 5.0
-"""Smallest relevant change of a length: as a fraction of it, and as a number of its usual deviations."""
-DRIFT_SHARE, DRIFT_FRAMES = 0.08, 5
-"""Smallest relevant common change of all lengths, and number of frames over which it is smoothed."""
+LENGTH_SHARE = 0.1
+"""Smallest relevant change of a length, as a fraction of the length."""
+LENGTH_SPREADS = 5.0
+"""Smallest relevant change of a length, in units of its usual deviation."""
+DRIFT_SHARE = 0.08
+"""Smallest relevant common change of all lengths, as a fraction of them."""
+DRIFT_FRAMES = 5
+"""Number of frames over which the common change is smoothed, by their median."""
 NEAR = 0.02
 """Weight of a pair's length relative to its variation in the search for bones.
 
@@ -50,8 +54,10 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
     "carpus": (-110.0, 175.0),
 }
 """Range of flexion, 0 for a straight joint, of joints that bend to one side only, in mammals from mice to horses."""
-BEYOND_DEG, BEYOND_FRAMES = 15.0, 2
-"""Smallest relevant angle beyond the range, and smallest number of frames."""
+BEYOND_DEG = 15.0
+"""Smallest relevant angle by which a joint bends beyond its range."""
+BEYOND_FRAMES = 2
+"""Smallest number of frames beyond the range; a single one may be an outlier."""
 
 
 def measure_poses(points: AuditedPoints) -> Iterator[Measure]:

@@ -51,8 +51,10 @@ walking dogs).
 """
 AMBIGUOUS_SHARE = 0.1
 """Fraction of frames with a second solution above which it is reported."""
-KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
-"""Fraction and number of a keypoint's detections that are outliers, above which the keypoint is reported."""
+KEYPOINT_SHARE = 1 / 3
+"""Fraction of a keypoint's detections that are outliers, above which the keypoint is reported."""
+KEYPOINT_LEAST = 10
+"""Number of a keypoint's detections that are outliers, above which the keypoint is reported."""
 OUT_OF_STEP_SIGMAS = 3.0
 """Difference between the time offsets of two cameras, in expected standard deviations, above which it is an error."""
 FARTHEST = 100.0
@@ -61,8 +63,10 @@ FEW_FRAMES = 12
 """Number of frames below which a clip shows little more than a single frame."""
 SIZE_SIGMAS = 2.5
 """Deviation of the size, in standard deviations, above which it is reported."""
-SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
-"""Largest deviation of a grown animal's size, in standard deviations and as a logarithm of its size."""
+SIZE_SIGMAS_MOST = 4.0
+"""Largest deviation of a grown animal's size, in standard deviations of the expected size."""
+LOG_SIZE_MOST = math.log(2.0)
+"""Largest deviation of the logarithm of a grown animal's size, whatever the standard deviation."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Factor within which a camera's height suggests a unit, because an animal's size, and so the height, is uncertain."""

@@ -109,6 +109,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
 
 
 _USED, _UNLIKELY, _LEFT_OUT = 0, 1, 2
+"""What the fit did with a detection: used it, found its likelihood too low, or left it out."""
 
 
 def _reason(code: int, is_outlier: bool, is_detected: bool) -> Reason:

@@ -42,8 +42,10 @@ Feet stand still, and such coordinates do not show small movements.
 """
 COARSE = 1e-4
 """Resolution, relative to the animal's size; in finer coordinates, a standing foot moves, too."""
-JUMP, JUMP_SPREADS = 0.2, 10.0
-"""Smallest jump of a point: relative to the animal's size, and as a number of its usual deviations."""
+JUMP = 0.2
+"""Smallest jump of a point, relative to the animal's size."""
+JUMP_SPREADS = 10.0
+"""Smallest jump of a point, in units of its median distance from the path of the animal."""
 JUMP_FRAMES = 2
 """Longest jump, in frames."""
 GAP_FRAMES = 3

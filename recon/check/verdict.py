@@ -28,17 +28,25 @@ from recon.fit.posterior import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
-"""Powers of `Evidence.factors`.
+"""Powers of `Evidence.factors`, fitted to recorded runs (`python benchmarks/uncertainty.py --only verdict`).
 
-The last power is 0.29 to 0.36 if one run is left out, at half and a quarter of its frame rate.
+In November 2026 these fits gave 0.68, 0.14, 0.76, 0.74 and 0.45. The power of the rate depends on the frame rates that
+are fitted. With one run left out, it is 0.34 to 0.52 for clips with all or half of their frames, and 0.29 to 0.36 for
+clips with half or a quarter of them, from which the value here comes.
 """
 RATE_HZ = 60.0
 """Frame rate below which a pose is less certain than the posterior states, under a prior learned from motions."""
-SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
-"""Constant of the logarithm of the pose's error relative to the trunk, and its standard deviations.
+SCALE = -1.30
+"""Constant of the logarithm of the pose's error relative to the trunk; -1.26 (-1.17 to -1.36) in these fits."""
+SPREAD = 0.23
+"""Standard deviation of this logarithm in runs left out, if the pixels show everything.
 
-The first standard deviation is that in runs left out, if the pixels show everything. The second is added if they show
-nothing, because the error of a pose from the prior alone is the same in all frames.
+It is 0.14 to 0.18 in these fits. The larger value also holds for clips of 15 frames.
+"""
+SPREAD_UNSEEN = 0.45
+"""Standard deviation that is added if the pixels show nothing; 0.34 to 0.51 in these fits.
+
+The error of a pose from the prior alone is the same in all frames.
 """
 USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
 """`Evidence.factors` of a typical view."""

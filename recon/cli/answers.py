@@ -32,8 +32,10 @@ if TYPE_CHECKING:
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
-LEAST_SHARE, LEAST_S = 0.03, 2.0
-"""Share of the work, and seconds, after which the remaining time is shown."""
+LEAST_SHARE = 0.03
+"""Fraction of the work after which the remaining time is shown."""
+LEAST_S = 2.0
+"""Seconds after which the remaining time is shown."""
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,12 @@ It was chosen on the benchmark's real runs, so that 90 % regions contain about 9
 
 # -- cameras and their clocks -------------------------------------------------------------------------------------
 
-CALIBRATED_FOCAL, STATED_FOCAL = 0.02, 0.1
-"""Relative standard deviations of a single camera's focal length, from a calibration file and from a field of view.
+CALIBRATED_FOCAL = 0.02
+"""Relative standard deviation of a single camera's focal length from a calibration file."""
+STATED_FOCAL = 0.1
+"""Relative standard deviation of a single camera's focal length from a field of view.
 
-The second is the usual error of a camera's data sheet for a video, which uses only a part of the sensor.
+It is the usual error of a camera's data sheet for a video, which uses only a part of the sensor.
 """
 
 TIME_OFFSET_FRAMES = 12**-0.5
@@ -102,8 +104,10 @@ SHAPE_COUNT = 8.0
 
 # -- the animal's motion ------------------------------------------------------------------------------------------
 
-POSE_WEIGHT, MOTION_WEIGHT = 1.0, 1.0
-"""Weights of the prior's poses and of its motion per 1/90 s; benchmarks hardly change without them."""
+POSE_WEIGHT = 1.0
+"""Weight of the prior's poses per 1/90 s; benchmarks hardly change without it."""
+MOTION_WEIGHT = 1.0
+"""Weight of the prior's motion per 1/90 s; benchmarks hardly change without it."""
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
 """Accelerations of the root in the level frame.
 

@@ -36,12 +36,18 @@ from recon.fit.terms import OnGround, extrinsic_correction, time_offset
 from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
-_UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0
-"""Errors of the first poses, about each axis and along each axis."""
+_UNKNOWN_RAD = float(np.radians(10.0))
+"""Error of a camera's first pose about each axis, if nothing is known of the poses."""
+_UNKNOWN_M = 1.0
+"""Error of a camera's first pose along each axis, if nothing is known of the poses."""
 LEVEL_RAD = float(np.radians(5.0))
 """Deviation of cameras from level, or from the given tilt, about each axis, if it was not measured."""
-_FIXED, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
-"""Standard deviations that fix a pose and the size, and the smallest number of frames that two cameras share."""
+_FIXED = 1e-6
+"""Standard deviation that fixes an unknown, in its own unit."""
+_SIZE_SIGMA = 1e-3
+"""Relative standard deviation that fixes the animal's size if no view has a pose; the size then gives the scale."""
+_MIN_FRAMES = 5
+"""Smallest number of frames that two cameras share."""
 _TIME_OFFSET_FRAMES = 1.0
 """Time offset in frames of cameras that were started together.
 
@@ -51,8 +57,10 @@ _SEARCHED_S = 1.0
 """Largest time offset between cameras in the search."""
 _MATCHING = 0.5
 """Largest distance between matching joints, as a fraction of their distance from the animal's middle."""
-ROUNDS, CLOSE_ENOUGH = 12, 0.05
-"""Largest number of rounds, and the step, in standard deviations, below which the rounds end."""
+ROUNDS = 12
+"""Largest number of rounds."""
+CLOSE_ENOUGH = 0.05
+"""Step of the unknowns, in standard deviations, below which the rounds end."""
 
 
 @dataclass(frozen=True, eq=False)

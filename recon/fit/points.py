@@ -16,10 +16,13 @@ MIN_MARKERS = 8
 _BLOCK = 512
 """Number of frames that are solved together, which limits the memory of the Jacobians."""
 _ITERATIONS = 300
+"""Largest number of steps."""
 _TOLERANCE = 1e-10
 """A frame has converged when a step changes no angle (rad) and no length (m) by more than this."""
 _SIZE_ROUNDS = 20
+"""Largest number of rounds of poses and size."""
 _RETRIES = 2
+"""Number of times that frames with a large error start again from their neighbours."""
 _DAMPING = (1e-12, 1e12)
 """Smallest and largest damping; beyond the largest, no step helps."""
 

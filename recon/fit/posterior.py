@@ -58,12 +58,18 @@ _FIXED = 1e8
 """Precision that fixes an unknown."""
 _NEARLY_FREE = 1e-3
 """Precision of an almost unknown position and heading (1 / m^2, 1 / rad^2)."""
-_FRAMES_AT_ONCE, _FRAMES_OF_SHAPE = 256, 32
-"""Number of frames whose covariances are computed at once, without and with unknown lengths; it bounds the memory."""
-_BIAS_ROUNDS, _PRIOR_COUNT = 10, 8
-"""Rounds of expectation-maximisation, and the number of unknowns that the expected variance counts as."""
-_NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
-"""Rounds for the noise of detections about their keypoint bias, and the smallest and largest factor in one round."""
+_FRAMES_AT_ONCE = 256
+"""Number of frames whose covariances are computed at once if the lengths are known; it bounds the memory."""
+_FRAMES_OF_SHAPE = 32
+"""The same if lengths and offsets are unknown, which have many more derivatives."""
+_BIAS_ROUNDS = 10
+"""Rounds of expectation-maximisation for the spread of the keypoint bias."""
+_PRIOR_COUNT = 8
+"""Number of unknowns that the expected variance counts as."""
+_NOISE_ROUNDS = 2
+"""Rounds for the noise of detections about their keypoint bias."""
+_NOISE_FACTOR = (0.05, 4.0)
+"""Smallest and largest factor on this noise in one round."""
 
 
 @dataclass(frozen=True)

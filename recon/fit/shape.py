@@ -38,8 +38,10 @@ FIXED_SIZE_SIGMA = 1e-4
 """Standard deviation of the size, which is fixed because the lengths replace it."""
 _PRIOR_COUNT = 8
 """Number of views that the expected spread of a keypoint counts as."""
-ROUNDS, CLOSE_ENOUGH = 8, 0.05
-"""Largest number of rounds, and the step, in standard deviations, below which the rounds end."""
+ROUNDS = 8
+"""Largest number of rounds."""
+CLOSE_ENOUGH = 0.05
+"""Step of the unknowns, in standard deviations, below which the rounds end."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,10 @@ SCALES = 0.01, 3.0
 """Least and largest factor on an expected standard deviation."""
 _DIFFERENCE = (1.0, -2.0, 1.0)
 """Factors of three frames in their second difference."""
-_ROUNDS, _CLOSE = 20, 0.03
-"""Largest number of rounds, and the relative change of all factors at which they end."""
+_ROUNDS = 20
+"""Largest number of rounds."""
+_CLOSE = 0.03
+"""Largest relative change of a factor at which the rounds end."""
 _LEAST_FRAMES = 10
 """Number of frames below which all standard deviations stay as expected."""
 _LEAST_DETERMINED = 1.0

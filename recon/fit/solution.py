@@ -37,11 +37,10 @@ from recon.geometry.kinematics import ROOT, YAW
 
 _FRAMES_AT_ONCE = 4096
 """Number of frames to convert at once."""
-POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
-"""Fractions of all joints, and of the joints trusted in good frames.
-
-A frame is "data poor" if fewer joints than either fraction are trusted in the frame.
-"""
+POOR_SHARE = 1 / 3
+"""Fraction of all joints: a frame is "data poor" if fewer joints are trusted in it."""
+POORER_SHARE = 0.8
+"""Fraction of the joints trusted in good frames: a frame is also "data poor" if fewer joints are trusted in it."""
 END_ON_RAD = np.radians(25)
 """Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth".
 

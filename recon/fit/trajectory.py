@@ -51,14 +51,18 @@ MARGIN_S = 0.25
 """Time by which a segment extends beyond its first and last detections."""
 WINDOW_S = 1.0
 """Length of the windows in which a clip is started."""
-STARTS_END, ROUNDS_END = 0.2, 0.8
-"""Fractions of a solve's time after which the starts and the rounds are done; the posterior is the rest."""
+STARTS_END = 0.2
+"""Fraction of a solve's time after which the starts are done, for the progress bar."""
+ROUNDS_END = 0.8
+"""Fraction of a solve's time after which the rounds are done; the rest is the posterior's."""
 FLATTENED_SHARE = 0.1
 """Fraction of the time between the starts and the posterior that flattened mixtures of poses take."""
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses, one after the other."""
-_FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS = 1e-3, 8
-"""Relative decrease of the cost at which the search with one temperature ends, and its largest number of iterations."""
+_FLATTENED_TOLERANCE = 1e-3
+"""Relative decrease of the cost at which the search with one temperature ends."""
+_FLATTENED_ITERATIONS = 8
+"""Largest number of iterations of the search with one temperature."""
 _MORE_ROUNDS = 3
 """Further rounds if the motion is unlike those of the prior, until noise and contacts have settled again."""
 

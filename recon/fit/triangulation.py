@@ -38,13 +38,18 @@ LEAST_CROSSING_RAD = np.radians(1.0)
 """Angle between two rays below which their crossing is not determined."""
 BRIDGED_S = 0.2
 """Longest gap that a spline fills."""
-_CAUCHY_ROUNDS, _FINAL_ROUNDS, _NOISE_ROUNDS, _SPLINE_ROUNDS = 4, 3, 2, 3
-"""Rounds of steps with Cauchy's weights and with full weights, of the noise's estimate, and of a spline's weights."""
-_MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS = 1.3863, 0.9099
-"""Medians of a detection's squared error relative to its expectation: for several rays, and for two rays.
-
-The errors of two rays are a single number.
-"""
+_CAUCHY_ROUNDS = 4
+"""Rounds of steps with Cauchy's weights, with which outliers hardly count."""
+_FINAL_ROUNDS = 3
+"""Rounds of steps with full weights, without outliers."""
+_NOISE_ROUNDS = 2
+"""Rounds of the noise's estimate."""
+_SPLINE_ROUNDS = 3
+"""Rounds of a spline's weights."""
+_MEDIAN_OF_CHI_SQUARE = 1.3863
+"""Median of a detection's squared error relative to its expectation, for several rays: that of two normal numbers."""
+_MEDIAN_OF_TWO_RAYS = 0.9099
+"""The same for two rays, whose errors are a single number."""
 _LEAST_OF_KEYPOINT = 20
 """Smallest number of detections from which a keypoint's own noise is estimated."""
 _LEAST_KNOTS = 6

@@ -41,10 +41,14 @@ from recon.io.common import Pose3D
 if TYPE_CHECKING:
     import pandas as pd
 
-POSITION_ERROR_TIME, POSE_ERROR_TIME = 2.0, 0.6
-"""Correlation times of the errors of the animal's position, and of the joints relative to their mean, in units of
-`error_time_s`. Both were measured on running cheetahs, and are right to 5 % for the walk of a dog, which is three times
-slower.
+POSITION_ERROR_TIME = 2.0
+"""Correlation time of the errors of the animal's position, in units of `error_time_s`.
+
+It was measured on running cheetahs (`python benchmarks/gait.py --only rates`), and is right to 5 % for the walk of a
+dog, which is three times slower.
+"""
+POSE_ERROR_TIME = 0.6
+"""Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`; measured likewise.
 """
 RUNNING_S = 0.1
 """`error_time_s` of a running animal, with which all stances are found.

@@ -51,13 +51,15 @@ SKEW = 0.8
 """Exponent of time in the force over a stance. The force rises faster than it falls, so its centre is at 0.41 of the
 stance (0.36 to 0.48).
 """
-GALLOP_FORE, OTHER_FORE = (0.44, 0.11), (0.5, 0.16)
-"""Fraction of the impulse on the fore feet, and its standard deviation.
+GALLOP_FORE = (0.44, 0.11)
+"""Fraction of a gallop's impulse on the fore feet, and its standard deviation.
 
-For a gallop, they are the mean and spread of these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (greyhounds at their
-fastest, J. Exp. Biol. 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50
-(racehorses, 222:jeb204107). For other gaits they are a guess.
+They are the mean and spread of these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (greyhounds at their fastest, J.
+Exp. Biol. 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50 (racehorses,
+222:jeb204107).
 """
+OTHER_FORE = (0.5, 0.16)
+"""The same for other gaits; a guess."""
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
 STANCE_SPREAD = 0.2
@@ -65,13 +67,16 @@ STANCE_SPREAD = 0.2
 that walks, trots and gallops; the fore and hind feet of galloping racehorses differ by 9 to 20 % (J. Exp. Biol.
 209:4389).
 """
-DRAWS, SEED = 400, 0
+DRAWS = 400
+"""Number of random draws of the unknowns behind the forces, from which their intervals come."""
+SEED = 0
+"""Seed of these draws, so that the same motion gives the same intervals."""
 NODES = 41
 """Number of times in and around a stance at which the force is drawn. Values in between are interpolated."""
-FLIGHT_FRAMES, OFF_GRAVITY = 5, 3.0
-"""Smallest number of frames of a flight that determine an acceleration, and number of standard deviations from gravity
-above which there is a finding.
-"""
+FLIGHT_FRAMES = 5
+"""Smallest number of frames of a flight that determine an acceleration."""
+OFF_GRAVITY = 3.0
+"""Deviation of a flight's acceleration from gravity, in standard deviations, above which there is a finding."""
 NET_FRAMES = 500
 """Maximum number of frames used for the net acceleration of a clip. More add little, because errors last for several
 frames.

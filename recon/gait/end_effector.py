@@ -20,8 +20,10 @@ import numpy as np
 from recon.base.arrays import Array, Index
 from recon.gait.kinematics import series_kinematics
 
-REAR_SHARE, SWING_SHARE = 0.25, 0.5
-"""Fractions of the range of the horizontal position: its rear part, and the least movement between two boundaries."""
+REAR_SHARE = 0.25
+"""Fraction of the range of the horizontal position that is its rear part, where a swing may begin."""
+SWING_SHARE = 0.5
+"""Fraction of this range that a foot moves at least between two boundaries."""
 _SHORT_M = 0.1
 """Length of the body's path below which the path has no direction."""
 

@@ -36,9 +36,12 @@ from recon.fit.result import Finding, Verdict
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
-PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
-"""Thresholds of PCK. They are divided by ten until the largest is at most this fraction of the animal's extent, since a
-whole mouse is smaller than 0.15 m.
+PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
+"""Thresholds of PCK for large animals."""
+PCK_LARGEST = 1 / 3
+"""Largest threshold as a fraction of the animal's extent.
+
+The thresholds are divided by ten until they are smaller, since a whole mouse is smaller than 0.15 m.
 """
 SAME_RATE = 2e-3
 """Relative difference of frame rates that counts as equal, as between 29.97 and 30."""

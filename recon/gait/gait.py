@@ -83,8 +83,10 @@ INTERVAL = 0.9
 """Probability with which the intervals contain times and duty factors."""
 MIN_STANCE_S = 0.02
 """Shortest stance, far below the 0.06 s of a galloping cheetah."""
-SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
-"""Standard deviation of the ground's slopes, and of a standing foot's marker about the plane."""
+SLOPE_SIGMA = 0.1
+"""Standard deviation of the ground's slopes."""
+HEIGHT_SIGMA_M = 0.03
+"""Standard deviation of a standing foot's marker about the plane."""
 
 PERIOD_OF_CLIP = (0.5, 1 / 0.6)
 """Shortest and longest period that is searched for in a clip without a complete stride, in durations of the clip."""

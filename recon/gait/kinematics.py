@@ -48,11 +48,14 @@ MIN_SMOOTHING_POINTS = 5
 """Smallest number of points for smoothing."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
-JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
-"""Correlation time of the errors of a method that solves frame by frame, and their size relative to the jitter within
-that time. With these values the standard deviations of speeds are right to 25 % in each of five real runs (`python
-benchmarks/gait.py --only speeds`).
+JITTER_LASTS_S = 0.05
+"""Correlation time of the errors of a method that solves frame by frame.
+
+With this time and `JITTER_TIMES`, the standard deviations of speeds are right to 25 % in each of five real runs
+(`python benchmarks/gait.py --only speeds`).
 """
+JITTER_TIMES = 2.0
+"""Size of these errors relative to the jitter within that time."""
 
 _WINDOW = 200
 """Number of frames of an exact spline whose standard deviations are computed at once."""

@@ -19,8 +19,10 @@ from scipy.optimize import brentq, minimize
 from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
-_LEAST, _SHOWN = 1e-4, 1e-2
-"""Smallest standard deviation of a level in the fit, and smallest that is not 0, relative to that of all values."""
+_LEAST = 1e-4
+"""Smallest standard deviation of a level in the fit, relative to that of all values."""
+_SHOWN = 1e-2
+"""Smallest standard deviation of a level that is not 0 in the result, relative to that of all values."""
 
 
 @dataclass(frozen=True)

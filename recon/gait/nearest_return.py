@@ -20,8 +20,12 @@ MIN_FRAMES = 4
 """Smallest number of known frames for a spline."""
 MAX_GAP_FRAMES = 4
 """Longest stretch without data that the spline bridges, frames."""
-AWAY_SHARE, BACK_SHARE, SPAN_SHARE = 0.5, 0.25, 0.8
-"""Shares of the path's diameter: how far a return leads away, how near it comes back, and how much it spans."""
+AWAY_SHARE = 0.5
+"""Fraction of the path's diameter by which a return leads away."""
+BACK_SHARE = 0.25
+"""Fraction of the path's diameter within which a return comes back."""
+SPAN_SHARE = 0.8
+"""Fraction of the path's diameter that a return spans at least."""
 _STEPS = 100
 """Points per frame at which the end of a return is searched."""
 

@@ -52,8 +52,10 @@ _NAMES = ANGLE_OF_AXIS | {"s": "slide"}
 _SUMMED = {"z": "phi", "y": "theta"}
 """Names of a summed joint's rotations, as published for the 8U chain."""
 
-_BLOCK, _FRAMES_AT_ONCE = 64, 4096
-"""Frames in a block: with Jacobians, to stay in the processor's cache; without them, to limit memory."""
+_BLOCK = 64
+"""Frames in a block with Jacobians, which stays in the processor's cache."""
+_FRAMES_AT_ONCE = 4096
+"""Frames in a block without Jacobians, to limit memory."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
 """Indices x, y, z, x, y, of which a cross product needs slices."""

@@ -24,8 +24,10 @@ from numpy.polynomial import Polynomial, polynomial
 
 from recon.base.arrays import Array, Bools
 
-_ANGLES, _LARGEST_RADIUS = 2048, 1e8
-"""Number of samples and largest radius of the table from which Newton's method starts."""
+_ANGLES = 2048
+"""Number of samples of the table from which Newton's method starts."""
+_LARGEST_RADIUS = 1e8
+"""Largest radius of this table."""
 
 
 class Lens:

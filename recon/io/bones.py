@@ -351,8 +351,10 @@ COLOURS: dict[Side | None, tuple[float, float, float]] = {
     None: (0.0, 0.34, 0.17),
 }
 """Colours of the playback, linear."""
-_RINGS, _SECTORS = 5, 16
-"""Rings of each end of a capsule, and sectors around it."""
+_RINGS = 5
+"""Rings of each end of a capsule."""
+_SECTORS = 16
+"""Sectors around a capsule."""
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 

@@ -42,7 +42,14 @@ Columns = dict[str, Array]
 """Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
 """Tolerance of a quaternion's length; quaternions written with three digits are within it."""
-MAX_METRES, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
+MAX_METRES = 1e7
+"""Largest coordinate of a camera's position."""
+MAX_PX = 1e6
+"""Largest focal length and coordinate of a principal point, px."""
+MAX_SIGMA_DEG = 10.0
+"""Largest standard deviation of an orientation."""
+MAX_ROTATION_RAD = 100.0
+"""Largest component of a rotation vector."""
 LEANING_MAX_RAD = np.radians(60)
 """Angle above which a camera leans too far.
 

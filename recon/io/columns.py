@@ -63,7 +63,10 @@ BODYPART_COLUMN = re.compile(
 BODYPART_LAST = re.compile(r"(?:([xyz])|(likelihood|confidence|score))[ _.:/-](.+)", re.IGNORECASE)
 """Pattern of such a column with the bodypart behind the coordinate."""
 PART = "{bodypart}"
-VALUES_MAX, COLUMNS_MAX = 4 * common.POINTS_MAX, 10_000
+VALUES_MAX = 4 * common.POINTS_MAX
+"""Largest number of cells of a table."""
+COLUMNS_MAX = 10_000
+"""Largest number of columns of a table."""
 METADATA = b"recon"
 """Key of recon's own metadata in Parquet: JSON with fps and up."""
 

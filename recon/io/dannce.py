@@ -27,13 +27,21 @@ from recon.io.calibration import CameraRecord
 from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, one_animal, starts_with
 
-MAX_BYTES, MAX_UNPACKED = 1 << 28, 1 << 28
-MAX_DEPTH, MAX_ITEMS = 12, 100_000
+MAX_BYTES = 1 << 28
+"""Largest size of a file."""
+MAX_UNPACKED = 1 << 28
+"""Largest size of the unpacked elements of a file, bytes."""
+MAX_DEPTH = 12
+"""Largest number of cells and structures inside each other."""
+MAX_ITEMS = 100_000
+"""Largest number of elements in a file."""
 _MATRIX, _COMPRESSED = 14, 15
+"""Types of elements in MATLAB's format: an array, and compressed elements."""
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """NumPy's type, by the type of an element."""
 _TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
+"""Classes of arrays in MATLAB's format."""
 
 
 def recognises(path: Path) -> bool:

@@ -95,8 +95,10 @@ OWN_GROUP = "RECON"
 WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
 KEY = 0x50
-INTEL, MIPS = 84, 86
-"""Kinds of processor, which give the order of bytes."""
+INTEL = 84
+"""Kind of processor with little-endian numbers, as in the file's header."""
+MIPS = 86
+"""Kind of processor with big-endian numbers, as in the file's header."""
 
 Parameters = dict[str, dict[str, Any]]
 """Lists of texts, or arrays of numbers, by group and name."""

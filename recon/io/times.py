@@ -17,17 +17,19 @@ IRREGULAR = 0.25
 """Largest distance of a regular time from its frame, in frames."""
 EVEN_MIN = 10
 """Smallest number of times that can show a rate in spite of rounding or jitter."""
-EVEN_STEP, EVEN_OFF = 1.75, 0.75
-"""Limits for times of consecutive frames: largest step, and largest distance from an even count, in frames."""
+EVEN_STEP = 1.75
+"""Step, in frames, from which the times of two consecutive frames have a gap between them."""
+EVEN_OFF = 0.75
+"""Largest distance of a frame's time from an even count, in frames."""
 JITTER_RMS = 0.2
 """Largest root mean square distance from the nearest frame, in frames, if frames may be missing.
 
 Times without any rate have 0.29.
 """
-ROUNDED_GAPS, ROUNDED_OFF = 3, 0.6
-"""Limits for times that are rounded to a unit near the period: minimum number of gaps of more than 1.5 units, and
-maximum distance from even times, in units.
-"""
+ROUNDED_GAPS = 3
+"""Smallest number of gaps of more than 1.5 units in times that are rounded to a unit near the period."""
+ROUNDED_OFF = 0.6
+"""Largest distance of such times from even times, in units; rounding alone gives 0.5."""
 PHASE_SHARED = 0.5
 """Length of the mean direction of the times' phases above which the times share a phase."""
 _WINDOW = 16

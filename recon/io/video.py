@@ -33,22 +33,24 @@ MPEG-4 part 2 is shown by players but not by browsers. VP8 is played by every br
 of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
 """
 
-UNEVEN, STAMP_S = 0.3, 1e-3
-"""Largest deviation of the time between frames from a multiple of the usual time: a share of it, plus seconds.
-
-Matroska's time stamps are whole milliseconds.
-"""
-DRIFT, DRIFT_FRAMES = 0.05, 30
-"""Largest deviation from the usual rate, and the number of frames over which it is measured.
-
-Phones film more slowly in the dark.
-"""
+UNEVEN = 0.3
+"""Largest deviation of the time between frames from a multiple of the usual time, as a fraction of the usual time."""
+STAMP_S = 1e-3
+"""Time that is added to this deviation, as Matroska's time stamps are whole milliseconds."""
+DRIFT = 0.05
+"""Largest relative deviation from the usual rate; phones film more slowly in the dark."""
+DRIFT_FRAMES = 30
+"""Number of frames over which the rate is measured."""
 MOST_GAPS = 5
 
-BLACK, LIT = 24, 80
-"""Largest brightness in a black bar, as compressed black is not quite 0; least mean brightness of a picture's lines."""
-BAR_SHARE, BAR_PX = 0.02, 2
-"""Smallest share of the picture that a bar covers, and largest difference between two bars in pixels."""
+BLACK = 24
+"""Largest brightness in a black bar, 0 to 255, as compressed black is not quite 0."""
+LIT = 80
+"""Least mean brightness of a line of the picture beside a black bar, 0 to 255."""
+BAR_SHARE = 0.02
+"""Smallest fraction of the picture that a bar covers."""
+BAR_PX = 2
+"""Largest difference between two bars, and largest width of an edge that is no bar, px."""
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 

@@ -65,14 +65,22 @@ MODEL_FILE = "model.pt"
 
 CHANNELS = 6
 """Three colours, and their differences from the still background."""
-GREY, SPREAD, DIFFERENCE = 115.0, 64.0, 64.0
-"""Level that is scaled to 0, and the differences from it and from the background that are scaled to 1."""
+GREY = 115.0
+"""Level, 0 to 255, that is scaled to 0."""
+SPREAD = 64.0
+"""Difference from `GREY` that is scaled to 1."""
+DIFFERENCE = 64.0
+"""Difference from the background that is scaled to 1."""
 STRIDE = 4
 """Pixels between neighbouring cells of the grid; cell (0, 0) is at pixel (0, 0)."""
-WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
-"""Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture's size."""
-SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
-"""Channels and blocks of the second stage. It sees parts of a large animal at full size, and needs less context."""
+WIDTHS = (16, 32, 64, 128, 192)
+"""Channels at 1/2, 1/4, ... 1/32 of the picture's size."""
+BLOCKS = (0, 1, 2, 2, 2)
+"""Residual blocks at these sizes."""
+SECOND_WIDTHS = (16, 32, 64, 96)
+"""Channels of the second stage, which sees parts of a large animal at full size, and needs less context."""
+SECOND_BLOCKS = (0, 1, 2, 2)
+"""Residual blocks of the second stage."""
 HEAD = 48
 """Channels at 1/4 of the picture's size from which the scores are computed."""
 
@@ -95,8 +103,10 @@ SURE = 0.05
 
 _EDGE = 1e-4
 """Smallest distance of a raw likelihood from 0 and 1 for which its logit is computed."""
-_PRIOR, _PRIOR_SIGMA = np.array([1.0, 0.0]), np.array([0.5, 2.0])
-"""Means and standard deviations of the prior on a calibration's slope and offset."""
+_PRIOR = np.array([1.0, 0.0])
+"""Means of the prior on a calibration's slope and offset: no change of the likelihood."""
+_PRIOR_SIGMA = np.array([0.5, 2.0])
+"""Standard deviations of the prior on a calibration's slope and offset."""
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
 DEVICE = Option("auto, cpu, cuda or mps.")
@@ -547,10 +557,13 @@ PIXELS = 2**20
 """Maximum number of pixels in a batch, at the network's scale."""
 WAITING = 2
 """Number of batches to decode ahead."""
-LOST_SHARE, LOST_FRAMES = 0.01, 3
-"""Largest excess of the frame count in a video's header over the decoded frames that counts as an error of the header.
+LOST_SHARE = 0.01
+"""Fraction of the frames in a video's header that may be missing, as the header is then wrong.
+
 If more frames are missing, the video is damaged.
 """
+LOST_FRAMES = 3
+"""The same in frames, for short videos."""
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
 """Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and the original

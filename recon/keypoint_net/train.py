@@ -54,7 +54,10 @@ CHECKPOINT_FILE = "checkpoint.pt"
 REPORT_FILES = ("training.json", "suspicious.csv", "worst.png", "training.png", "training.svg")
 TOLERANCE = 0.04
 """Largest distance of a correct point from its label, as a fraction of the body length."""
-LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
+LEARNING_RATE = 2e-3
+"""Highest learning rate of AdamW."""
+WEIGHT_DECAY = 0.05
+"""Weight decay of AdamW."""
 FINISH = 0.6
 """Fraction of a run after which the validation pictures are learned from, too."""
 FINISH_RATE = 0.5
@@ -383,10 +386,14 @@ WORST = 6
 """Largest number of pictures in worst.png."""
 LEAST_WIDTH_PX = 560
 """Minimum width of the pictures; smaller pictures are enlarged."""
-LABEL, LINE = (255, 255, 255), (60, 60, 230)
-"""Colours (blue, green, red) of labels, and of the lines to the predictions."""
-FAR, APART = 0.2, 0.15
-"""Distances, in body lengths, from the network's point and from the other labels beyond which a label is suspicious."""
+LABEL = (255, 255, 255)
+"""Colour (blue, green, red) of labels."""
+LINE = (60, 60, 230)
+"""Colour (blue, green, red) of the lines from labels to predictions."""
+FAR = 0.2
+"""Distance of a label from the network's point, in body lengths, beyond which the label is suspicious."""
+APART = 0.15
+"""Distance of a label from the other labels, in body lengths beyond the usual, beyond which the label is suspicious."""
 REASONS = {
     "network": "body lengths from the network's point",
     "others": "body lengths further from every other label than usual",
@@ -400,10 +407,12 @@ FITS = 2.0
 """Largest median error, as a multiple of the tolerance, in the pictures that a network learned from. A network with
 larger errors does not judge labels.
 """
-USUAL_MINUTES, USUAL_STEPS, USUAL_PICTURES = 15.0, 1000, 40
-"""Time on two cores, number of steps and number of labelled pictures of a useful network (`python benchmarks/net.py
---only circle`: 1.1 px after 1,000 steps with 40 pictures).
-"""
+USUAL_MINUTES = 15.0
+"""Time on two cores in which a useful network is trained."""
+USUAL_STEPS = 1000
+"""Number of steps of a useful network (`python benchmarks/net.py --only circle`: 1.1 px with `USUAL_PICTURES`)."""
+USUAL_PICTURES = 40
+"""Number of labelled pictures of a useful network, in the same benchmark."""
 MEASURED_ERRORS = (
     (5, "on a made-up film, of an animal 101 px long", "1.8 px"),
     (10, "on a made-up film, of an animal 101 px long", "1.2 px"),

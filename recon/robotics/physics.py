@@ -41,12 +41,14 @@ FOOT_M = 1e-3
 """Radius of the balls that stand for feet that are points."""
 GAINS = (100.0, 2.0)
 """Stiffness and damping of a joint, N m / rad and N m s / rad."""
-TIMESTEP_S, TORQUES_HZ = 5e-4, 500.0
-"""Time step of the simulation, and rate at which the torques that the motion requires are computed."""
-STEP_S, STEP = 1e-4, 1e-5
-"""Time between two velocities whose difference gives an acceleration, and change of a state for a numerical
-derivative.
-"""
+TIMESTEP_S = 5e-4
+"""Time step of the simulation."""
+TORQUES_HZ = 500.0
+"""Rate at which the torques that the motion requires are computed."""
+STEP_S = 1e-4
+"""Time between two velocities whose difference gives an acceleration."""
+STEP = 1e-5
+"""Change of a state for a numerical derivative."""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
 """Forces (5, 3) whose non-negative combinations fill the friction cone: a pyramid and its axis."""
 TRIES = 5
@@ -57,16 +59,22 @@ CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8
 """Factors on times and lengths in the order in which they are tried. Shorter strides come first, since a slower robot
 has to leap higher to be in the air for the same fraction of a stride.
 """
-DEGREE, MOST = 5, 10.0
-"""Degree of the polynomials by which forces rise and fall, and their largest coefficient as a fraction of the
-weight.
-"""
-TURNS, HOPELESS = 12, 50.0
-"""Maximum number of steps, and excess over the limits after three steps above which further steps do not help."""
-UNIT, TORQUE, WITHIN, NEAR = 0.02, 0.05, 0.02, 3.0
-"""Amounts that give a residual of 1: unmet part of the weight; excess of torques; excess of rates and angles, all as
-fractions of their limits. NEAR is the weight of the base's deviation (fraction of the standing height, and rad).
-"""
+DEGREE = 5
+"""Degree of the polynomials by which forces rise and fall."""
+MOST = 10.0
+"""Largest coefficient of these polynomials, as a fraction of the weight."""
+TURNS = 12
+"""Largest number of steps."""
+HOPELESS = 50.0
+"""Excess over the limits after three steps above which further steps do not help."""
+UNIT = 0.02
+"""Unmet part of the weight that gives a residual of 1, as a fraction of the weight."""
+TORQUE = 0.05
+"""Excess of a torque that gives a residual of 1, as a fraction of its limit."""
+WITHIN = 0.02
+"""Excess of a rate or an angle that gives a residual of 1, as a fraction of its limit."""
+NEAR = 3.0
+"""Weight of the base's deviation, in fractions of the standing height and in rad."""
 AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
 """Fractions of the limits that the optimisation aims at."""
 WIDER_RAD = 0.4

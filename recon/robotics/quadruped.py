@@ -400,8 +400,10 @@ SHORTEST_M = 1e-3
 SUFFIXES = (".urdf", ".xml")
 LARGEST = 1e6
 """Largest plausible length or angle: larger numbers mean a damaged file."""
-LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-9
-"""Mass and inertia of links without any in the file. Kinematics does not depend on them."""
+LEAST_MASS_KG = 1e-6
+"""Mass of links without one in the file; kinematics does not depend on it."""
+LEAST_INERTIA_KG_M2 = 1e-9
+"""Moment of inertia of links without one in the file; kinematics does not depend on it."""
 
 
 class _Joint(FileTable):

@@ -298,8 +298,10 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
 
 # -- on a robot -------------------------------------------------------------------------------------------------------
 
-PITCH_RAD, ROLL_RAD = 0.25, 0.15
-"""Largest pitch and roll of the body."""
+PITCH_RAD = 0.25
+"""Largest pitch of the body."""
+ROLL_RAD = 0.15
+"""Largest roll of the body."""
 LIFT = 0.15
 """Largest rise of the body as a fraction of the standing height of the hips."""
 CLEARANCE = 0.7
@@ -317,10 +319,10 @@ _EVERY = 5
 _BISECTIONS = 25
 CLEAR = 0.05
 """Height within which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
-EASE, SOFT = 0.28, 0.1
-"""Fraction of a swing in which a foot leaves or reaches its foothold, and fraction of a path's height within which the
-path is bent to stay above the ground.
-"""
+EASE = 0.28
+"""Fraction of a swing in which a foot leaves or reaches its foothold."""
+SOFT = 0.1
+"""Fraction of a path's height within which the path is bent to stay above the ground."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,7 +56,10 @@ from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMo
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
 
-MOST_SAMPLES, RATE_HZ = 10_000, 50.0
+MOST_SAMPLES = 10_000
+"""Largest number of samples of a motion."""
+RATE_HZ = 50.0
+"""Default rate of the tables for trainers."""
 
 
 class RetargetSettings(Settings):

@@ -38,14 +38,18 @@ STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Fractions of the width. The key has the rest."""
-TILE_PX, TILE_UNIT = (480, 300), 0.55
-"""Size of a still in pixels, and scale of the drawing on it."""
+TILE_PX = (480, 300)
+"""Width and height of a still."""
+TILE_UNIT = 0.55
+"""Scale of the drawing on a still."""
 DARKENED = 0.35
 """Fraction of the picture's brightness that remains behind a text."""
 _FILLED = 0.8
 """Fraction of a tile that the largest animal fills."""
-CLOSE_UP, WORTH = 0.36, 1.6
-"""Fraction of the picture's sides that the close-up takes, and the smallest enlargement for which it is shown."""
+CLOSE_UP = 0.36
+"""Fraction of the picture's sides that the close-up takes."""
+WORTH = 1.6
+"""Smallest enlargement for which the close-up is shown."""
 HEADING_S = 0.25
 """Time over which the views average the trunk's direction, to avoid shaking."""
 

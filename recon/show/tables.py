@@ -36,8 +36,10 @@ Further digits mean nothing, and differ between processors.
 """
 SIGMA_DIGITS = 3
 """Significant digits of standard deviations in the tables of joints and angles, which are known to a few per cent."""
-MIN_METRE, MAX_METRE = 4, 7
-"""Fewest and most decimals of positions in metres."""
+MIN_METRE = 4
+"""Fewest decimals of positions in metres."""
+MAX_METRE = 7
+"""Most decimals of positions in metres."""
 
 
 def metre_decimals(motion: Motion) -> int:

@@ -33,8 +33,10 @@ _REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "foo
 """Columns of text that do not identify a value."""
 _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
 """Columns of numbers whose unit is in the name of the row's quantity."""
-MOST_ROWS, MOST_COLUMNS = 1_000_000, 30
-"""Largest number of rows of an Excel sheet, and of columns of a table with a sheet of its own."""
+MOST_ROWS = 1_000_000
+"""Largest number of rows of an Excel sheet."""
+MOST_COLUMNS = 30
+"""Largest number of columns of a table with a sheet of its own."""
 
 
 def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:

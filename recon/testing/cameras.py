@@ -19,8 +19,10 @@ from recon.geometry.frames import rigid
 if TYPE_CHECKING:
     from recon.testing.gallop import SyntheticClip
 
-SHAKE_DEG, SHAKE_S = 0.3, 0.033
-"""Standard deviation of a handheld camera's shake about each axis, and the time over which the shake is smooth."""
+SHAKE_DEG = 0.3
+"""Standard deviation of a handheld camera's shake about each axis."""
+SHAKE_S = 0.033
+"""Time over which the shake is smooth."""
 FOLLOW_S = 0.05
 """Time over which the rotation that follows an animal is smooth."""
 

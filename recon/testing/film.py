@@ -37,19 +37,29 @@ PARTS: tuple[tuple[str, str, float, float, float], ...] = (
 COAT, SPOT, BELLY = (70.0, 130.0, 185.0), (30.0, 50.0, 75.0), (140.0, 180.0, 210.0)
 SKY, HAZE, SAND, SHRUB = (205.0, 165.0, 120.0), (215.0, 205.0, 195.0), (105.0, 150.0, 180.0), (50.0, 90.0, 85.0)
 """Colours: blue, green, red."""
-EXPOSURE, EXPOSURES = 0.4, 5
-"""Exposure as a fraction of the time between two frames, and number of moments drawn during the exposure."""
+EXPOSURE = 0.4
+"""Exposure as a fraction of the time between two frames."""
+EXPOSURES = 5
+"""Number of moments drawn during the exposure, whose mean is the picture."""
 NOISE = 2.5
 """Standard deviation of the sensor noise, grey levels."""
 LIGHT = np.array([-0.35, 0.25, 0.9])
 """Direction towards the sun, in the world."""
 _SHIFT = 4
 
-FPS, FRAMES, LABELLED = 120, 90, 40
-"""Frame rate of the film, number of frames, and number of frames with labels."""
+FPS = 120
+"""Frame rate of the film, Hz."""
+FRAMES = 90
+"""Number of frames."""
+LABELLED = 40
+"""Number of frames with labels."""
 SIZE_PX = (640, 360)
-FOCAL_PX, DISTANCE_M, HEIGHT_M = 640.0, 11.5, 1.7
-"""Camera of the film: focal length, distance from the animal's path, and height above the ground."""
+FOCAL_PX = 640.0
+"""Focal length of the film's camera."""
+DISTANCE_M = 11.5
+"""Distance of the camera from the animal's path."""
+HEIGHT_M = 1.7
+"""Height of the camera above the ground."""
 
 
 def render_frames(

@@ -41,8 +41,14 @@ IMAGE_SIZE_PX = (1920, 1080)
 MARGIN_PX = 20.0
 """Smallest distance of all joints from the picture's edges in the first second."""
 
-START_SPEED_M_S, TOP_SPEED_M_S = 9.5, 20.0
-START_STRIDES_HZ, TOP_STRIDES_HZ = 3.2, 3.5
+START_SPEED_M_S = 9.5
+"""Speed in the first frame."""
+TOP_SPEED_M_S = 20.0
+"""Speed that the animal approaches."""
+START_STRIDES_HZ = 3.2
+"""Strides per second in the first frame."""
+TOP_STRIDES_HZ = 3.5
+"""Strides per second at the top speed."""
 RISE_S = 0.85
 """Time in which the distance of speed and stride frequency from their limits falls by a factor e."""
 START_PHASE = 0.40
@@ -54,10 +60,14 @@ SLOPE = 0.03
 WIDTH_M = 0.18
 """Lateral distance between the near and the far legs."""
 
-_HIND_LAG, _FORE_LAG = 0.08, 0.11
-"""Delay of the far leg behind the near leg, as a fraction of the stride."""
-_SWING_SPEED_M_S, _SWING_POWER = 14.0, 0.26
-"""Speed at which the series below hold, and exponent of speed by which their amplitude grows."""
+_HIND_LAG = 0.08
+"""Delay of the far hind leg behind the near one, as a fraction of the stride."""
+_FORE_LAG = 0.11
+"""Delay of the far fore leg behind the near one, as a fraction of the stride."""
+_SWING_SPEED_M_S = 14.0
+"""Speed at which the series below hold."""
+_SWING_POWER = 0.26
+"""Exponent of speed by which the amplitude of the series grows."""
 # Inclination of each link to the ground (rad; 0 forwards, pi/2 down), and the root's height (m), over the stride's
 # phase: mean, then cosine and sine of each harmonic. tail_base -> spine -> neck_base are T5 and T1.
 _SERIES: dict[str, tuple[float, ...]] = {

@@ -20,11 +20,16 @@ from recon.io.common import Pose3D
 from recon.io.deeplabcut import write_csv
 from recon.testing.cameras import aim_camera, camera_ring
 
-FPS, FRAMES = 60.0, 72
+FPS = 60.0
+"""Frame rate of a clip, Hz."""
+FRAMES = 72
+"""Frames of a clip."""
 BIAS = 0.5
 """Standard deviation of the keypoints' bias along each axis, relative to the skeleton's keypoint_sigma_m."""
-SIGMA_PX, MISSING = 2.0, 0.05
-"""Standard deviation of detections, and fraction of detections that are missing."""
+SIGMA_PX = 2.0
+"""Standard deviation of detections."""
+MISSING = 0.05
+"""Fraction of detections that are missing."""
 
 
 def body_length_m(body: Body) -> float:

@@ -25,8 +25,12 @@ from recon.geometry.kinematics import PITCH, ROOT
 FINE = 4096
 """Number of instants per stride at which the forces are integrated."""
 LEGS = {"H": ("hind_thigh", "hind_shin", "hind_foot"), "F": ("fore_upper", "fore_lower", "fore_foot")}
-CENTRE_M, PAW_M, LIFT_M = 0.46, 0.02, 0.1
-"""Mean height of the centre of mass, height of a standing paw's marker, and height by which a paw is lifted."""
+CENTRE_M = 0.46
+"""Mean height of the centre of mass."""
+PAW_M = 0.02
+"""Height of a standing paw's marker."""
+LIFT_M = 0.1
+"""Height by which a paw is lifted."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,10 @@ ERRORS_LAST_S = 0.06
 """Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
 LEAST_SIGMA_M = 0.02
 """Smallest standard deviation of a frame's position, because the reference joint is no fixed point of the animal."""
-_FIRST_POSITION_M, _FIRST_SPEED_M_S = 100.0, 30.0
-"""Standard deviations of position and velocity before the first frame."""
+_FIRST_POSITION_M = 100.0
+"""Standard deviation of the position before the first frame, which leaves the position free."""
+_FIRST_SPEED_M_S = 30.0
+"""Standard deviation of the velocity before the first frame, larger than any animal's speed."""
 
 
 @dataclass(frozen=True, eq=False)

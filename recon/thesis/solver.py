@@ -41,10 +41,11 @@ _WIDE_MAX = 50.0
 _WIDE_UNSEEN = 10.0
 """Factor on the noise if the start has joints that cannot be projected."""
 _WIDE_TOLERANCE = 1e-3
-_FIRST_TOLERANCE, _SECOND_TOLERANCE = 1e-3, 1e-5
-"""Tolerances of the first and the second solution of all frames; a smaller one moves no joint by a tenth of a
-millimetre.
-"""
+"""Tolerance of the approach with a larger noise."""
+_FIRST_TOLERANCE = 1e-3
+"""Tolerance of the first solution of all frames, which is only a start of the second."""
+_SECOND_TOLERANCE = 1e-5
+"""Tolerance of the second solution of all frames; a smaller one moves no joint by a tenth of a millimetre."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
 """Angles between the direction of travel and the starts of the first frame."""
 

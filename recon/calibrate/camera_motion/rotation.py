@@ -31,15 +31,23 @@ CELLS = (16, 9)
 picture do not outnumber the rest.
 """
 POINTS_IN_CELL = 3
-BLOCK_PX, LEVELS = 5, 3
+"""Largest number of points that are taken from a cell."""
+BLOCK_PX = 5
+"""Side of the window from which a corner's strength is computed."""
+LEVELS = 3
+"""Number of times that the pictures are halved to follow points over long distances."""
 MIN_CORNER = 4e-5
 """Minimum of the smaller eigenvalue of the structure tensor. Noise of two grey levels stays below 3e-5."""
-MAX_UNLIKE, LEAST_UNLIKE = 3.0, 8.0
-"""Largest difference of a point's surroundings between two pictures, relative to the median of all points, and in grey
-levels. A larger difference means that the point is hidden.
+MAX_UNLIKE = 3.0
+"""Difference of a point's surroundings between two pictures, relative to the median of all points, above which the
+point is hidden.
 """
-ORB_POINTS, MIN_SAME = 700, 20
-"""Number of points that are described in a picture, and smallest number of them that match in the same scene."""
+LEAST_UNLIKE = 8.0
+"""Difference of a point's surroundings, grey levels, up to which the point is never hidden."""
+ORB_POINTS = 700
+"""Number of points that are described in a picture."""
+MIN_SAME = 20
+"""Smallest number of described points that match if two pictures show the same scene."""
 MIN_ALIKE = 0.7
 """Smallest correlation of two reduced pictures that are similar."""
 HULL_MARGIN = 0.15
@@ -201,16 +209,22 @@ def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bo
 # -- a rotation of the camera ------------------------------------------------------------------------------------------
 
 GRID = (12, 12)
-TRIALS, CANDIDATES = 300, 10
-"""Number of trial rotations, and of the best of them that are refined."""
+TRIALS = 300
+"""Number of trial rotations."""
+CANDIDATES = 10
+"""Number of the best trial rotations that are refined."""
 MIN_APART = 0.12
 """Minimum distance of the two points that give a trial rotation, as a fraction of the picture's diagonal."""
-MIN_POINTS, MIN_SPREAD = 15, 0.2
-FINAL_LIMIT, LEAST_LIMIT = 0.5, 0.2
-"""Largest and smallest factor on the error limit of a rotation; in between, the limit follows the scatter of the
-points.
-"""
+MIN_POINTS = 15
+"""Smallest number of points that agree with a rotation."""
+MIN_SPREAD = 0.2
+"""Smallest spread of these points over the picture, as `cover_and_spread` returns it."""
+FINAL_LIMIT = 0.5
+"""Largest factor on the error limit of a rotation; below it, the limit follows the scatter of the points."""
+LEAST_LIMIT = 0.2
+"""Smallest factor on the error limit of a rotation."""
 ROUNDS = 6
+"""Number of steps of robust least squares."""
 
 
 @dataclass(frozen=True, eq=False)

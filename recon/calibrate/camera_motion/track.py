@@ -26,17 +26,25 @@ from recon.io.video import Image
 LIMIT = 1 / 320
 """Largest error of a point that agrees with a rotation, as a fraction of the picture's longer side."""
 MIN_CORNERS = 40
-NEW_KEY_LIKENESS, MIN_LIKENESS = 0.7, 0.25
+"""Smallest number of corners in the background of a keyframe."""
+NEW_KEY_LIKENESS = 0.7
+"""Likeness to the nearest keyframe below which a frame becomes a keyframe."""
+MIN_LIKENESS = 0.25
+"""Likeness from which a frame is compared with a keyframe."""
 NEW_KEY_SUPPORT = 0.6
 """Fraction of the best support of a rotation since the last keyframe below which a frame becomes a keyframe."""
 MIN_SUPPORT = 0.25
 """Fraction of the same support below which the frame is lost."""
 BY_ZOOM = 5.0
 """Reduction of the likeness of two pictures per unit of difference in log zoom."""
-KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
+KEYS_AT_ONCE = 3
+"""Number of keyframes with which a frame is compared."""
+KEYS_TO_LINK = 5
+"""Number of keyframes with which a new keyframe is compared."""
 MAX_PICTURES = 120
 """Maximum number of keyframes whose pictures stay in memory: those used last."""
 LEARNING = 0.15
+"""Fraction by which a frame changes how consistently a point has been background."""
 SETTLED = 0.75
 """Agreement above which a point counts as background."""
 LEAST_AGREEING = 0.6
@@ -54,12 +62,23 @@ MIN_STILL = 0.4
 MAX_TORN = 1
 """Largest number of old keyframes with a smaller fraction."""
 ADJUST_STEPS = 4
+"""Number of Gauss-Newton steps in which all frames are adjusted together."""
 PICTURE_FLOOR_PX = 0.1
 """Error that all points of a picture have in common, in pixels, and that their scatter does not show."""
-MIN_PAIR_POINTS, MIN_PAIRS = 30, 4
+MIN_PAIR_POINTS = 30
+"""Smallest number of background points of a pair of pictures."""
+MIN_PAIRS = 4
+"""Smallest number of pairs of pictures that determine the focal length."""
 WIDEST = 0.7
 """Largest absolute logarithm of a factor on the focal length that is tried."""
-STEP, STEPS, ROUNDS, COARSE_ROUNDS = 1e-3, 6, 4, 2
+STEP = 1e-3
+"""Change of the logarithm of the focal length for a numerical derivative."""
+STEPS = 6
+"""Number of steps to the focal length."""
+ROUNDS = 4
+"""Number of steps to the rotation between two pictures, for a given focal length."""
+COARSE_ROUNDS = 2
+"""The same where focal lengths are only tried."""
 PAIR_FLOOR_PX = 0.15
 """Error that all points of a pair of pictures have in common, in pixels."""
 

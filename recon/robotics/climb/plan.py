@@ -68,10 +68,14 @@ MAX_WAIT = 400
 """Maximum number of frames that a foot waits."""
 MAX_EVALUATIONS = 100
 """Maximum number of evaluations of the fields in one frame."""
-NUDGE, SETTLED = 1e-6, 1e-8
-"""Change of the torso for numerical derivatives, and step length below which the search ends, in metres and radians."""
-NEWTON_REACH_M, TRUST_RAD = 0.03, 0.5
-"""Longest shift and largest turn of one Newton step."""
+NUDGE = 1e-6
+"""Change of the torso for numerical derivatives, in metres and radians."""
+SETTLED = 1e-8
+"""Length of a step below which the search ends, in metres and radians."""
+NEWTON_REACH_M = 0.03
+"""Longest shift of one Newton step."""
+TRUST_RAD = 0.5
+"""Largest turn of one Newton step."""
 SHIN_POINTS = (0.25, 0.5, 0.75)
 """Points of a shin that must not touch the ground or the step, as fractions of the distance from foot to knee."""
 ROUNDING_M = 1e-9
@@ -79,8 +83,10 @@ ROUNDING_M = 1e-9
 RECIPES = Path(__file__).parent / "recipes"
 IN_FILES = (0, 2, 1, 3)
 """Indices into `LEGS` by the leg numbers of recipe files; the inverse is the same."""
-PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
-"""Degrees of freedom of the torso: x, y, z and pitch, or roll and yaw as well."""
+PLANAR = (0, 1, 2, 4)
+"""Degrees of freedom of the torso in the plane: x, y, z and pitch."""
+SPATIAL = (0, 1, 2, 3, 4, 5)
+"""Degrees of freedom of the torso in space: roll and yaw as well."""
 
 
 Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]

@@ -95,8 +95,12 @@ SECTION_CHARACTERS = 600_000
 SHOWN = 100
 """Number of rows shown in the table of flagged frames."""
 SPEED_MM = 100.0
-LENGTHS, POSES, STRETCHES = 2.5, 5, 3
-"""Number of body lengths that an animal runs in one figure, of poses in the figure, and largest number of figures."""
+LENGTHS = 2.5
+"""Number of body lengths that an animal runs in one figure."""
+POSES = 5
+"""Number of poses in a figure."""
+STRETCHES = 3
+"""Largest number of figures."""
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
 """Widths and qualities, the best first. The first one that fits into `STRIP_BYTES` is used."""
 MARGIN = 0.2
 """Margin around the animal's boxes, as a fraction of their size."""
-SMALL_PX, WINDOW = 150.0, 2.6
-"""Size in pixels below which a moving window follows the animal, and size of this window relative to the animal's
-box.
-"""
+SMALL_PX = 150.0
+"""Size of the animal in the picture below which a moving window follows it."""
+WINDOW = 2.6
+"""Size of this window relative to the box around the animal."""
 WINDOW_PX = 640
 SMOOTH_S = 0.2
 MIME = "image/webp"

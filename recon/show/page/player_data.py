@@ -23,9 +23,14 @@ from recon.gait.gait import INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.quality import keypoint_notes
 
-LARGEST, NOTHING = 32_000, -32_768
-"""Largest packed number, and the number that stands for NaN."""
-LARGEST_BYTE, NO_BYTE = 254, 255
+LARGEST = 32_000
+"""Largest packed number."""
+NOTHING = -32_768
+"""Packed number that stands for NaN."""
+LARGEST_BYTE = 254
+"""Largest number that is packed into a byte."""
+NO_BYTE = 255
+"""Byte that stands for NaN."""
 CAMERA_BYTES = 1_800_000
 """Largest size of the cameras' detections in a page before base64. The chosen camera is always included."""
 SPREADS = 600

@@ -13,10 +13,10 @@ from recon.base.numbers import counted, quantity
 from recon.fit.motion import Motion, Picture
 from recon.show.sections.keypoints import medians_px
 
-STUCK_PX, STUCK_LEAST = 3.0, 5
-"""Radius (px) within which a keypoint's outliers lie if it is stuck at one point, and smallest number of frames with
-such outliers.
-"""
+STUCK_PX = 3.0
+"""Radius within which a keypoint's outliers lie if it is stuck at one point."""
+STUCK_LEAST = 5
+"""Smallest number of frames with outliers at this point."""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1

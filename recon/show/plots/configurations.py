@@ -47,10 +47,16 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
 _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
-_WIDE_MM, _HEIGHT_MM, _LEAST_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 18.0, 45.0, 46.0
-"""Sizes in mm: largest width and height of the side and top view together; smallest height of the side view; largest
-height of the front view, which is never higher than the side view; and room for all labels and the bar of times.
-"""
+_WIDE_MM = 160.0
+"""Largest width of the side and top view together."""
+_HEIGHT_MM = 120.0
+"""Largest height of the side and top view together."""
+_LEAST_MM = 18.0
+"""Smallest height of the side view."""
+_FRONT_MM = 45.0
+"""Largest height of the front view, which is never higher than the side view."""
+_LABELS_MM = 46.0
+"""Room for all labels and the bar of times."""
 _NUMBERS_MM = 10.0
 """Width of the numbers of an upright axis."""
 _WIDE_FRONT = 0.3
@@ -268,8 +274,10 @@ VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 """Coordinates to the right and upwards, with x forwards, y left, z up. The animal faces right, and in the last view it
 faces the reader.
 """
-_NAME_MM, _LONG_MM = 3.4, 0.42 * style.WIDTH_MM
-"""Height of a name, and length of the animal."""
+_NAME_MM = 3.4
+"""Height of a name."""
+_LONG_MM = 0.42 * style.WIDTH_MM
+"""Length of the animal."""
 _SAME = 0.01
 """Distance, as a fraction of the picture, below which points share a name."""
 

@@ -16,10 +16,16 @@ from recon.gait.flexion import PERCENT, StrideCurve
 from recon.gait.gait import interval_of
 from recon.show.plots import style
 
-COLUMNS, NARROW_COLUMNS, NARROW_MM = 3, 2, 120.0
-"""Number of panels in a row, at the width of a page and of a column, and the width that separates the two."""
-_PANEL_MM, _AROUND_MM = 42.0, 24.0
-"""Height of a panel with its stance bars, and of everything around the panels."""
+COLUMNS = 3
+"""Number of panels in a row at the width of a page."""
+NARROW_COLUMNS = 2
+"""Number of panels in a row at the width of a column."""
+NARROW_MM = 120.0
+"""Width up to which a figure has the width of a column."""
+_PANEL_MM = 42.0
+"""Height of a panel with its stance bars."""
+_AROUND_MM = 24.0
+"""Height of everything around the panels."""
 _BARS = 0.16
 """Fraction of a panel's height below its curves, for the stance bars."""
 _COLOURS: dict[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}

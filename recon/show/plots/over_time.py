@@ -258,8 +258,10 @@ SHADES = 60
 _LEAST = (0.05, 0.5)
 """Half of the smallest range of an axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
-_BAND, _UNSEEN = "#E6E6E6", "#9A9A9A"
-"""Colour of a band around a path, and colour of a path that comes mostly from the prior."""
+_BAND = "#E6E6E6"
+"""Colour of a band around a path."""
+_UNSEEN = "#9A9A9A"
+"""Colour of a path that comes mostly from the prior."""
 _ALONG = 0.25
 """Distance between the ellipses of a band, in half axes."""
 

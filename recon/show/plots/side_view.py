@@ -17,8 +17,10 @@ from recon.gait.gait import Plane
 from recon.show.plots import style
 from recon.show.plots.configurations import SIDE_COLOURS, run_frame
 
-POSES, NARROW_POSES = 6, 3
-"""Number of poses in a row, at the width of a page and of a column."""
+POSES = 6
+"""Number of poses in a row at the width of a page."""
+NARROW_POSES = 3
+"""Number of poses in a row at the width of a column."""
 NARROW_MM = 120.0
 _APART = 1.1
 """Distance between the poses in a row, relative to the longest pose."""

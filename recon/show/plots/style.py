@@ -35,12 +35,18 @@ from recon.base.files import staged_folder, write_bytes
 from recon.fit.posterior import radius
 from recon.gait.gait import INTERVAL, interval_of
 
-WIDTH_MM, COLUMN_MM = 180.0, 85.0
+WIDTH_MM = 180.0
+"""Width of a figure on a page."""
+COLUMN_MM = 85.0
+"""Width of a figure in a column."""
 PAGE_MM = 235.0
 """Height of a page within its margins."""
 MM = 1 / 25.4
 """One millimetre in inches."""
-PNG_DPI, PRINT_DPI = 200, 600
+PNG_DPI = 200
+"""Resolution of a PNG for a screen."""
+PRINT_DPI = 600
+"""Resolution of a picture for print."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))

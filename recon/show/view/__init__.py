@@ -54,10 +54,12 @@ from recon.gait.kinematics import frame_jitter_m, speed_at_frames
 from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
 
-OVERVIEW_ASPECT, OVERVIEW_RAISED, VIEW_RAD = 3.0, 0.4, np.radians(55.0)
-"""Width to height of the overview; height of its eye relative to its sideways distance; and the viewer's vertical angle
-of view.
-"""
+OVERVIEW_ASPECT = 3.0
+"""Width of the overview relative to its height."""
+OVERVIEW_RAISED = 0.4
+"""Height of the overview's eye relative to its sideways distance."""
+VIEW_RAD = np.radians(55.0)
+"""Vertical angle of view of rerun's viewer."""
 LINE_OF_LEGEND = 0.1
 """Fraction of a plot's height for a line of its legend."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")

@@ -45,8 +45,10 @@ RECORDING = "recording.rrd"
 """Name of the recording in the page's address. The viewer recognises the format by its ending."""
 LOOK = "theme=dark&persist=0"
 """Options of the viewer: dark, like the views, and nothing is stored in the browser."""
-START_S, TICK_S = 30.0, 0.05
-"""Longest time for rerun to start, and time between two checks."""
+START_S = 30.0
+"""Longest time for rerun to start."""
+TICK_S = 0.05
+"""Time between two checks whether rerun has started."""
 
 
 @contextmanager
