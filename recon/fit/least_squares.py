@@ -24,6 +24,7 @@ from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     LENGTHS,
     MARKER_TERMS,
+    SIZE,
     Heading,
     Linear,
     OnGround,
@@ -35,8 +36,9 @@ from recon.fit.terms import (
     Term,
     TermRows,
     keypoint_bias,
+    size_of,
 )
-from recon.geometry.kinematics import Tree, TreePose
+from recon.geometry.kinematics import ROOT, Tree, TreePose
 
 _ByShape = tuple[Array, Array]
 """Derivatives of markers with respect to the lengths (n, J, 3, L) and to each one's own offset (n, J, 3, 3)."""
@@ -268,9 +270,16 @@ class LeastSquares:
         return None, damping
 
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
-        """Return the point at a fraction of a step, with its cost."""
-        states = current.states + share * states_step
+        """Return the point at a fraction of a step, with its cost.
+
+        The animal's position in the world moves in a straight line. It is the size times the root, so a step of the
+        root would overshoot if the size changes as well.
+        """
         shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
+        states = current.states + share * states_step
+        if SIZE in self.columns:
+            of_root = share * size_of(current.shared) / size_of(shared)
+            states[:, ROOT] = current.states[:, ROOT] + of_root * states_step[:, ROOT]
         return replace(current, states=states, cost=self.cost(states, shared), shared=shared)
 
     def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:

@@ -324,6 +324,26 @@ def test_a_slow_shift_in_depth_is_found():
     np.testing.assert_allclose(found.states, 1.0, atol=2e-2)
 
 
+def test_a_step_of_the_size_keeps_the_animal_in_its_place():
+    """Two cameras see a marker 20 m from the origin, while the size has to grow by a third: the root shrinks by as
+    much. A step straight ahead in root and size would carry the marker off by a metre."""
+    tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
+    states = np.zeros((40, tree.n_state))
+    states[:, :3] = [0.5, 20.0, 0.3] + np.arange(40)[:, None] * [0.1, 0.0, 0.0]
+    sights = []
+    for number, shift_m in enumerate((-10.0, 10.0)):
+        camera = view(np.zeros((40, 1, 2)))
+        camera = replace(camera, T_camera_world=camera.T_camera_world.copy())
+        camera.T_camera_world[:3, 3] = [shift_m, 0.0, 0.0]
+        seen = replace(camera, xy_px=camera.project(tree.pose(states).points_m)[0])
+        sights.append(Reprojection(seen, np.ones((40, 1)), 3.0, np.zeros(3), number))
+    weak = Linear("weak", (0,), np.eye(tree.n_state)[None] * 1e-4, np.zeros(tree.n_state))
+    size = SharedUnknown(SIZE, np.array([4 / 3]), np.array([1e-3]))
+    found = LeastSquares(tree, [weak], sights, [size]).minimise(states, 1e-6, 3, {SIZE: np.ones(1)})
+    assert found.shared[SIZE] == pytest.approx(4 / 3, abs=1e-4)
+    np.testing.assert_allclose(found.shared[SIZE] * found.states[:, :3], states[:, :3], atol=1e-3)
+
+
 def test_a_step_is_extended_to_the_least_cost_on_its_parabola():
     from recon.fit.least_squares import _best_length
 
