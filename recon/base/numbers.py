@@ -59,19 +59,28 @@ def quantity(value: float, digits: int, unit: str) -> str:
 
 
 def interval(
-    value: float, low: float, high: float, unit: str = "", *, level: str = "", sign: str = "", least: float = -math.inf
+    value: float,
+    low: float,
+    high: float,
+    unit: str = "",
+    *,
+    level: str = "",
+    sign: str = "",
+    least: float = -math.inf,
+    remark: str = "",
 ) -> str:
     """Return a value with the ends of its interval, such as "72 mm (48 to 106)".
 
     `level` is the level of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". `least` is the smallest possible value;
-    an interval that begins there is written as "at most" its upper end. Without an interval only the value is returned.
+    an interval that begins there is written as "at most" its upper end. `remark` follows the ends within the brackets.
+    Without an interval only the value is returned.
     """
     digits = places((high - low) / 2, _ONE_DIGIT_OF_INTERVAL)
     if digits is None:
         return f"{value:{sign}{decimals(value)}}{_unit(unit)}"
     low_text, high_text = rounded(low, digits, sign), rounded(high, digits, sign)
     ends = f"{low_text} to {high_text}" if low > least else f"at most {high_text}"
-    return f"{rounded(value, digits, sign)}{_unit(unit)} ({level and level + ': '}{ends})"
+    return f"{rounded(value, digits, sign)}{_unit(unit)} ({level and level + ': '}{ends}{remark})"
 
 
 def percent(share: float) -> str:

@@ -25,14 +25,11 @@ from recon.fit.terms import (
     LENGTHS,
     MARKER_TERMS,
     SIZE,
-    Heading,
     Linear,
-    OnGround,
     PointRows,
     PoseMixture,
     Reprojection,
     Span,
-    StanceVelocity,
     Term,
     TermRows,
     keypoint_bias,
@@ -527,7 +524,7 @@ def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermR
     if by_shape is None or not isinstance(term, MARKER_TERMS):
         return term.evaluate(span, jacobian=True)
     J, D = span.pose.points_m.shape[1], span.states.shape[1]
-    markers, term = _own_markers(term, J)
+    markers, term = term.on_own_markers(J)
     by_length, by_offset = (values[:, markers] for values in by_shape)
     n, count, _, L = by_length.shape
     by_offsets, indices = np.zeros((n, count, 3, count, 3)), np.arange(count)
@@ -541,15 +538,6 @@ def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermR
     of_offsets[:, :, markers] = of_shape[..., L:].reshape(N, M, count, 3)
     by_shared = {LENGTHS: of_shape[..., :L], COMMON_KEYPOINT_BIAS: of_offsets.reshape(N, M, 3 * J)}
     return replace(rows, jacobian=rows.jacobian[..., :D], by_shared={**rows.by_shared, **by_shared})
-
-
-def _own_markers(term: Term, count: int) -> tuple[Integers, Term]:
-    """Return the markers that a term reads, and the term for these markers alone."""
-    if isinstance(term, Heading):
-        return np.array([term.rear, term.front]), replace(term, rear=0, front=1)
-    if isinstance(term, StanceVelocity | OnGround):
-        return np.asarray(term.feet), replace(term, feet=np.arange(len(term.feet)))
-    return np.arange(count), term
 
 
 def _add_shared(

@@ -39,6 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtri
@@ -158,21 +159,59 @@ class Curvature:
             yield window, by_others, by_size
 
 
+class _SharedCurvature(NamedTuple):
+    """Curvature of the shared unknowns and the nuisance unknowns, P in all, with the states eliminated."""
+
+    normals: Callable[[], Iterable[Normal]]
+    windows: Callable[[], Iterable[Window]]
+    precision: Array
+    """Shape (P, P), with the common bias as wide as the detections show."""
+    gradient: Array
+    """Shape (P,)."""
+    expected_precision: Array
+    """Part of the precision that the expected spreads contribute, shape (P,)."""
+    excess_bias_m2: Array | float
+    """See `Curvature.excess_bias_m2`."""
+
+
 def curvature(
-    problem: LeastSquares,
-    estimate: Estimate,
-    variance_factor: float,
-    normal: Normal | None = None,
-    *,
-    turned_poses: bool = True,
+    problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None = None
 ) -> Curvature:
     """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
 
-    `normal` holds the problem's normal equations with the nuisance unknowns, if they are known. If `turned_poses` is
-    true, either of two cameras may be turned, which makes their poses more uncertain (`recon.fit.pair_poses`);
-    `expected_precision` does not contain that.
+    Either of two cameras may be turned, which makes their poses more uncertain (`recon.fit.pair_poses`);
+    `expected_precision` does not contain that. `normal` holds the problem's normal equations with the nuisance
+    unknowns, if they are known.
     """
     problem = _with_free_nuisance(problem)
+    shared_curvature = _shared_curvature(problem, estimate, variance_factor, normal)
+    shared = problem.expected() | dict(estimate.shared)
+    S = with_uncertain_poses(problem, shared, (shared_curvature.precision, shared_curvature.gradient), variance_factor)
+    n_size = int(SIZE in problem.columns)
+    others_covariance, size_precision = np.linalg.inv(S[n_size:, n_size:]), 0.0
+    others_by_size = np.zeros(len(others_covariance))
+    if n_size:
+        others_by_size = -others_covariance @ S[1:, 0]
+        size_precision = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
+    columns = problem.columns.get(LENGTHS)
+    return Curvature(
+        normals=shared_curvature.normals,
+        eliminated=shared_curvature.windows,
+        shared_precision=S,
+        shared_gradient=shared_curvature.gradient,
+        expected_precision=shared_curvature.expected_precision,
+        covariance_root=np.asarray(np.linalg.cholesky(others_covariance), dtype=float),
+        others_by_size=others_by_size,
+        size_precision=max(size_precision, 0.0),
+        excess_bias_m2=shared_curvature.excess_bias_m2,
+        lengths=None if columns is None else slice(columns.start - n_size, columns.stop - n_size),
+    )
+
+
+def _shared_curvature(
+    problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None
+) -> _SharedCurvature:
+    """Return the curvature of the shared unknowns of a problem without nuisance unknowns."""
     shared = problem.expected() | dict(estimate.shared)
     normals = problem.normals(estimate.states, shared) if normal is None else lambda: [normal]
 
@@ -187,27 +226,7 @@ def curvature(
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, expected_precision, excess_bias_m2 = _with_likely_bias(problem, estimate, reduced, variance_factor)
-    if turned_poses:
-        S = with_uncertain_poses(problem, shared, (S, reduced[:, -1]), variance_factor)
-    n_size = int(SIZE in problem.columns)
-    others_covariance, size_precision = np.linalg.inv(S[n_size:, n_size:]), 0.0
-    others_by_size = np.zeros(len(others_covariance))
-    if n_size:
-        others_by_size = -others_covariance @ S[1:, 0]
-        size_precision = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
-    columns = problem.columns.get(LENGTHS)
-    return Curvature(
-        normals=normals,
-        eliminated=windows,
-        shared_precision=S,
-        shared_gradient=reduced[:, -1],
-        expected_precision=expected_precision,
-        covariance_root=np.asarray(np.linalg.cholesky(others_covariance), dtype=float),
-        others_by_size=others_by_size,
-        size_precision=max(size_precision, 0.0),
-        excess_bias_m2=excess_bias_m2,
-        lengths=None if columns is None else slice(columns.start - n_size, columns.stop - n_size),
-    )
+    return _SharedCurvature(normals, windows, S, reduced[:, -1], expected_precision, excess_bias_m2)
 
 
 def _with_likely_bias(
@@ -285,9 +304,10 @@ def _with_reestimated_noise(
     detections = 2 * sum(int(term.view.present.sum()) for term in reprojections)
     factor, scaled = 1.0, problem
     for _ in range(_NOISE_ROUNDS):
-        problem_curvature = curvature(scaled, estimate, variance_factor, equations.normal(factor), turned_poses=False)
-        covariance = np.linalg.inv(problem_curvature.shared_precision)
-        gradient, expected = problem_curvature.shared_gradient, problem_curvature.expected_precision
+        freed = _with_free_nuisance(scaled)
+        shared_curvature = _shared_curvature(freed, estimate, variance_factor, equations.normal(factor))
+        covariance = np.linalg.inv(shared_curvature.precision)
+        gradient, expected = shared_curvature.gradient, shared_curvature.expected_precision
         step = covariance @ gradient  # of the shared unknowns, to the best bias
         squares = all_squares / factor - float(gradient @ step + expected @ step**2)
         shared_detections = variance_factor * (len(step) - float(expected @ np.diagonal(covariance)))

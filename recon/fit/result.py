@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Literal
@@ -11,7 +10,7 @@ import numpy as np
 
 from recon.animal.body import Body
 from recon.base.arrays import Array, Bools, Brief
-from recon.base.numbers import percent
+from recon.base.numbers import interval, percent
 from recon.clip import View
 
 Severity = Literal["error", "warning", "note"]
@@ -61,14 +60,12 @@ class ExpectedError(Brief):
     def in_words(self) -> str:
         """Return the error as text: in metres, or in millimetres if the upper end is below half a metre.
 
-        All three numbers have the same decimals. A lower end close to zero is left out.
+        A lower end close to zero is left out.
         """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
-        digits = 0 if error.expected >= 10 else max(1, -math.floor(math.log10(max(error.expected, 1e-3))))
-        low, high = f"{error.low:.{digits}f}", f"{error.high:.{digits}f}"
-        ends = f"{low} to {high}" if self.low > _NOTHING * self.high else f"at most {high}"
         cause = f", as the finding {self.widened_by} may be right" if self.widened_by else ""
-        return f"{error.expected:.{digits}f} {unit} (90 %: {ends}{cause})"
+        ends = error.expected, error.low, error.high
+        return interval(*ends, unit, level="90 %", least=_NOTHING * error.high, remark=cause)
 
     def times(self, factor: float) -> ExpectedError:
         """Return the error multiplied by a factor, for another unit."""

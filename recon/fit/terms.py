@@ -17,13 +17,13 @@ Errors of the prior last over many frames. The weight of a prior per second is t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from recon.animal.prior import ANGLES, MotionPrior
-from recon.base.arrays import Array, Bools, Index
+from recon.base.arrays import Array, Bools, Index, Integers
 from recon.clip import View
 from recon.geometry.frames import euler_rotation_with_jacobian
 from recon.geometry.kinematics import ROOT, YAW, TreePose
@@ -345,6 +345,10 @@ class Reprojection:
     """(T,), frozen: pixels per metre at the animal's distance; None if no `keypoint_bias` is read."""
     name: str = "reprojection"
 
+    def on_own_markers(self, count: int) -> tuple[Integers, Reprojection]:
+        """Return the rows of the markers that this term reads, all of them, and itself."""
+        return np.arange(count), self
+
     @property
     def stencil(self) -> tuple[int, ...]:
         """Return the offsets of the frames between which the pictures were taken."""
@@ -503,6 +507,10 @@ class Heading:
     name: str = "heading"
     stencil: tuple[int, ...] = (0, 1)
 
+    def on_own_markers(self, count: int) -> tuple[Integers, Heading]:
+        """Return the rows of the markers that this term reads, and the term for these markers alone."""
+        return np.array([self.rear, self.front]), replace(self, rear=0, front=1)
+
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         n = len(span.states) - 1
@@ -552,6 +560,10 @@ class StanceVelocity:
     by_size: Array | None = None
     name: str = "stance"
     stencil: tuple[int, ...] = (0, 1)
+
+    def on_own_markers(self, count: int) -> tuple[Integers, StanceVelocity]:
+        """Return the rows of the markers that this term reads, and the term for these markers alone."""
+        return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
         """Return the velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
@@ -606,6 +618,10 @@ class OnGround:
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
+    def on_own_markers(self, count: int) -> tuple[Integers, OnGround]:
+        """Return the rows of the markers that this term reads, and the term for these markers alone."""
+        return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
+
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         n = len(span.states) - 1
@@ -628,7 +644,7 @@ class OnGround:
 
 
 MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
-"""The terms that read the markers (`span.pose`).
+"""The terms that read the markers (`span.pose`), each with a method `on_own_markers`.
 
 Every such term must be listed here. Otherwise a problem without another such term has no markers at all, and fits that
 solve for lengths and offsets lack the term's derivatives.
