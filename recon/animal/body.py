@@ -194,7 +194,7 @@ class Body(Brief):
 
         return replace(
             self,
-            title=f"{self.title}, {size:g} times as large",
+            title=f"{self.title}, {size:.3g} times as large",
             tree=self.tree.scaled(size),
             keypoint_sigma_m=size * self.keypoint_sigma_m,
             marker_sigma_m=size * self.marker_sigma_m,

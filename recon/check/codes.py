@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from recon.base.documents import builtin_file
-from recon.base.numbers import length_text, quantity
+from recon.base.numbers import counted, length_text, quantity
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
@@ -112,6 +112,8 @@ def sentence(item: Finding, named: bool = True) -> str:
     delay = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
     camera, frames_text = item.camera if named else "the camera", _where(item.frames)
     effect = effect_text(numbers)
+    if "count" in numbers:
+        values["count_of_frames"] = counted(numbers["count"], "frame")
     text = words.format(**values, **degrees, **lengths, camera=camera, where=frames_text, late=delay, effect=effect)
     text = re.sub(r"(?<=\d)%", " %", text)
     return f"{item.camera}: {text}" if named and item.camera and "{camera}" not in words else text
@@ -128,8 +130,9 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
     pose_m, position_m = (numbers.get(name, math.nan) for name in EFFECTS)
     if not math.isfinite(pose_m + position_m):
         return ""
-    lengths = f"{1000 * pose_m:.0f} mm and positions by {1000 * position_m:.0f} mm"
-    return f" Without this fault, poses would change by {lengths}."
+    return (
+        f" Without this fault, poses would change by {length_text(pose_m)} and positions by {length_text(position_m)}."
+    )
 
 
 def _speed_text(speed_m_s: float) -> str:

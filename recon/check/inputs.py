@@ -434,6 +434,13 @@ They are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rend
 """
 
 
+UNLIKE_PRIOR = (
+    ", but the prior was learned from moving animals: poses may be further off than stated, and the frame rate cannot "
+    "be checked"
+)
+"""What standing still does to a fit with a prior that was learned from motions."""
+
+
 def movement(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if no animal moves like this over the ground, or if the animal stands still; at most one."""
     solution, posed = motion.solution, motion.solved
@@ -451,9 +458,12 @@ def movement(motion: Motion) -> Iterator[Finding]:
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
-        standing = finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
-        # without a prior of running animals, movement is not expected
-        yield replace(standing, severity="note") if solution.prior == NONE else standing
+        speed_m_s = float(np.nanmedian(speed))
+        if solution.prior == NONE:  # movement is not expected
+            still = finding("animal_still", speed_m_s=speed_m_s, consequence=": the clip has no strides to measure")
+            yield replace(still, severity="note")
+        else:
+            yield finding("animal_still", speed_m_s=speed_m_s, consequence=UNLIKE_PRIOR)
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif sliding is not None:

@@ -353,13 +353,13 @@ def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _
     return value, value - reach, value + reach
 
 
-def interval_text(value: float, sigma: float, unit: str, sign: str = "") -> str:
+def interval_text(value: float, sigma: float, unit: str, sign: str = "", least: float = -np.inf) -> str:
     """Format a value with its interval, such as "16.2 m/s (90 %: 14.2 to 18.1)", or the value alone without sigma.
 
-    If `sign` is "+", positive values get a sign.
+    If `sign` is "+", positive values get a sign. `least` is the smallest possible value.
     """
     _, low, high = interval_of(value, sigma)
-    return interval(value, low, high, unit, level="90 %", sign=sign)
+    return interval(value, low, high, unit, level="90 %", sign=sign, least=least)
 
 
 # -- tracks ----------------------------------------------------------------------------------------------------------

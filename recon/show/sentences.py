@@ -60,7 +60,7 @@ def result_sentences(
 def quantity_text(measure: GaitQuantity, unit: str) -> str:
     """Format a quantity with its 90 % interval and its unit."""
     low, high = measure.interval
-    return interval(measure.value, low, high, unit, level="90 %")
+    return interval(measure.value, low, high, unit, level="90 %", least=measure.bounds[0])
 
 
 def _speed_sentence(
@@ -74,7 +74,7 @@ def _speed_sentence(
     peak_m_s, sigma_m_s, path_m = reference.peak_speed_m_s, reference.peak_speed_sigma_m_s, reference.distance_m
     form = decimals(peak_m_s)
     # A peak that is below its own standard deviation is unknown.
-    peak = "" if sigma_m_s > peak_m_s else f" and at most {interval_text(peak_m_s, sigma_m_s, 'm/s')}"
+    peak = "" if sigma_m_s > peak_m_s else f" and at most {interval_text(peak_m_s, sigma_m_s, 'm/s', least=0.0)}"
     mean_text = f"{reference.mean_speed_m_s:{form}} m/s on average"
     if (speed := quantities.get("speed_m_s")) is not None and speed.sigma < speed.value:
         mean_text = f"{quantity_text(speed, 'm/s')} on average"

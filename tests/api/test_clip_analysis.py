@@ -274,6 +274,8 @@ def test_a_motion_that_was_just_fitted(small_trajectory):
     assert found.joints["spine"].mean_speed_m_s == pytest.approx(9.0, abs=0.05)
     moved, off = found.reference_motion, {"peak_speed_m_s": 10.0, "peak_speed_sigma_m_s": 11.0}
     assert says(next(result_sentences(found.motion, moved, None, None)), "at most", "m/s (90 %:", "to")
+    uncertain = replace(moved, peak_speed_m_s=10.0, peak_speed_sigma_m_s=9.0)
+    assert next(result_sentences(found.motion, uncertain, None, None)).endswith("(90 %: at most 24).")
     exact = replace(moved, peak_speed_sigma_m_s=np.nan)
     assert next(result_sentences(found.motion, exact, None, None)).endswith(" m/s.")
     assert next(result_sentences(found.motion, replace(moved, **off), None, None)).endswith(" m/s on average.")

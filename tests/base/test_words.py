@@ -21,8 +21,18 @@ def test_lengths_of_small_animals_are_in_millimetres(length_m, sigma_m, text):
     assert length_text(length_m, sigma_m) == text
 
 
-@pytest.mark.parametrize(("value", "text"), [(12.34, "12.3"), (1.0, "1.0"), (0.076, "0.08"), (-0.4, "-0.40")])
-def test_speeds_of_small_animals_have_two_decimals(value, text):
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (12.34, "12.3"),
+        (1.0, "1.0"),
+        (0.076, "0.08"),
+        (-0.4, "-0.40"),
+        (0.0, "0.00"),
+        (-0.0047, "-0.005"),
+    ],
+)
+def test_a_small_speed_has_a_digit_that_is_not_zero(value, text):
     assert f"{value:{decimals(value)}}" == text
 
 
