@@ -546,7 +546,7 @@ def test_bars_stand_where_feet_do():
     np.testing.assert_allclose(lines[0].get_segments(), [[(1.1, -0.19), (1.4, -0.19)]])
     (frames,) = axes.child_axes
     np.testing.assert_allclose(frames.get_xlim(), FPS * np.array(axes.get_xlim()))
-    for said in ("ground: unknown (", "stride 2.00 m, 3.33 Hz", "cut by the clip", "complete stride"):
+    for said in ("ground: unknown (", "stride 2.0 m, 3.3 Hz", "cut by the clip", "complete stride"):
         assert said in texts(figure)
 
 

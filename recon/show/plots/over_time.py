@@ -24,7 +24,7 @@ from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
 from recon.base.arrays import Array, Bools
-from recon.base.numbers import percent, plus_minus, quantity
+from recon.base.numbers import decimals, percent, plus_minus, quantity
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance, interval_of
@@ -113,7 +113,8 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
 def _caption(name: str, gait: Gait) -> str:
     text = f"{name}: {gait.name.name} ({gait.name.criterion})"
     if gait.strides:
-        text += f"; stride {gait.stride_length_m:.2g} m, {gait.stride_frequency_hz:.2g} Hz"
+        length_m, frequency_hz = gait.stride_length_m, gait.stride_frequency_hz
+        text += f"; stride {length_m:{decimals(length_m)}} m, {frequency_hz:{decimals(frequency_hz)}} Hz"
     return textwrap.fill(text, 125)
 
 
