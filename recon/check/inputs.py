@@ -460,8 +460,8 @@ def movement(motion: Motion) -> Iterator[Finding]:
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
         speed_m_s = float(np.nanmedian(speed))
         if solution.prior == NONE:  # movement is not expected
-            still = finding("animal_still", speed_m_s=speed_m_s, consequence=": the clip has no strides to measure")
-            yield replace(still, severity="note")
+            standing = finding("animal_still", speed_m_s=speed_m_s, consequence=": the clip has no strides to measure")
+            yield replace(standing, severity="note")
         else:
             yield finding("animal_still", speed_m_s=speed_m_s, consequence=UNLIKE_PRIOR)
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
