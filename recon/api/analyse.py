@@ -24,7 +24,7 @@ from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import Gait, Stride, interval_of, rejection_text
+from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP, Gait, Stride, interval_of, rejection_text
 from recon.gait.quantities import GaitQuantity
 from recon.show.plain import picked, to_json
 from recon.show.tables import DICTIONARY, LONG, TABLES, WORKBOOK, write_analysis
@@ -283,9 +283,8 @@ def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_c
 def _stride_title(stride: Stride | None) -> str:
     """Return the title of figures that show the stride, or the whole clip if there is none."""
     if stride is None:
-        return "whole clip: no complete stride"
-    titles = {"given": "the given stride", "return": f"no complete stride: nearest return of {stride.foot}"}
-    return titles.get(stride.at, f"one stride of {stride.foot}")
+        return STRIDE_WORDS[WHOLE_CLIP].title
+    return STRIDE_WORDS[stride.at].title.format(foot=stride.foot)
 
 
 def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:

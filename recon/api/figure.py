@@ -12,6 +12,7 @@ from recon.base.numbers import counted
 from recon.base.package import version
 from recon.fit.result import TrajectorySolution
 from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,13 +43,6 @@ CAPTIONS: Mapping[str, str] = {
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
 """Captions by figure; figures whose names begin with body_fixed or vector_field have their own captions below."""
-_STEPS: Mapping[str, str] = {
-    "gait": "a stride: the first complete one of the foot with the most strides, which begins at 0 %",
-    "given": "the given stride, which begins at 0 %",
-    "end effector": "the first stride of the end effector, which begins at 0 %",
-    "return": "the time after which the end effector returns; 0 %: its beginning",
-}
-"""Description of the stride of the side view, by the stride's origin."""
 _STRIDE_FIGURE = "joint_flexion"
 BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
 """Figures that use the colours of the left and right sides."""
@@ -163,13 +157,8 @@ def _caption(name: str, analysis: ClipAnalysis) -> str:
     if limb:
         text = f"{text.removesuffix('.')}: {limb.replace('_', ' ')}."
     if name == "side_view":
-        stride = analysis.stride
-        steps = (
-            "the clip, which has no complete stride, with the times of the poses"
-            if stride is None
-            else _STEPS[stride.origin]
-        )
-        text = text.format(steps=steps)
+        origin = WHOLE_CLIP if analysis.stride is None else analysis.stride.at
+        text = text.format(steps=STRIDE_WORDS[origin].caption)
     if name == "speed" and not analysis.reference_motion.why_no_acceleration:
         text = text.replace("Speed", "Speed and acceleration")
     if name == "footfalls" and analysis.gait is not None:

@@ -62,8 +62,12 @@ NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason for the verdict "use" without notes."""
 NOTHING_SERIOUS = "No check found a fault that spoils the result"
 """Beginning of the reason for the verdict "use" with notes."""
-NOT_ALL_CHECKED = "No check that ran found a fault; frame rate, swaps, lens and zoom were not checked."
-"""Reason for the verdict "use" without notes and without a learned prior, which some checks need."""
+_UNCHECKED = "frame rate, swaps, lens and zoom were not checked"
+"""What is not checked without a learned prior."""
+NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
+"""Reason for the verdict "use" without notes and without a learned prior."""
+_NOTHING_SERIOUS_OF_SOME = "No check that ran found a fault that spoils the result"
+"""Beginning of the reason for the verdict "use" with notes and without a learned prior."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -239,6 +243,7 @@ def _verdict(motion: Motion) -> Verdict:
 
 
 def _nothing_against(motion: Motion) -> str:
+    """Return the reason for the verdict on a motion without errors and warnings: what was checked, and its notes."""
     solution = motion.solution
     are_all_checked = not (isinstance(solution, TrajectorySolution) and solution.prior == NONE)
     notes = [item.code for item in motion.findings if item.severity == "note"]
@@ -247,12 +252,14 @@ def _nothing_against(motion: Motion) -> str:
     count = f"{counted(len(notes), 'note')} {'is' if len(notes) == 1 else 'are'} in the report"
     if are_all_checked:
         return f"{NOTHING_SERIOUS}; {count}."
-    ran = NOTHING_SERIOUS.replace("check", "check that ran")
-    return f"{ran}; {count}, and frame rate, swaps, lens and zoom were not checked."
+    return f"{_NOTHING_SERIOUS_OF_SOME}; {count}, and {_UNCHECKED}."
 
 
 def reason_in_list(reason: str | None) -> str:
-    """Return a verdict's reason for a list of clips; "" if no check found a fault that spoils the result."""
+    """Return a verdict's reason for a list of clips; "" if all checks ran and none found a serious fault.
+
+    The reason is compared as text, because it comes from the summary.csv of a batch.
+    """
     return "" if not reason or reason == NOTHING_AGAINST or reason.startswith(NOTHING_SERIOUS) else reason
 
 

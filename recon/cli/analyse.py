@@ -14,7 +14,7 @@ from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import STRIDE_TEXTS, interval_text
+from recon.gait.gait import STRIDE_WORDS, interval_text
 from recon.show.sentences import analysis_sentences
 
 MOST_STANCES = 100
@@ -58,7 +58,7 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
     if (stride := analysis.stride) is not None:
         foot = f"{stride.foot}, " if stride.foot else ""
         times = f"{stride.start_s:.3f} to {quantity(stride.end_s, 3, 's')}"
-        yield f"Phase portraits: {foot}{times}, {STRIDE_TEXTS[stride.at]}."
+        yield f"Phase portraits: {foot}{times}, {STRIDE_WORDS[stride.at].ends}."
     if analysis.gait is not None and len(analysis.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
         for s in analysis.gait.stances:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of, verdict_texts
-from recon.gait.gait import STRIDE_TEXTS
+from recon.gait.gait import STRIDE_WORDS
 from recon.ik.clip import IkSettings, run_ik
 from recon.ik.cost_study import GROWTH, TURNS
 
@@ -36,7 +36,7 @@ def ik(settings: IkSettings) -> Answer:
 
 def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     stride = summary["stride"]
-    origin = STRIDE_TEXTS[stride["how"]]
+    origin = STRIDE_WORDS[stride["how"]].ends
     yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
     if summary["misfit_m"]:
         yield (

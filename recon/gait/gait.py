@@ -41,7 +41,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -112,17 +112,41 @@ MOST = 2 / 3
 
 
 WHOLE_CLIP = "whole clip"
-STRIDE_TEXTS = {
-    "given": "as given",
-    "gait": "from one touch-down, or lift-off, of the foot to the next",
-    "touchdown": "from touch-down to touch-down",
-    "lift-off": "from lift-off to lift-off",
-    "end effector": "between two rearmost positions of the foot",
-    "return": "the clip has no complete stride: from a position of the foot to its nearest return there",
-    WHOLE_CLIP: "the clip has no complete stride: the whole clip",
+
+
+class StrideWords(NamedTuple):
+    """How messages and figures call a stride."""
+
+    ends: str
+    """What the stride begins and ends with."""
+    title: str = "one stride of {foot}"
+    """Title of a figure of the stride."""
+    caption: str = "a stride: the first complete one of the foot with the most strides, which begins at 0 %"
+    """Part of the side view's caption."""
+
+
+STRIDE_WORDS: Mapping[str, StrideWords] = {
+    "given": StrideWords("as given", "the given stride", "the given stride, which begins at 0 %"),
+    "gait": StrideWords("from one touch-down, or lift-off, of the foot to the next"),
+    "touchdown": StrideWords("from touch-down to touch-down"),
+    "lift-off": StrideWords("from lift-off to lift-off"),
+    "end effector": StrideWords(
+        "between two rearmost positions of the foot",
+        caption="the first stride of the end effector, which begins at 0 %",
+    ),
+    "return": StrideWords(
+        "the clip has no complete stride: from a position of the foot to its nearest return there",
+        "no complete stride: nearest return of {foot}",
+        "the time after which the end effector returns; 0 %: its beginning",
+    ),
+    WHOLE_CLIP: StrideWords(
+        "the clip has no complete stride: the whole clip",
+        "whole clip: no complete stride",
+        "the clip, which has no complete stride, with the times of the poses",
+    ),
 }
-"""Descriptions of the stride that phase portraits and inverse kinematics show, by the event at its ends (`Stride.at`);
-"gait" for a touch-down or a lift-off, and `WHOLE_CLIP` without a stride.
+"""Words for a stride by the event at its ends (`Stride.at`); "gait" is a touch-down or a lift-off, and `WHOLE_CLIP` is
+used without a stride.
 """
 
 
@@ -239,7 +263,7 @@ class Stride:
     """One stride: the time from one touch-down of a foot to the next.
 
     If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
-    given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_TEXTS` describes the
+    given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_WORDS` describes the
     others.
     """
 

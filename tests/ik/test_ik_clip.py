@@ -17,7 +17,7 @@ from shortcuts import shorten_cost_study
 from recon.cli.ik import CLOSES_PERCENT
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import STRIDE_TEXTS, pose_gait
+from recon.gait.gait import STRIDE_WORDS, pose_gait
 from recon.ik.clip import METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
 from recon.ik.figures import parameter_series
@@ -394,7 +394,7 @@ def test_the_nearest_return_has_the_same_sentence_in_analyse_and_ik(frame_result
     follow = "--follow", "stride", "--dim"
     for i, arguments in enumerate((("analyse",), ("ik", *follow, "2"), ("ik", *follow, "3"))):
         done = run(*arguments, folder, "--no-figures", "--out", tmp_path / str(i))
-        assert says(" ".join(done.out.split()), f"{start_s:.3f} to", f"s, {STRIDE_TEXTS['return']}")
+        assert says(" ".join(done.out.split()), f"{start_s:.3f} to", f"s, {STRIDE_WORDS['return'].ends}")
 
 
 def test_a_stride_of_ones_own(frame_results, tmp_path):
