@@ -69,6 +69,11 @@ _PRIOR_COUNT = 8
 """Number of unknowns that the expected variance counts as."""
 _NOISE_ROUNDS = 2
 """Rounds for the noise of detections about their keypoint bias."""
+_EXPLAINED = 0.05
+"""Least fraction of the detections, or of their squared residuals, that shared unknowns explain in a second round.
+
+At this fraction the second round changes variances by 0.1 % (300 simulated frames of six cameras).
+"""
 _NOISE_FACTOR = (0.05, 4.0)
 """Smallest and largest factor on this noise in one round."""
 
@@ -309,11 +314,15 @@ def _with_reestimated_noise(
         covariance = np.linalg.inv(shared_curvature.precision)
         gradient, expected = shared_curvature.gradient, shared_curvature.expected_precision
         step = covariance @ gradient  # of the shared unknowns, to the best bias
-        squares = all_squares / factor - float(gradient @ step + expected @ step**2)
+        shared_squares = float(gradient @ step + expected @ step**2)
+        squares = all_squares / factor - shared_squares
         shared_detections = variance_factor * (len(step) - float(expected @ np.diagonal(covariance)))
         noise_detections = max(detections - shared_detections, 1.0)
+        explained = max(shared_squares * factor / max(all_squares, 1.0), shared_detections / max(detections, 1))
         factor *= float(np.clip(constants.NOISE_ABOUT_BIAS * squares / noise_detections, *_NOISE_FACTOR))
         scaled = _with_noise_factor(problem, factor)
+        if explained < _EXPLAINED:
+            break
     return scaled, equations.normal(factor)
 
 

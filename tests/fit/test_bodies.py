@@ -35,6 +35,7 @@ from recon.api.skeleton_check import check_skeleton
 from recon.api.skeleton_draft import SkeletonDraftSettings, draft_from_points, draft_skeleton
 from recon.cli.models import skeleton_from_keypoints
 from recon.clip import View, camera_poses, still_view
+from recon.fit import posterior, starts
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.posterior import with_reestimated_noise
 from recon.fit.result import TrajectorySolution
@@ -194,6 +195,34 @@ def test_keypoint_bias_is_no_noise(cameras):
         assert now == given
     else:
         assert 0.8 * rigs.SIGMA_PX < noise_px * np.sqrt(given / now) < 1.3 * rigs.SIGMA_PX
+
+
+@pytest.mark.parametrize(("explained", "rounds"), [(0.0, 2), (1.0, 1)])
+def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, rounds, monkeypatch):
+    """In this short clip, it explains a quarter of the detections, and even so the first round is right to a tenth."""
+    body = load_skeleton("human-25")
+    views, _ = rigs.random_clip(body, 0.0, 2, 0)
+    setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
+    (one,) = solve_segments(setting)
+    usual = with_reestimated_noise(one.problem, one.estimate, setting.correlation_frames).terms[0].view.confidence
+    made, of_problem = [], posterior._shared_curvature
+    monkeypatch.setattr(posterior, "_EXPLAINED", explained)
+    monkeypatch.setattr(posterior, "_shared_curvature", lambda *at, **how: made.append(at) or of_problem(*at, **how))
+    counted = with_reestimated_noise(one.problem, one.estimate, setting.correlation_frames)
+    assert len(made) == rounds
+    np.testing.assert_allclose(counted.terms[0].view.confidence, usual, rtol=0.1)
+
+
+def test_several_cameras_try_only_headings_that_they_may_see(monkeypatch):
+    """The other headings lead to the same minimum or to costlier ones."""
+    body = load_skeleton("human-25")
+    views, _ = rigs.random_clip(body, 0.0, 3, 0)
+    setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions())
+    few = starts.approach(setting)
+    monkeypatch.setattr(starts, "_WORSE", np.inf)
+    every = starts.approach(setting)
+    assert len(few) < len(every)
+    assert few[0].cost == pytest.approx(every[0].cost, rel=1e-2)
 
 
 def test_a_drone_that_hovers_does_not_tell_the_size():
