@@ -369,6 +369,7 @@ def two_cameras(world_trajectory: Motion) -> Motion:
         views=(*motion.solution.views, still_view(camera, xy_px, seen.astype(float))),
         noise_px=np.concatenate([motion.solution.noise_px, np.full((1, *seen.shape), 20.0)]),
         weight=np.concatenate([motion.solution.weight, np.where(seen, 0.5, np.nan)[None]]),
+        time_offset_frames=np.zeros(2),
         time_offset_sigma_frames=np.full(2, 0.1),
         extrinsic_correction=np.zeros((2, 6)),
         extrinsic_correction_sigma=np.zeros((2, 6)),

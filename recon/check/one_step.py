@@ -18,7 +18,7 @@ from recon.fit.clip_problem import ClipProblem, contacts
 from recon.fit.least_squares import Estimate, SharedUnknown
 from recon.fit.posterior import curvature
 from recon.fit.result import TrajectorySolution
-from recon.fit.terms import SIZE, PointRows, Reprojection, Span
+from recon.fit.terms import SIZE, PointRows, Reprojection, ReprojectionErrors, Scene, Span, offset_values
 
 _EXTRA = "one more unknown"
 _FREE = 10.0
@@ -55,12 +55,11 @@ class Step:
 class _ExtendedReprojection(Reprojection):
     by_unknown: ByUnknown | None = None
 
-    def point_rows(self, span: Span) -> PointRows:
+    def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
         """Return the rows of `Reprojection` with the derivatives with respect to the unknown."""
-        rows, scene = super().point_rows(span), self._scene(span)
+        rows = super()._rows_of(span, scene, errors)
         if self.by_unknown is None:
             return rows
-        errors = self._errors(scene, span, jacobian=True)
         weight = self._root_weights(scene, errors) / scene.sigma_px
         drift_m = np.zeros_like(scene.points_m) if self.drift_m is None else self.drift_m[scene.frames]
         detections = Detections(
@@ -99,7 +98,8 @@ def one_steps(
     segment = solution.longest_segment
     if segment is None:
         return {}
-    clip, noise_px = replace(clip.part(segment.rows), prior_weight=segment.prior_weight), solution.noise_px
+    clip, noise_px = clip.part(segment.rows).before_offsets(solution.time_offset_frames), solution.noise_px
+    clip = replace(clip, prior_weight=segment.prior_weight)
     states = clip.nominal(solution.states[segment.rows], solution.size)
     points_m = clip.markers(states)
     contact_terms = contacts(clip, points_m, solution.size)[-1] if clip.finds_ground else ()
@@ -111,7 +111,7 @@ def one_steps(
     extra = [SharedUnknown(_name(camera), np.zeros(1), np.full(1, _FREE)) for camera in unknowns]
     free, nuisance = ([u for u in group if u.name not in fixed] for group in (problem.shared, problem.nuisance))
     problem = replace(problem, terms=terms, shared=[*free, *extra], nuisance=nuisance)
-    values = problem.expected()
+    values = problem.expected() | offset_values(solution.time_offset_frames)
     if SIZE in values:
         values[SIZE] = np.array([solution.size])
     at_solution = curvature(problem, Estimate(states, 0.0, 0, True, values), clip.correlation_frames)

@@ -186,6 +186,16 @@ class ClipProblem:
         )
         return replace(thin, views=views, fps=self.fps / step)
 
+    def before_offsets(self, offsets_frames: Array) -> ClipProblem:
+        """Return the problem without estimated time offsets (V,) in its views, which become values of unknowns again.
+
+        As in the fit, the cameras are then in step, and their normal equations are computed together.
+        """
+        views = zip(self.views, offsets_frames, strict=True)
+        return replace(
+            self, views=tuple(replace(view, offset_frames=view.offset_frames - frames) for view, frames in views)
+        )
+
     # -- the scene ------------------------------------------------------------------------------------------------
 
     @property

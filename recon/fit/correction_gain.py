@@ -36,7 +36,7 @@ from recon.fit.banded import Normal, eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.result import TrajectorySolution
-from recon.fit.terms import SIDESLIP, SIZE
+from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
 _MOST_WEIGHT = 0.99
 """Largest weight w for which P is computed."""
@@ -86,6 +86,7 @@ def problems_at(
     """
     size = solution.size if clip.shows_size else 1.0
     values = {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
+    values |= offset_values(solution.time_offset_frames)
     nominal = clip.nominal(solution.states, solution.size)
     for segment in solution.segments:
         rows, states = segment.rows, nominal[segment.rows]
@@ -94,7 +95,8 @@ def problems_at(
             continue
         points = part.markers(states)
         contact_terms = contacts(part, points, size)[2] if part.finds_ground else ()
-        problem = part.problem(solution.noise_px[:, rows], 1.0, contact_terms, points, size)
+        in_step = part.before_offsets(solution.time_offset_frames)
+        problem = in_step.problem(solution.noise_px[:, rows], 1.0, contact_terms, points, size)
         shared = {name: (problem.expected() | values)[name] for name in problem.columns}
         yield rows, part, problem, Estimate(states, 0.0, 0, True, shared)
 

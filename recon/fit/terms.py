@@ -50,6 +50,11 @@ def time_offset(view: int) -> str:
     return f"time offset {view}"
 
 
+def offset_values(offsets_frames: Array) -> dict[str, Array]:
+    """Return the values of the cameras' time offsets (V,), by name."""
+    return {time_offset(i): np.array([frames]) for i, frames in enumerate(offsets_frames)}
+
+
 def keypoint_bias(view: int) -> str:
     """Return the name of shared unknowns (2J,): keypoints minus markers of a view, metres right and down."""
     return f"keypoint bias {view}"
@@ -306,7 +311,7 @@ class PoseMixture:
 
 
 @dataclass(frozen=True)
-class _Scene:
+class Scene:
     """Scene of a camera in N frames of a span, with the shared unknowns applied."""
 
     frames: slice
@@ -380,9 +385,11 @@ class Reprojection:
     def point_rows(self, span: Span) -> PointRows:
         """Return the residuals of the detections, with derivatives with respect to markers and shared unknowns."""
         scene = self._scene(span)
-        view, sigma = scene.view, scene.sigma_px
-        errors = self._errors(scene, span, jacobian=True)
-        seen = errors.seen
+        return self._rows_of(span, scene, self._errors(scene, span, jacobian=True))
+
+    def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
+        """Return `point_rows`, of errors with derivatives."""
+        view, sigma, seen = scene.view, scene.sigma_px, errors.seen
         root_weight = self._root_weights(scene, errors)[..., None]
         by_point = errors.by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
@@ -404,7 +411,7 @@ class Reprojection:
             errors.cost, errors.in_sigmas * root_weight, by_point * scene.size, by_shared, self.number, by_bias
         )
 
-    def _errors(self, scene: _Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
+    def _errors(self, scene: Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
         """Return the errors of the detections; with `jacobian`, also the derivatives of the projections."""
         view = scene.view
         if jacobian:
@@ -422,12 +429,12 @@ class Reprojection:
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
         return ReprojectionErrors(cost, e, q, seen, unbiased_px, by_point)
 
-    def _root_weights(self, scene: _Scene, errors: ReprojectionErrors) -> Array:
+    def _root_weights(self, scene: Scene, errors: ReprojectionErrors) -> Array:
         """Return the square roots (N, J) of the robust weights times the confidences, 0 for markers not seen."""
         confidence = np.where(scene.view.present, scene.view.confidence, 0.0)
         return np.sqrt(np.where(errors.seen, confidence / (1.0 + errors.squares), 0.0))
 
-    def _scene(self, span: Span) -> _Scene:
+    def _scene(self, span: Span) -> Scene:
         """Return the markers when the pictures were taken, and the camera with its corrections."""
         parts = self._parts(span)
         points_m = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
@@ -442,12 +449,12 @@ class Reprojection:
         if (log_focal := span.shared.get(focal_scale(self.number))) is not None:
             view = view.with_focal_scale(float(log_focal[0]))
         world_m = self.origin_m + size * points_m
-        return _Scene(frames, parts, points_m, size, world_m, given_view, view, self.sigma_px[frames])
+        return Scene(frames, parts, points_m, size, world_m, given_view, view, self.sigma_px[frames])
 
     def _bias_m(self, span: Span) -> Array | None:
         return span.shared.get(keypoint_bias(self.number))
 
-    def _by_scene(self, span: Span, scene: _Scene, by_point: Array) -> dict[str, Array]:
+    def _by_scene(self, span: Span, scene: Scene, by_point: Array) -> dict[str, Array]:
         """Return the derivatives with respect to the size and the time offset, if they are unknown."""
         N, J = by_point.shape[:2]
         by_shared: dict[str, Array] = {}

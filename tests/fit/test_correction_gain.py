@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from recon import Motion
-from recon.animal.prior import load_prior
+from recon.animal.prior import load_prior, prior_from_body
+from recon.animal.skeleton_file import load_skeleton
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.correction_gain import (
     _covariance_and_derivative,
@@ -16,6 +17,9 @@ from recon.fit.correction_gain import (
     problems_at,
 )
 from recon.fit.result import TrajectorySolution
+from recon.fit.terms import Reprojection, time_offset
+from recon.fit.trajectory import solve_trajectory
+from recon.testing import rigs
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +63,23 @@ def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: M
     np.testing.assert_allclose(Z[5], inverse[5, :, 5], rtol=1e-5, atol=1e-9)
     whole = np.einsum("asb,sbc,scd->ad", inverse[5], G, inverse[:, :, 5], optimize=True)
     np.testing.assert_allclose(Q[5], whole, rtol=2e-3, atol=2e-3 * np.abs(whole).max())
+
+
+def test_the_last_frame_of_cameras_out_of_step_is_seen_as_well_as_the_others():
+    """An estimated offset is a value of its unknown, as in the fit: interpolated pictures would need a next frame."""
+    body = load_skeleton("human-25")
+    prior, options = prior_from_body(body), TrajectoryOptions(fast=True)
+    views, _ = rigs.random_clip(body, 0.0, 2, 0)
+    solution = solve_trajectory(views, body, prior, rigs.FPS, options)
+    assert np.abs(solution.time_offset_frames).min() > 0
+    ((_, _part, problem, estimate),) = problems_at(
+        ClipProblem.from_views(solution.views, body, prior, rigs.FPS, options), solution
+    )
+    assert all(term.stencil == (0,) for term in problem.terms if isinstance(term, Reprojection))
+    (offset,) = estimate.shared[time_offset(1)]
+    assert offset == solution.time_offset_frames[1]
+    gain_m2 = np.nanmedian(correction_gain_m2(solution, prior, rigs.FPS, options), axis=2)
+    assert (gain_m2[:, -1] < 4 * gain_m2[:, -2]).all()
 
 
 def test_a_missing_detection_gains_more_than_one_that_is_used(solved: Motion):
