@@ -233,7 +233,8 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
     """Return the problem of a file whose names are not those of the skeleton, with a solution.
 
-    The solution is another skeleton, a built-in map, or a map of which the problem shows the first lines.
+    The solution is another skeleton, a built-in map, or a map whose lines the problem shows, unless a built-in one has
+    every name.
     """
     detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
     if matching := skeleton_of(names):
@@ -244,6 +245,8 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
     else:
         fits = maps and 2 * load_names(maps[0]).common(names, {*wanted}) >= min(len(names), len(wanted))
         hint = f"--rename {maps[0]}, or" if fits else "another animal's --skeleton, or"
+        if maps and load_names(maps[0]).common(names, {*wanted}) == len(names):
+            return Problem(source, "bodyparts", detail, f"those of the skeleton {skeleton}: --rename {maps[0]}")
     expected = f"those of the skeleton {skeleton}: {', '.join(wanted)}; {hint} --rename with a file of these lines, "
     return Problem(source, "bodyparts", detail, f"{expected}completed", tuple(map_to_write(names, wanted)))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -62,7 +62,21 @@ class InputError(ValueError):
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
-        super().__init__("\n".join(line for p in self.problems for line in p.lines))
+        super().__init__("\n".join(line for p in self.merged for line in p.lines))
+
+    @property
+    def merged(self) -> tuple[Problem, ...]:
+        """Return the problems, those that differ only in the file as one.
+
+        The files of a clip's cameras have the same names of keypoints, and the message would repeat all of them.
+        """
+        files: dict[Problem, dict[str | Path, None]] = {}
+        for problem in self.problems:
+            files.setdefault(replace(problem, file=""), {})[problem.file] = None
+        return tuple(
+            replace(problem, file=", ".join(map(str, same)) if len(same) > 1 else next(iter(same)))
+            for problem, same in files.items()
+        )
 
     def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Problem, ...]]]:
         """Return how to make the error again, so that it passes from a worker process to its parent."""

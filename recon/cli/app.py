@@ -432,7 +432,7 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        for problem in error.problems:
+        for problem in error.merged:
             first, *lines = problem.lines
             console.print(error_text(first), *lines, sep="\n")
         sys.exit(EXIT_BAD_INPUT)

@@ -195,8 +195,10 @@ def one_animal(
     names, values, frames, likelihood = stored.names, stored.values, stored.frames, stored.likelihood
     if values.ndim == 3:
         values, likelihood = values[:, None], None if likelihood is None else likelihood[:, None]
+    if not len(values):
+        raise InputError(Problem(path, "points", "no frames", "at least one frame: a row below the header of a table"))
     if values.ndim != 4 or values.shape[3] not in (2, 3) or not values.size:
-        entries = f"an array of shape {values.shape}" if len(values) else "no frames"
+        entries = f"an array of shape {values.shape}"
         raise InputError(Problem(path, "points", entries, "frames x animals x points x 2 or 3, each at least one"))
     T, N, K, _ = values.shape
     blocks = (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N)))

@@ -20,6 +20,7 @@ from recon.animal.naming import (
     load_names,
     map_to_write,
     new_names,
+    problem_of_names,
     renamed,
     skeleton_of,
     suggestions,
@@ -374,6 +375,15 @@ def test_few_names_are_refused_with_the_map_to_write(tmp_path):
     written = in_file(tmp_path, "\n".join(problem.details))
     (source,) = prepare(settings(clip, rename=written)).sources
     assert {"l_eye", "r_front_paw", "l_back_knee"} <= {*source.file_names}
+
+
+def test_a_built_in_map_of_all_names_needs_no_map_of_ones_own():
+    names = [*load_names("rat-23").names]
+    wanted = load_skeleton("rat").markers
+    problem = problem_of_names(names, wanted, "rat", "clip.csv")
+    assert problem.expected.endswith("--rename rat-23")
+    assert not problem.details
+    assert problem_of_names([*names, "TailTip"], wanted, "rat", "clip.csv").details
 
 
 def test_renaming_works_in_files_of_several_animals(tmp_path):

@@ -35,6 +35,16 @@ def test_what_follows_a_problem():
     assert str(error) == lines
 
 
+def test_the_same_problem_of_several_files_is_said_once():
+    of_cameras = [Problem(f"cam{n}.csv", "names", "x", "y", ("file,skeleton", "x,")) for n in (1, 2)]
+    error = InputError([*of_cameras, Problem("cam1.csv", "names", "x", "z"), of_cameras[0]])
+    assert str(error).splitlines() == [
+        *("cam1.csv, cam2.csv: names: found x, expected y", "file,skeleton", "x,"),
+        "cam1.csv: names: found x, expected z",
+    ]
+    assert len(error.problems) == 4
+
+
 @pytest.mark.parametrize(
     "other",
     [
