@@ -19,7 +19,7 @@ import multiprocessing
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
@@ -329,28 +329,7 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
         summary("trajectory, subject, fast", fast) | {"solve_s": mean(f.solve_s for f in fast)},
     ]
     metas = [meta_of(run) for run in runs]
-    frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
-    compared.append(
-        {
-            "method": "frame, nine joints, published ratios",
-            "named mpjpe_mm": mean(r["mpjpe_mm"] for r in frame),
-            "named mpe_mm": mean(r["mpe_mm"] for r in frame),
-            "mpe_mm without 2019": mean(r["mpe_mm"] for r in frame if not r["run"].startswith("2019")),
-            "solve_s": mean(r["clip_s"] for r in frame),
-        }
-    )
-    for name in metas[0].get("published", {}):
-        published = [meta["published"][name] for meta in metas]
-        ours = [p for p, run in zip(published, runs, strict=True) if not run.name.startswith("2019")]
-        compared.append(
-            {
-                "method": f"published: {name}",
-                "named mpjpe_mm": mean(p["mpjpe_mm"] for p in published),
-                "named mpe_mm": mean(p["mpe_mm"] for p in published),
-                "mpe_mm without 2019": mean(p["mpe_mm"] for p in ours),
-                "solve_s": mean(p["solve_s"] for p in published),
-            }
-        )
+    compared += [_frame_method(runs, metas), *_published_methods(runs, metas)]
     by_run = [
         {"run": run.name, "trajectory mm": next(f.mpjpe_mm for f in full if f.named and f.job.run == run)}
         | {f"{name} mm": p["mpjpe_mm"] for name, p in meta.get("published", {}).items()}
@@ -361,6 +340,32 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
         "accuracy, compared": compared,
         "accuracy, MPJPE of the named views by run": by_run,
     }
+
+
+def _frame_method(runs: Sequence[Path], metas: Sequence[Mapping]) -> dict:
+    """Return the figures of the frame method with the published settings, for the named views."""
+    frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
+    return {
+        "method": "frame, nine joints, published ratios",
+        "named mpjpe_mm": mean(r["mpjpe_mm"] for r in frame),
+        "named mpe_mm": mean(r["mpe_mm"] for r in frame),
+        "mpe_mm without 2019": mean(r["mpe_mm"] for r in frame if not r["run"].startswith("2019")),
+        "solve_s": mean(r["clip_s"] for r in frame),
+    }
+
+
+def _published_methods(runs: Sequence[Path], metas: Sequence[Mapping]) -> Iterator[dict]:
+    """Yield the figures that were published for the named views, by method."""
+    for name in metas[0].get("published", {}):
+        published = [meta["published"][name] for meta in metas]
+        earlier = [p for p, run in zip(published, runs, strict=True) if not run.name.startswith("2019")]
+        yield {
+            "method": f"published: {name}",
+            "named mpjpe_mm": mean(p["mpjpe_mm"] for p in published),
+            "named mpe_mm": mean(p["mpe_mm"] for p in published),
+            "mpe_mm without 2019": mean(p["mpe_mm"] for p in earlier),
+            "solve_s": mean(p["solve_s"] for p in published),
+        }
 
 
 def size(runs: Sequence[Path]) -> dict[str, Rows]:

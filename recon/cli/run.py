@@ -321,7 +321,6 @@ def _check_inputs(job: _Job) -> None:
 def _stages(job: _Job) -> dict[str, _Stage]:
     """Return the stages of a job by name."""
     run_settings, fit_settings, out = job.run, job.settings, job.run.out
-    keypoints = fit_settings.keypoints[0]
     manifest_file = {"fit": out / MANIFEST}
     video_file = {"video": run_settings.video}
     first_frame = {"first_frame": run_settings.first_frame}
@@ -336,29 +335,9 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
     stages = {}
     if run_settings.model is not None:
-        network = video_file | {"model": _model_file(run_settings.model)}
-        made_from = partial(identity_of, network, {})
-        network_output = output("predict")
-        work = partial(_detect, job, network_output)
-        stages["detect"] = _Stage(work, made_from, network_output, (keypoints.name,))
+        stages["detect"] = _detection_stage(job, run_settings.model, output("predict"))
     if run_settings.camera_motion is not None and fit_settings.camera is not None:
-        motion_settings = settings_for_clip(
-            fit_settings,
-            run_settings.video,
-            run_settings.track,
-            **first_frame,
-            zoom=run_settings.camera_motion == "zooms",
-            overwrite=True,
-        )
-        files = video_file | {"camera": fit_settings.camera[0], "keypoints": keypoints}
-        parameters = (
-            first_frame
-            | {"motion": run_settings.camera_motion}
-            | picked(fit_settings, "camera_name", "tilt_deg", "individual")
-        )
-        track = output("camera-motion")
-        work, made_from = partial(camera_motion_answer, motion_settings, track), partial(identity_of, files, parameters)
-        stages["camera-motion"] = _Stage(work, made_from, track, motion_files(run_settings.track))
+        stages["camera-motion"] = _camera_motion_stage(job, fit_settings.camera[0], output("camera-motion"))
     analysis = AnalyseSettings(folder=out, overwrite=True)
     overlay_settings = OverlaySettings(out=out / OVERLAY, overwrite=True, **view_options)
     from_fit = partial(identity_of, manifest_file, {})
@@ -373,6 +352,30 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         "playback": _Stage(partial(_record, recording), from_video, output("view"), (VIDEO_PLAYBACK,)),
         "page": _Stage(partial(report, PageSettings(**view_options)), from_video, output("report"), (PAGE,)),
     }
+
+
+def _detection_stage(job: _Job, model: Path, output: Output) -> _Stage:
+    """Return the stage that finds the keypoints with a network."""
+    made_from = partial(identity_of, {"video": job.run.video, "model": _model_file(model)}, {})
+    return _Stage(partial(_detect, job, output), made_from, output, (job.settings.keypoints[0].name,))
+
+
+def _camera_motion_stage(job: _Job, camera: Path, output: Output) -> _Stage:
+    """Return the stage that follows the camera's motion in the video."""
+    run_settings, fit_settings = job.run, job.settings
+    first_frame = {"first_frame": run_settings.first_frame}
+    does_zoom = run_settings.camera_motion == "zooms"
+    motion_settings = settings_for_clip(
+        fit_settings, run_settings.video, run_settings.track, **first_frame, zoom=does_zoom, overwrite=True
+    )
+    files = {"video": run_settings.video, "camera": camera, "keypoints": fit_settings.keypoints[0]}
+    parameters = (
+        first_frame
+        | {"motion": run_settings.camera_motion}
+        | picked(fit_settings, "camera_name", "tilt_deg", "individual")
+    )
+    work, made_from = partial(camera_motion_answer, motion_settings, output), partial(identity_of, files, parameters)
+    return _Stage(work, made_from, output, motion_files(run_settings.track))
 
 
 def _detect(job: _Job, output: Output, progress: Progress) -> Answer:

@@ -443,16 +443,10 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     }
     # Score the network as it was calibrated, before it learned from the validation pictures.
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
-    # In other pictures, a disagreement may be the network's error.
     learned = np.concatenate([split["train"], split["validation"]])
-    learned_points = np.full_like(xy_px, np.nan)
-    learned_points[learned] = xy_px[learned]
     learned_px = median(errors[learned])
     is_fit = bool(learned_px <= FITS * spec.tolerance_px)
-    suspects = suspicious_labels(run.labels, learned_points, spec.body_length_px) if is_fit else []
-    held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
-    best = min(held_out, key=lambda row: row["validation_px"], default=None)
-    first = [int(row["step"]) for row in history if "finishing" not in row]
+    suspects = _suspects_among(learned, run, xy_px) if is_fit else []
     report = {
         "recon": __version__,
         "torch": str(net.require_torch().__version__),
@@ -468,8 +462,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "labelled_points": {name: int(run.labels.labelled[indices].sum()) for name, indices in split.items()},
         "steps": state.step,
         "seconds": round(state.seconds, 1),
-        "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
-        "validation_in_training_from": max(first, default=None),
+        **_validation_fields(history),
         "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
         "reliability_validation": reliability_before,
         "errors": judged,
@@ -485,6 +478,27 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     style.save(training_figure(history), folder, "training")
     _write_worst(run.labels, errors, xy_px, unlearned if len(unlearned) else split["train"], folder / "worst.png")
     return report
+
+
+def _suspects_among(learned: Integers, run: TrainingRun, xy_px: Array) -> list[dict[str, Any]]:
+    """Return the suspicious labels of pictures that were learned from, with these indices.
+
+    In other pictures, a disagreement may be the network's error.
+    """
+    learned_points = np.full_like(xy_px, np.nan)
+    learned_points[learned] = xy_px[learned]
+    return suspicious_labels(run.labels, learned_points, run.spec.body_length_px)
+
+
+def _validation_fields(history: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the best error in pictures that were held out, and the step from which they were learned from, too."""
+    before_finish = [row for row in history if "finishing" not in row]
+    held_out = [row for row in before_finish if "validation_px" in row]
+    best = min(held_out, key=lambda row: row["validation_px"], default=None)
+    return {
+        "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
+        "validation_in_training_from": max((int(row["step"]) for row in before_finish), default=None),
+    }
 
 
 def _errors_of_part(

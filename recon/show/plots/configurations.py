@@ -120,19 +120,11 @@ def composites(
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
             if inside.any():
-                for axes, horizontal in ((cells["side"], 0), (cells["front"], 1)):
-                    ends = _ends_of_ground(points[inside].reshape(-1, 3), horizontal)
-                    height_m = -plane.above(ends @ R + origin)
-                    axes.plot(ends[:, horizontal], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
+                _draw_ground(cells, points[inside].reshape(-1, 3), R, origin, plane)
         cells["side"].tick_params(labelbottom=False)
-        for (axes, *_), label, upwards in zip(
-            panels, ("", "along the run (m)", "left (m)"), ("height", "left", "height"), strict=True
-        ):
-            axes.set_xlabel(label)
-            axes.set_ylabel(f"{upwards} (m)")
-            # Fix the distance of the label, because equal scales change the axis numbers after the layout.
-            outside = axes.transAxes + ScaledTranslation(-_NUMBERS_MM * style.MM, 0.0, figure.dpi_scale_trans)
-            axes.yaxis.set_label_coords(0.0, 0.5, outside)
+        labels = ("", "height"), ("along the run", "left"), ("left", "height")
+        for (axes, *_), (across, upwards) in zip(panels, labels, strict=True):
+            _label_axes(figure, axes, across, upwards)
         cells["key"].axis("off")
         handles = _handles({sides.get(limb) for limb in limbs}, ground is not None)
         cells["key"].legend(handles=handles, loc="center", ncols=2)
@@ -146,6 +138,26 @@ def composites(
         )
         bar.ax.plot(time_s[rows], np.full(len(rows), 0.5), "k|", ms=5, transform=bar.ax.get_xaxis_transform())
     return figure
+
+
+def _draw_ground(cells: Mapping[str, Axes], points_m: Array, R: Array, origin_m: Array, plane: Plane) -> None:
+    """Draw the plane of the ground under points (N, 3) into the side and the front view.
+
+    R (3, 3) and `origin_m` (3,) are the frame of the run, as `run_frame` returns them.
+    """
+    for axes, horizontal in ((cells["side"], 0), (cells["front"], 1)):
+        ends = _ends_of_ground(points_m, horizontal)
+        height_m = -plane.above(ends @ R + origin_m)
+        axes.plot(ends[:, horizontal], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
+
+
+def _label_axes(figure: Figure, axes: Axes, across: str, upwards: str) -> None:
+    """Label the axes of a view, in metres; without a label if `across` is empty."""
+    axes.set_xlabel(across and f"{across} (m)")
+    axes.set_ylabel(f"{upwards} (m)")
+    # Fix the distance of the label, because equal scales change the axis numbers after the layout.
+    to_the_left = ScaledTranslation(-_NUMBERS_MM * style.MM, 0.0, figure.dpi_scale_trans)
+    axes.yaxis.set_label_coords(0.0, 0.5, axes.transAxes + to_the_left)
 
 
 def _draw_pose(
