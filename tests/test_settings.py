@@ -418,14 +418,12 @@ def test_a_setting_that_is_no_option_is_checked():
     refused(given, *problems, height)
 
 
-def test_a_setting_of_several_values_is_set_several_times(monkeypatch):
-    seen = []
-    monkeypatch.setattr("recon.api.clip_results.read_settings", lambda config, given: seen.append(given))
-    with pytest.raises(InputError):
-        app(["fit", "a.csv", "--set", "offset-s=0", "--set", "offset_s=0.5", "--set", "fast=true", "--no-fix-swaps"])
-    assert seen[0]["offset_s"] == ["0", "0.5"]
-    assert (seen[0]["fast"], seen[0]["fix_swaps"]) == ("true", False)
-    assert FitSettings(keypoints=["a", "b"], camera="c", offset_s=seen[0]["offset_s"]).offset_s == (0.0, 0.5)  # pyright: ignore
+def test_a_setting_of_several_values_is_set_several_times(tmp_path):
+    for name in ("a.csv", "c.toml"):
+        (tmp_path / name).write_text("not read")
+    given = ["fit", tmp_path / "a.csv", "--camera", tmp_path / "c.toml", "--out", tmp_path / "x"]
+    given += ["--set", "offset-s=0", "--set", "offset_s=0.5"]
+    refused(given, ("--set offset-s", "offset_s", "2: 0.0, 0.5", "one value for each keypoint file, that is 1"))
 
 
 def test_every_command_says_what_it_does():

@@ -19,7 +19,7 @@ import multiprocessing
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
@@ -342,7 +342,7 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
     }
 
 
-def _frame_method(runs: Sequence[Path], metas: Sequence[Mapping]) -> dict:
+def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
     """Return the figures of the frame method with the published settings, for the named views."""
     frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
     return {
@@ -354,7 +354,7 @@ def _frame_method(runs: Sequence[Path], metas: Sequence[Mapping]) -> dict:
     }
 
 
-def _published_methods(runs: Sequence[Path], metas: Sequence[Mapping]) -> Iterator[dict]:
+def _published_methods(runs: Sequence[Path], metas: Sequence[dict]) -> Iterator[dict]:
     """Yield the figures that were published for the named views, by method."""
     for name in metas[0].get("published", {}):
         published = [meta["published"][name] for meta in metas]

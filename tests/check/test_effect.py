@@ -60,18 +60,20 @@ def test_a_sentence_says_the_effect_where_it_is_known():
     assert "error). Measure the time offset with --set find-offsets=true" in sentence(late(np.nan, np.nan))
 
 
-def test_a_finding_on_the_frame_rate_says_the_speed(small_trajectory, monkeypatch):
+def test_a_finding_on_the_frame_rate_says_the_speed(small_trajectory):
     """Poses and positions hardly change with the rate: their effect would play the fault down."""
-    rate = finding("frame_rate", given_hz=30.0, other_hz=83.0, pose_effect_m=0.01, position_effect_m=0.1)
-    monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: rate)
     body, solution = small_trajectory.body, small_trajectory.solution
     clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 30.0, TrajectoryOptions())
-    (found,) = _rate_findings(clip, solution, None, is_known=False)
+    (found,) = _rate_findings(clip, solution, 83.0, is_known=False)
     root_m = solution.states[solution.longest_segment.rows][:, :2]
     speed_m_s = 30.0 * np.nanmean(np.linalg.norm(np.diff(root_m, axis=0), axis=1))
     assert found.numbers["given_speed_m_s"] == pytest.approx(speed_m_s)
     assert found.numbers["other_speed_m_s"] == pytest.approx(speed_m_s * 83 / 30)
-    said = sentence(replace(found, numbers={**found.numbers, "given_speed_m_s": 4.34, "other_speed_m_s": 12.01}))
+    effects, speeds = (
+        {"pose_effect_m": 0.01, "position_effect_m": 0.1},
+        {"given_speed_m_s": 4.34, "other_speed_m_s": 12.01},
+    )
+    said = sentence(finding("frame_rate", given_hz=30.0, other_hz=83.0, **effects, **speeds))
     assert "by the same factor. The animal's speed would be 12 m/s, not 4.3 m/s. Check --fps" in said
     assert "positions by" not in said
 
@@ -85,13 +87,11 @@ def test_the_intervals_of_the_verdict_contain_the_effect(small_trajectory):
     assert noted.position_m.high == pytest.approx(np.hypot(plain.position_m.high, 0.4))
 
 
-def test_evidence_against_a_known_frame_rate_is_a_note(small_trajectory, monkeypatch):
-    rate = finding("frame_rate", given_hz=120.0, other_hz=83.0, log_likelihood_ratio=40.0)
-    monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: rate)
+def test_evidence_against_a_known_frame_rate_is_a_note(small_trajectory):
     body, solution = small_trajectory.body, small_trajectory.solution
     clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 120.0, TrajectoryOptions())
-    assert [item.severity for item in _rate_findings(clip, solution, None, is_known=False)] == ["error"]
-    assert [item.severity for item in _rate_findings(clip, solution, None, is_known=True)] == ["note"]
+    assert [item.severity for item in _rate_findings(clip, solution, 83.0, is_known=False)] == ["error"]
+    assert [item.severity for item in _rate_findings(clip, solution, 83.0, is_known=True)] == ["note"]
 
 
 def test_a_pair_is_not_blamed_for_the_lengths_of_a_rough_skeleton(small_trajectory):

@@ -13,6 +13,7 @@ from recon.check.verdict import (
     NOT_ALL_CHECKED,
     NOTHING_AGAINST,
     NOTHING_SERIOUS,
+    _verdict,
     add_verdict,
     evidence_of,
     expected_pose_of_trunk,
@@ -149,12 +150,11 @@ def test_a_low_frame_rate_expects_more(small_trajectory):
     assert evidence_of(replace(small_trajectory, solution=replace(solution, prior="none"))).slowness == 1.0
 
 
-def test_without_a_learned_prior_the_reason_names_what_was_not_checked(small_trajectory, monkeypatch):
+def test_without_a_learned_prior_the_reason_names_what_was_not_checked(small_trajectory):
     """A grossly wrong frame rate passes without the prior: the verdict must not say that it was checked."""
-    monkeypatch.setattr("recon.check.verdict.findings_of", lambda motion: ())
     for prior, reason in (("none", NOT_ALL_CHECKED), ("running-cheetah", NOTHING_AGAINST)):
-        motion = replace(small_trajectory, solution=replace(small_trajectory.solution, prior=prior))
-        assert add_verdict(motion).verdict.reason == reason
+        solution = replace(small_trajectory.solution, prior=prior)
+        assert _verdict(replace(small_trajectory, solution=solution, findings=())).reason == reason
 
 
 NOTE = replace(finding("picture_zooms", way="out"), severity="note")
@@ -175,12 +175,9 @@ AGREES = finding("camera_agreement", camera="a", error_px=1.0, level=1.0, max_le
         ),
     ],
 )
-def test_with_notes_the_reason_does_not_say_that_no_check_found_a_fault(
-    small_trajectory, monkeypatch, prior, notes, reason
-):
-    monkeypatch.setattr("recon.check.verdict.findings_of", lambda motion: notes)
-    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, prior=prior))
-    verdict = add_verdict(motion).verdict
+def test_with_notes_the_reason_does_not_say_that_no_check_found_a_fault(small_trajectory, prior, notes, reason):
+    solution = replace(small_trajectory.solution, prior=prior)
+    verdict = _verdict(replace(small_trajectory, solution=solution, findings=notes))
     assert verdict.level == "use"
     assert verdict.reason == reason
     assert reason_in_list(verdict.reason) == (reason if prior == "none" else "")

@@ -10,6 +10,7 @@ from command_line import refusal
 from example_run import AHEAD, ASIDE, BODY, FPS, PRIOR, truth_m, view_of
 
 from recon.api.extrinsics import DISAGREEMENT
+from recon.base.arrays import Index
 from recon.base.progress import silent
 from recon.clip import View, still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -35,6 +36,12 @@ def setting(views: list[View], posed: bool = False) -> ClipProblem:
 
 def blind(view: View) -> View:
     return replace(view, xy_px=np.full_like(view.xy_px, np.nan), confidence=np.zeros_like(view.confidence))
+
+
+def with_frames_unseen(view: View, rows: Index) -> View:
+    xy_px, confidence = view.xy_px.copy(), view.confidence.copy()
+    xy_px[rows], confidence[rows] = np.nan, 0.0
+    return replace(view, xy_px=xy_px, confidence=confidence)
 
 
 def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
@@ -81,22 +88,15 @@ def test_cameras_that_were_levelled_say_which_way_is_up():
         assert np.degrees(np.arccos(T[:3, 2] @ view.camera.up)) < 0.5
 
 
-def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
+def test_cameras_are_placed_beside_those_already_placed():
     """The first and the third have no frame in common; the second has some with each."""
     poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]
-    views = [view_of(points, p) for p in poses]
-
-    def alone(_: ClipProblem, view: View) -> np.ndarray:
-        i = next(i for i, own in enumerate(views) if np.array_equal(own.xy_px, view.xy_px, equal_nan=True))
-        joints = replace(view, T_camera_world=poses[i]).to_camera(points).copy()
-        joints[unseen[i]] = np.nan
-        return joints
-
-    monkeypatch.setattr("recon.fit.extrinsics._joints_by_view", alone)
+    views = [with_frames_unseen(view_of(points, p, 0.5), rows) for p, rows in zip(poses, unseen, strict=True)]
     (placed,) = _initial_poses([setting(views)], silent)
     for view, true in zip(placed.views, poses, strict=True):
-        relative = view.T_camera_world @ inverse(placed.views[0].T_camera_world)
-        np.testing.assert_allclose(relative, true @ inverse(AHEAD), atol=1e-9)
+        turned_deg, off_m = apart(view.T_camera_world @ inverse(placed.views[0].T_camera_world), true @ inverse(AHEAD))
+        assert turned_deg < 10.0  # the errors that the next step expects
+        assert off_m < 1.0
 
 
 def test_clips_with_nothing_in_common():

@@ -31,9 +31,11 @@ def test_draws_spread_as_the_motion_states(motion: recon.Motion):
             motion.sample(n)  # pyright: ignore[reportArgumentType]
 
 
-def test_the_residual_of_the_page_pulls_towards_the_measurement(motion: recon.Motion, monkeypatch):
+def test_the_residual_of_the_page_pulls_towards_the_measurement(motion: recon.Motion, tmp_path: Path, monkeypatch):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    monkeypatch.setattr(recon.Motion, "load", lambda folder: motion)
+    (tmp_path / "results" / "clip").mkdir(parents=True)
+    motion.save(tmp_path / "results" / "clip")
+    monkeypatch.chdir(tmp_path)
     names: dict = {}
     exec(code.replace("sample(400)", "sample(60)"), names)
     trunk_m, weight = names["trunk_m"], names["weight"]
