@@ -54,6 +54,8 @@ from recon.show.page.pages import median_error_px
 from recon.show.plots.style import COLOURS, SMALL, drawing, png_of
 
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
+DIGITS = 6
+"""Significant digits of numbers in the CSV tables; the Parquet tables have all digits."""
 QUANTITIES = {
     "speed_m_s": ("speed (m/s)", True),
     "stride_length_m": ("stride length (m)", True),
@@ -181,7 +183,7 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
     by = settings.by or ("group" if len(groups) > 1 else "")
     with output.staged() as staging:
         for name, table in written.items():
-            write_frame(table, staging / name)
+            write_frame(table, staging / name, digits=DIGITS)
             table.to_parquet(staging / _parquet(name), index=False)
         write_bytes(staging / FIGURE, png_of(_figure(shown, groups)))
         page = _page(settings.out, shown, groups, results, notes, by, experiment)

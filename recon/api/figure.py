@@ -26,7 +26,7 @@ CAPTIONS: Mapping[str, str] = {
         "stance of the foot (for spine and neck: of the foot with the most strides)."
     ),
     "footfalls": "Stances of the feet over time; thin lines: 90 % interval of each end.",
-    "speed": "Speed over time; bands: 90 %.",
+    "speed": "Speed of {joint} over time; bands: 90 %.",
     "composites": (
         "Configurations over the clip from the side, from above and from ahead, coloured by time. Dashed: left; thin: "
         "right; thick: the rest."
@@ -47,9 +47,15 @@ _STRIDE_FIGURE = "joint_flexion"
 BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
 """Figures that use the colours of the left and right sides."""
 _BY_START: Mapping[str, str] = {
-    "body_fixed": "Configurations over one stride in the animal's own frame.",
+    "body_fixed": "Configurations over {steps} in the animal's own frame.",
     "vector_field": "Velocities of the limb's links in the animal's own frame.",
 }
+
+_BODY_FIXED_STEPS = {
+    WHOLE_CLIP: "the clip, which has no complete stride,",
+    "return": "the time after which the end effector returns,",
+}
+"""Parts of the captions of clips without a complete stride."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +162,13 @@ def _caption(name: str, analysis: ClipAnalysis) -> str:
     limb = next((name.removeprefix(begin).strip("_") for begin in _BY_START if name.startswith(begin)), "")
     if limb:
         text = f"{text.removesuffix('.')}: {limb.replace('_', ' ')}."
+    origin = WHOLE_CLIP if analysis.stride is None else analysis.stride.at
     if name == "side_view":
-        origin = WHOLE_CLIP if analysis.stride is None else analysis.stride.at
         text = text.format(steps=STRIDE_WORDS[origin].caption)
+    elif name == "speed":
+        text = text.format(joint=analysis.reference)
+    elif name.startswith("body_fixed"):
+        text = text.format(steps=_BODY_FIXED_STEPS.get(origin, "one stride"))
     if name == "speed" and not analysis.reference_motion.why_no_acceleration:
         text = text.replace("Speed", "Speed and acceleration")
     if name == "footfalls" and analysis.gait is not None:

@@ -47,8 +47,12 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def write_frame(table: pd.DataFrame, path: Path, index: bool = False) -> None:
-    """Write a table as CSV with every text guarded, with the names of the rows if `index` is true."""
+def write_frame(table: pd.DataFrame, path: Path, index: bool = False, digits: int | None = None) -> None:
+    """Write a table as CSV with every text guarded.
+
+    If `index` is true, it has the names of the rows. `digits`: significant digits of numbers, by default all.
+    """
     texts = table.select_dtypes(exclude=["number", "bool"]).columns
     table = table.assign(**{name: table[name].map(guarded) for name in texts}).rename(columns=guarded)
-    table.to_csv(path, index=index, lineterminator="\n")
+    form = None if digits is None else f"%.{digits}g"
+    table.to_csv(path, index=index, lineterminator="\n", float_format=form)

@@ -67,4 +67,6 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
             (f"{foot} {motion.foot_names[foot]}", ", ".join(foot_spans) or "none") for foot, foot_spans in spans.items()
         )
         yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
+        if not all(s.begins and s.ends for s in analysis.gait.stances):
+            yield "≤, +: the stance begins or ends outside the clip, or in a gap."
     yield from (f"note: {note}" for note in summary["notes"])

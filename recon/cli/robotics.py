@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.table import Table
 
-from recon.base.numbers import quantity
+from recon.base.numbers import quantity, rounded
 from recon.cli.answers import EXIT_UNSOLVED, Answer, table_of, verdict_texts
 from recon.robotics import physics
 from recon.robotics.climb.plan import PLAYBACK, ClimbSettings, run_climb
@@ -71,7 +71,7 @@ def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
             else []
         )
         shares = [f"{100 * part['share']:.0f}" for part in (clip, stride)]
-        table.add_row(rule.title, *earlier_cells, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
+        table.add_row(rule.title, *earlier_cells, *shares, rounded(min(clip["least"], stride["least"]), 2), rule.unit)
         if min(clip["share"], stride["share"]) < 1:
             advice[rule.title] = rule.advice
     yield table

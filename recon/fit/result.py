@@ -56,6 +56,9 @@ class ExpectedError(Brief):
     widened_by: str = ""
     """Code of the finding that makes up most of the upper end, whether it is right or not; empty without one."""
 
+    def __repr__(self) -> str:
+        return f"ExpectedError({self.expected:.3g}, 90 %: {self.low:.3g} to {self.high:.3g})"
+
     @property
     def in_words(self) -> str:
         """Return the error as text: in metres, or in millimetres if the upper end is below half a metre.

@@ -66,14 +66,14 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
         assert f" {ends.removesuffix(')')} " in ended.out
     for name in QUANTITIES:
         # The same clip thrice: the same means, no spread, and two clips know what is no clip's own as well as one.
-        np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-9)
+        np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-5)
         assert groups[f"{name}_spread"].fillna(-groups["clips"]).tolist() == [0, -1]  # not known of a single clip
         f, m = groups[f"{name}_sigma"]
         if QUANTITIES[name][1]:
             shared = by_clip["size_sigma"].iloc[0] * by_clip[name].iloc[0]
-            assert f**2 - shared**2 == pytest.approx((m**2 - shared**2) / 2, rel=1e-6)
+            assert f**2 - shared**2 == pytest.approx((m**2 - shared**2) / 2, rel=1e-4)
         else:
-            assert f == pytest.approx(m / 2**0.5, rel=1e-6)
+            assert f == pytest.approx(m / 2**0.5, rel=1e-4)
 
 
 def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):

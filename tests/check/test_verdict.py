@@ -107,6 +107,7 @@ def test_what_no_pixel_says_makes_the_error_larger_and_less_sure(small_trajector
 
 def test_an_interval_that_begins_at_nothing_is_said_in_words():
     assert ExpectedError(0.48, 0.033, 1.2).in_words == "0.5 m (90 %: at most 1.2)"
+    assert "pose_m=ExpectedError(0.48, 90 %: 0.033 to 1.2)" in repr(Verdict("use", "", ExpectedError(0.48, 0.033, 1.2)))
     assert ExpectedError(0.59, 0.04, 4.02).in_words == "0.6 m (90 %: at most 4.0)"
     assert ExpectedError(0.046, 0.031, 0.067).in_words == "46 mm (90 %: 31 to 67)"
     assert ExpectedError(0.004, 0.003, 0.006).in_words == "4.0 mm (90 %: 3.0 to 6.0)"

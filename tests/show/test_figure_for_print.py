@@ -81,6 +81,10 @@ def test_a_clip_without_a_stride_has_figures_of_the_clip(whole: ClipAnalysis):
     side_view, footfalls = (caption_of(analysis, (name,)).partition("\n")[0] for name in ("side_view", "footfalls"))
     assert "the clip, which has no complete stride" in side_view
     assert "%" not in side_view
+    assert "over the clip, which has no complete stride, in the animal's own frame." in caption_of(
+        analysis, ("body_fixed",)
+    )
+    assert "over one stride in the animal's own frame." in caption_of(whole, ("body_fixed",))
     assert "ticks" not in footfalls
     figure = draw_for_print(analysis, ("side_view",), 183.0).figure
     below = [text.get_text() for text in figure.findobj(Text) if re.fullmatch(r"[\d.]+ (s|%)", text.get_text())]
@@ -95,6 +99,7 @@ def test_a_clip_without_a_stride_has_figures_of_the_clip(whole: ClipAnalysis):
 def test_the_caption_of_the_speed_names_what_is_drawn(whole: ClipAnalysis):
     is_known = not whole.reference_motion.why_no_acceleration
     assert ("acceleration" in caption_of(whole, ("speed",))) == is_known
+    assert "of spine over time" in caption_of(whole, ("speed",))
     axes = draw_for_print(whole, ("speed",), 183.0).figure.axes
     assert any(panel.get_ylabel().startswith("acceleration") for panel in axes) == is_known
 

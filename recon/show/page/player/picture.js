@@ -5,7 +5,7 @@ import { FITS, OUTLIER, median } from "./data.js";
 import { ON_PICTURE, gestures, label, penOf } from "./theme.js";
 
 const READY_AHEAD = 6; // pictures decoded in advance while it plays
-const SMALL = 0.22, FILLS = 0.6; // shares of the canvas: an animal below the first is followed until it fills the second
+const SMALL = 0.35, FILLS = 0.6; // shares of the canvas: an animal below the first is followed until it fills the second
 
 export class PictureView {
   constructor(canvas, clip, cursor) {
