@@ -13,7 +13,7 @@ import pytest
 from command_line import refusal, refused, run
 from rich.text import Text
 
-from recon import FitSettings, InputError, read_settings
+from recon import FitSettings, InputError, read_settings, samples_folder
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.settings import SETTINGS
@@ -419,11 +419,12 @@ def test_a_setting_that_is_no_option_is_checked():
 
 
 def test_a_setting_of_several_values_is_set_several_times(tmp_path):
-    for name in ("a.csv", "c.toml"):
-        (tmp_path / name).write_text("not read")
-    given = ["fit", tmp_path / "a.csv", "--camera", tmp_path / "c.toml", "--out", tmp_path / "x"]
-    given += ["--set", "offset-s=0", "--set", "offset_s=0.5"]
-    refused(given, ("--set offset-s", "offset_s", "2: 0.0, 0.5", "one value for each keypoint file, that is 1"))
+    files = [samples_folder() / "whole.csv", "--camera", samples_folder() / "camera.toml", "--out", tmp_path / "x"]
+    others = ["--set", "fast=true", "--no-fix-swaps"]
+    refused(
+        ["fit", *files, "--set", "offset-s=0", "--set", "offset_s=0.5", *others],
+        ("--set offset-s", "offset_s", "2: 0.0, 0.5", "one value for each keypoint file, that is 1"),
+    )
 
 
 def test_every_command_says_what_it_does():
