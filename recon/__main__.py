@@ -5,6 +5,7 @@ import os
 import sys
 
 from recon.base.interrupts import Interrupts
+from recon.base.memory import collect_rarely
 
 LEAST_MB = 640
 """Memory limit, in MB, below which OpenBLAS waits for ever, and rerun cannot be loaded."""
@@ -17,6 +18,7 @@ def main() -> None:
     """
     _open_streams()
     _require_memory()
+    collect_rarely()
     interrupts = Interrupts()
     interrupts.install()
     try:

@@ -28,7 +28,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from recon.base.errors import InputError, Problem
-from recon.base.memory import keep_freed_memory
+from recon.base.memory import collect_rarely, keep_freed_memory
 from recon.base.package import install_command
 from recon.base.progress import Progress
 
@@ -259,6 +259,7 @@ def _run_tasks(channel: Connection, log: Path) -> None:
     os.dup2(file, 2)
     faulthandler.enable()
     keep_freed_memory()
+    collect_rarely()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
     with suppress(EOFError):

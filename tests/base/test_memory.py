@@ -1,4 +1,4 @@
-"""What a process keeps of the memory that it frees."""
+"""What a process keeps of the memory that it frees, and how often it searches for unused objects."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from recon.base.memory import KEPT_BYTES, LARGEST_BYTES
+from recon.base.memory import KEPT_BYTES, LARGEST_BYTES, NEW_OBJECTS
 
 CODE = """
 import ctypes, sys
@@ -45,3 +45,18 @@ def test_freed_memory_is_kept_up_to_a_limit_but_not_that_of_large_arrays():
     assert left_mb("keep", block, 10) > 70
     assert left_mb("keep", block, 2 * KEPT_BYTES // block) <= kept_mb + 10
     assert left_mb("keep", 2 * LARGEST_BYTES, 3) < 10
+
+
+def test_a_command_searches_rarely_for_unused_objects():
+    code = """
+import gc, sys
+from recon.__main__ import main
+
+sys.argv = ["recon", "--version"]
+try:
+    main()
+finally:
+    print(gc.isenabled(), gc.get_threshold()[0])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == f"True {NEW_OBJECTS}"

@@ -5,6 +5,7 @@ This file imports little: each of the processes that it starts imports it.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import subprocess
@@ -15,6 +16,7 @@ from typing import Any
 import pytest
 
 import recon.base.parallel as parallel
+from recon.base.memory import NEW_OBJECTS
 from recon.base.parallel import Event, run_tasks
 from recon.base.progress import Progress
 
@@ -22,7 +24,8 @@ from recon.base.progress import Progress
 def work(task: str, progress: Progress) -> dict[str, Any]:
     """The work of the tests below, in another process."""
     if task == "environment":
-        return {"pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"], "numpy": "numpy" in sys.modules}
+        threads, new_objects = os.environ["OMP_NUM_THREADS"], gc.get_threshold()[0]
+        return {"pid": os.getpid(), "threads": threads, "numpy": "numpy" in sys.modules, "new_objects": new_objects}
     if task == "crash":
         print("last words", flush=True)
         os.abort()
@@ -58,7 +61,7 @@ def test_processes_have_one_thread_and_are_replaced(monkeypatch):
         monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
     first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
     assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
-    assert first["threads"] == "1"
+    assert (first["threads"], first["new_objects"]) == ("1", NEW_OBJECTS)
     assert held == [third["pid"]]  # those before it keep no files open, however many there are
 
 
