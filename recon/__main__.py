@@ -19,6 +19,8 @@ def main() -> None:
     _open_streams()
     _require_memory()
     collect_rarely()
+    # pydantic would read the list of all installed distributions, to look for plugins of its own
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     interrupts = Interrupts()
     interrupts.install()
     try:

@@ -91,6 +91,15 @@ def median(values: Array | Sequence[float]) -> float:
     return float(np.median(known)) if len(known) else np.nan
 
 
+def running_median(values: Array, count: int) -> Array:
+    """Return the median over `count` rows, an odd number, around each row of values (N, ...); the end rows repeat.
+
+    scipy.ndimage.median_filter gives the same values, but its import takes longer than the medians.
+    """
+    rows = np.arange(len(values))[:, None] + np.arange(count) - count // 2
+    return np.median(values[np.clip(rows, 0, len(values) - 1)], axis=1)
+
+
 def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
     """Return the mean of the known values along one or more axes, NaN if there are none."""
     known = ~np.isnan(values)

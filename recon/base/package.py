@@ -11,7 +11,6 @@ import sys
 from importlib import metadata
 from pathlib import Path
 from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 DISTRIBUTION = "recon-motion"
 
@@ -53,6 +52,8 @@ def _source() -> tuple[bool, str]:
     ----------
     https://packaging.python.org/en/latest/specifications/direct-url/
     """
+    from urllib.request import url2pathname  # slow to import
+
     direct_url = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
     url = urlsplit(direct_url.get("url", ""))
     path = Path(url2pathname(url.path))

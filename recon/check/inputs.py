@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.body import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array, Bools, running_median
 from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, SPEEDS, by_effect, finding
 from recon.check.focal import focal_finding
@@ -349,13 +349,11 @@ def step_ratios(tracks: Array) -> Array | None:
     are faster than the trunk. The ratio of a step is the median over its keypoints. Steps with too few keypoints are
     left out, and the result is None if fewer than `LEAST_STEPS` remain.
     """
-    from scipy.ndimage import median_filter  # slow to import
-
     steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)
     for j in range(steps.shape[1]):
         known_frames = np.flatnonzero(np.isfinite(steps[:, j, 0]))
-        usual_px = median_filter(steps[known_frames, j], size=(AROUND, 1), mode="nearest")
+        usual_px = running_median(steps[known_frames, j], AROUND)
         length_px = np.linalg.norm(usual_px, axis=1)
         projected = np.sum(steps[known_frames, j] * usual_px, axis=1) / np.maximum(length_px, 1e-9) ** 2
         times[known_frames, j] = np.where(length_px > LEAST_STEP_PX, projected, np.nan)

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side
 from recon.animal.body import opposites, side_of
-from recon.base.arrays import Array
+from recon.base.arrays import Array, running_median
 from recon.check.audited import AuditedPoints, Measure
 from recon.check.inputs import FEWEST, SLIDE_LEGS_S, SLIDE_SHARE, SLOWEST
 from recon.check.track_checks import mean_of_known
@@ -119,12 +119,10 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _running_median(values: Array) -> Array:
-    from scipy.ndimage import median_filter  # slow to import
-
     known = np.isfinite(values)
     result = np.full(len(values), np.nan)
     if known.any():
-        result[known] = median_filter(values[known], size=DRIFT_FRAMES, mode="nearest")
+        result[known] = running_median(values[known], DRIFT_FRAMES)
     return result
 
 

@@ -106,17 +106,35 @@ class Dynamics(Brief):
     """(N, 3): standard deviation of `angular_momentum`."""
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
-    forces: pd.DataFrame
-    """Table with one row per stance that is completely in the clip: foot, start_s and end_s; peak_bw of the vertical
-    force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...).
-    """
+    force_rows: Sequence[tuple[Any, ...]]
+    """Rows of `forces`."""
     force: Mapping[str, Array]
     """(N, 3): expected vertical force of each foot and the ends of its 90 % interval."""
-    flights: pd.DataFrame
-    """Table of the parts of the clip in which no foot stands, within the errors of touch-down and lift-off: first,
-    stop, start_s and end_s; up_m_s2, the acceleration of a parabola through the heights of the centre of mass
-    (-`G_M_S2` in free fall); and sigma_m_s2, its standard deviation from the errors of position, pose and masses.
-    """
+    flight_rows: Sequence[tuple[float, ...]]
+    """Rows of `flights`."""
+
+    @cached_property
+    def forces(self) -> pd.DataFrame:
+        """Return a table with one row per stance that is completely in the clip.
+
+        Columns foot, start_s and end_s; peak_bw of the vertical force and impulse_bw_s, each with the ends of its
+        interval (peak_low_bw, ...).
+        """
+        import pandas as pd  # slow to import
+
+        return pd.DataFrame(self.force_rows, columns=[*FORCE_COLUMNS])
+
+    @cached_property
+    def flights(self) -> pd.DataFrame:
+        """Return a table of the parts of the clip in which no foot stands.
+
+        No foot stands within the errors of touch-down and lift-off. Columns first, stop, start_s and end_s; up_m_s2,
+        the acceleration of a parabola through the heights of the centre of mass (-`G_M_S2` in free fall); and
+        sigma_m_s2, its standard deviation from the errors of position, pose and masses.
+        """
+        import pandas as pd  # slow to import
+
+        return pd.DataFrame(self.flight_rows, columns=[*FLIGHT_COLUMNS])
 
     @cached_property
     def directions(self) -> Array:
@@ -180,7 +198,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     near = Errors(errors[-1].sigma[:, end_joints], errors[-1].correlation_s)
     spread = _turning_sigma(value, rate, end_shares, sigma, end_joints, near)
     turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum, spread])).value
-    forces, force = _forces(gait)
+    force_rows, force = _forces(gait)
     return Dynamics(
         centre=centre,
         net_acceleration_m_s2=net,
@@ -189,9 +207,9 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
         angular_momentum=turning[:, 1:4],
         angular_momentum_sigma=np.maximum(turning[:, 5:], 0.0),
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
-        forces=forces,
+        force_rows=force_rows,
         force=force,
-        flights=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
+        flight_rows=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
     )
 
 
@@ -307,13 +325,12 @@ FORCE_COLUMNS = (
     *("foot", "start_s", "end_s", "peak_bw", "peak_low_bw", "peak_high_bw"),
     *("impulse_bw_s", "impulse_low_bw_s", "impulse_high_bw_s"),
 )
+FLIGHT_COLUMNS = ("first", "stop", "start_s", "end_s", "up_m_s2", "sigma_m_s2")
 _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
-def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
-    """Return the table of whole stances, and each foot's force over time, NaN in stances cut by the clip."""
-    import pandas as pd
-
+def _forces(gait: Gait) -> tuple[list[tuple[Any, ...]], dict[str, Array]]:
+    """Return the rows of whole stances, and each foot's force over time, NaN in stances cut by the clip."""
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []
     durations_s = np.where([stance.begins and stance.ends for stance in gait.stances], ends - starts, np.nan)
@@ -334,18 +351,18 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
             force[stance.foot][nearby, k] += np.interp(time_s[nearby], node_s, curve)
         if np.isfinite(impulses[0, i]):
             rows.append((stance.foot, stance.start_s, stance.end_s, *peak[:, i].tolist(), *impulse[:, i].tolist()))
-    return pd.DataFrame(rows, columns=[*FORCE_COLUMNS]), force
+    return rows, force
 
 
-def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> pd.DataFrame:
-    """Return the table of flights between the first and the last stance, for an animal with four known feet.
+def _flights(
+    motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]
+) -> list[tuple[float, ...]]:
+    """Return the rows of flights between the first and the last stance, for an animal with four known feet.
 
     by_mass_m: (T, S, 3), shift of the centre by one standard deviation of each segment's mass fraction. errors: (T, 3),
     those of the centre from all other causes.
     """
-    import pandas as pd
-
-    time_s, table = motion.time_s, []
+    time_s, rows_of_flights = motion.time_s, []
     if len(gait.tracks.feet) >= 4 and gait.stances:
         is_free = np.isfinite(gait.tracks.foot_m[::OVERSAMPLING]).all(axis=(1, 2)) & motion.solved
         is_free &= (time_s > min(s.end_s for s in gait.stances)) & (time_s < max(s.start_s for s in gait.stances))
@@ -358,8 +375,8 @@ def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, erro
                 row_errors = [Errors(error.sigma[rows, 2], error.correlation_s) for error in errors]
                 row_errors += [Errors(column, np.inf) for column in by_mass_m[rows, :, 2].T]
                 vertical = kinematics.parabola_acceleration(time_s[rows], centre_m[rows, 2], row_errors)
-                table.append((int(first), int(stop), time_s[first], time_s[stop - 1], *vertical))
-    return pd.DataFrame(table, columns=["first", "stop", "start_s", "end_s", "up_m_s2", "sigma_m_s2"])
+                rows_of_flights.append((int(first), int(stop), time_s[first], time_s[stop - 1], *vertical))
+    return rows_of_flights
 
 
 def off_gravity(flights: pd.DataFrame) -> pd.Series:

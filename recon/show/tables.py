@@ -526,7 +526,7 @@ def forces(analysis: ClipAnalysis) -> Table:
     If the animal's mass is known, the table also has newtons.
     """
     columns = [*FORCE_COLUMNS]
-    rows = [] if analysis.dynamics is None else [*analysis.dynamics.forces.itertuples(index=False, name=None)]
+    rows = [] if analysis.dynamics is None else [*analysis.dynamics.force_rows]
     if analysis.body_mass_kg is not None:
         weight_n = analysis.body_mass_kg * G_M_S2
         columns += [name.replace("_bw", "_n") for name in columns[3:]]

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 
@@ -60,6 +61,8 @@ def test_a_fit_imports_what_it_uses(tmp_path):
         *of_other_clips,
         "recon.gait.evaluation",
         "recon.api.batch",
+        "scipy.ndimage",
+        "urllib.request",
         "h5py",
         "cv2",
         "torch",
@@ -67,6 +70,14 @@ def test_a_fit_imports_what_it_uses(tmp_path):
         "tables",
     }
     assert modules & unused == set()
+
+
+@pytest.mark.slow
+def test_a_page_without_a_video_imports_no_pandas(tmp_path, whole_results):
+    modules = imported_by("report", copytree(whole_results, tmp_path / "results"))
+    assert (tmp_path / "results" / "report.html").is_file()
+    assert "matplotlib" in modules
+    assert "pandas" not in modules
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
 from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.api.analyse import summarise
 from recon.gait.dynamics import (
+    FORCE_COLUMNS,
     G_M_S2,
     MEAN_OF_PEAK,
     OFF_GRAVITY,
@@ -26,6 +28,7 @@ from recon.gait.dynamics import (
     over_stride,
     shape,
 )
+from recon.gait.gait import Stance
 from recon.gait.kinematics import Errors
 from recon.show import plots
 from recon.show.page.pages import clip_page
@@ -183,20 +186,23 @@ def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(f
     assert gait is not None
     i = next(i for i, stance in enumerate(gait.stances) if stance.begins and stance.ends)
     known, quarter_s = gait.stances[i], gait.stances[i].duration_s / 4
+
+    def first_force(stance: Stance) -> dict[str, Any]:
+        """Return the first row of the forces, with this stance in place of the known one."""
+        rows, _ = _forces(replace(gait, stances=(*gait.stances[:i], stance, *gait.stances[i + 1 :])))
+        return dict(zip(FORCE_COLUMNS, rows[0], strict=True))
+
     short = replace(known, end_s=known.start_s + 2 * quarter_s, start_sigma_s=quarter_s, end_sigma_s=quarter_s)
-    before, after = (
-        _forces(replace(gait, stances=(*gait.stances[:i], one, *gait.stances[i + 1 :])))[0].iloc[0]
-        for one in (known, short)
-    )
+    before, after = map(first_force, (known, short))
     assert after["foot"] == known.foot
     assert after["peak_bw"] < 1.5 * before["peak_bw"]  # twice as high if it lasted half as long
     assert after["peak_high_bw"] < 1.6 * before["peak_high_bw"]
     # So does a part of one, whatever its ends seem to be; one that is known is taken as it is.
     part = replace(known, end_s=known.start_s + quarter_s / 2, start_sigma_s=quarter_s / 6, end_sigma_s=quarter_s / 6)
-    longer = _forces(replace(gait, stances=(*gait.stances[:i], part, *gait.stances[i + 1 :])))[0].iloc[0]
+    longer = first_force(part)
     assert longer["peak_bw"] < 3 * before["peak_bw"]  # eight times as high as it is
     sure = replace(known, start_sigma_s=1e-4, end_sigma_s=1e-4)
-    taken = _forces(replace(gait, stances=(*gait.stances[:i], sure, *gait.stances[i + 1 :])))[0].iloc[0]
+    taken = first_force(sure)
     assert taken["impulse_bw_s"] == pytest.approx(taken["peak_bw"] * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
 
 
@@ -229,10 +235,11 @@ def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
         assert all(((inside < s.start_s) | (inside > s.end_s)).all() for s in found.gait.stances)
     assert findings_of_dynamics(motion, d) == ()
     # A path that is thrown at twice the frame rate falls at four times the acceleration.
-    fast = d.flights.iloc[:1].assign(up_m_s2=-4 * G_M_S2, sigma_m_s2=5.0)
-    (one,) = findings_of_dynamics(motion, replace(d, flights=pd.concat([d.flights, fast], ignore_index=True)))
+    first, stop, *times_s = d.flight_rows[0][:4]
+    fast = (first, stop, *times_s, -4 * G_M_S2, 5.0)
+    (one,) = findings_of_dynamics(motion, replace(d, flight_rows=[*d.flight_rows, fast]))
     assert one.code == "flight_against_gravity"
-    assert one.frames == (motion.frames[fast["first"][0]], motion.frames[fast["stop"][0] - 1] + 1)
+    assert one.frames == (motion.frames[int(first)], motion.frames[int(stop) - 1] + 1)
 
 
 def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):

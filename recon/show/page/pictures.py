@@ -84,8 +84,6 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     picture_px
         Width and height.
     """
-    import pandas as pd  # slow to import
-
     picture = np.array(picture_px)
     corners = np.zeros((len(points_px), 2), dtype=int)
     known = np.isfinite(points_px.sum(axis=2)).any(axis=1)
@@ -102,9 +100,8 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
         corners[:] = np.clip(np.round((first + last - size) / 2), 0, picture - size)
         return Cut(corners, (int(size[0]), int(size[1])), widest)
     size = _even(np.maximum(WINDOW * box, 48), picture)
-    centres = np.full((len(points_px), 2), np.nan)
-    centres[known] = (low + high) / 2
-    filled = pd.DataFrame(centres).interpolate(limit_direction="both").to_numpy()
+    rows, known_rows = np.arange(len(points_px)), np.flatnonzero(known)
+    filled = np.column_stack([np.interp(rows, known_rows, centre) for centre in (low + high).T / 2])
     half = min(round(SMOOTH_S * fps / 2), len(filled) - 1)
     start, end = 2 * filled[0] - filled[half:0:-1], 2 * filled[-1] - filled[-2 : -half - 2 : -1]
     padded = np.concatenate([start, filled, end])  # continue at the ends with the last speed
