@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+_T = TypeVar("_T")
 MEASURED_SHARE = 0.5
 """Smallest information fraction at which a quantity counts as measured."""
 
@@ -135,6 +136,16 @@ class Motion:
         from recon.fit.motion_forms import html_of
 
         return html_of(self)
+
+    def derived(self, make: Callable[[Motion], _T]) -> _T:
+        """Return what a function makes of this motion, such as its analysis; the function is called only once."""
+        if make not in self._derived:
+            self._derived[make] = make(self)
+        return self._derived[make]
+
+    @cached_property
+    def _derived(self) -> dict[Callable[[Motion], Any], Any]:
+        return {}
 
     # -- in other forms -------------------------------------------------------------------------------------------
 

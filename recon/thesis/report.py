@@ -104,8 +104,8 @@ def travel(motion: Motion) -> dict[str, Any]:
 def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the lines of the summary on speed, path and heading."""
     run_m_s = data["median_speed_m_s"]
-    if (reason := ClipAnalysis(motion).why_no_speed) is None:
-        path = ClipAnalysis(motion).reference_motion
+    if (reason := motion.derived(ClipAnalysis).why_no_speed) is None:
+        path = motion.derived(ClipAnalysis).reference_motion
         peak = interval_text(path.peak_speed_m_s, path.peak_speed_sigma_m_s, "m/s", least=0.0)
         yield "speed", f"at most {peak}, over a path of {number(path.distance_m, '.1f')} m"
     elif run_m_s is None:

@@ -247,3 +247,16 @@ def test_detections_and_weights_are_those_of_all_cameras(two_cameras):
     assert two_cameras.mean_weight[2] == pytest.approx((23 + 24 / 2) / 47)
     assert two_cameras.missing_keypoints == ()  # the second camera's file has r_eye
     assert two_cameras.unused_keypoints == ("ear",)
+
+
+def test_what_is_derived_from_a_motion_is_made_once_and_again_for_a_changed_motion(small_trajectory: Motion):
+    made = []
+
+    def frames_of(motion: Motion) -> int:
+        made.append(motion)
+        return len(motion.frames)
+
+    motion, renamed = replace(small_trajectory), replace(small_trajectory, side_reason="another")
+    assert motion.derived(frames_of) == motion.derived(frames_of) == len(motion.frames)
+    assert renamed.derived(frames_of) == len(renamed.frames)
+    assert [*map(id, made)] == [id(motion), id(renamed)]

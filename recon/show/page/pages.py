@@ -145,7 +145,7 @@ def clip_page(
     report = build_report(motion)
     files_read = ", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"]))
     has_pose = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
-    analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
+    analysis = motion.derived(ClipAnalysis) if has_pose.sum() >= MIN_POINTS else None
     player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
     quality = quality_tables(motion)
     flagged = list(flagged_frames(motion))

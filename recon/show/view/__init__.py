@@ -94,7 +94,7 @@ def write(
         Number of the camera whose video it is.
     """
     scenes.require_whole()
-    scene, standing = Scene.from_motion(motion), (analysis or ClipAnalysis(motion)).standing
+    scene, standing = Scene.from_motion(motion), (analysis or motion.derived(ClipAnalysis)).standing
     plots = [*angle_plots(motion), *other_plots(motion), *(() if analysis is None else analysis_plots(analysis))]
     rows = states(motion, standing)
     with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
