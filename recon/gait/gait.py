@@ -751,6 +751,10 @@ def name_gait(
     name, criterion = classify(phase, duty[0])
     if not counted:
         criterion = f"no complete stride, but the motion has a period of {period:.2f} s: {criterion}"
+        # Stances that the clip cuts are at least as long. The order of the feet is not known well enough for a walk.
+        longest_s = [max(s.duration_s for s in all_stances if s.foot == foot) for foot in FEET]
+        if name != "unknown" and median(longest_s) > 0.5 * period:
+            name, criterion = "unknown", f"{criterion}; but the feet stand for over half of the period"
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
         name, criterion = "unknown", f"{criterion}: over 0.5 in {percent(share)} of strides, walk or run is undecided"
     return _GaitName(name, criterion, phase, *duty)

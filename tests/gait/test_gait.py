@@ -22,6 +22,7 @@ from recon.gait.gait import (
     gait,
     ground_plane,
     match_stances,
+    name_gait,
     pose_gait,
     pose_period_s,
     pose_tracks,
@@ -334,6 +335,17 @@ def test_the_foot_that_lands_second_leads():
     assert name == "rotary gallop"
     said = "hind feet 0.10 of a stride apart, right first; fore feet 0.15, left first; leading: left hind, right fore"
     assert criterion == said
+
+
+@pytest.mark.parametrize(("duty", "name"), [(0.45, "transverse gallop"), (0.7, "unknown")])
+def test_feet_that_stand_longer_than_half_a_stride_do_not_gallop(duty, name):
+    """Without a complete stride: uncertain phases of a walking horse looked like those of a gallop."""
+    phases = PATTERNS["transverse gallop"][0]
+    all_stances = [Stance(foot, p, p + duty, 30 * p, 30 * (p + duty), ends=p < 0.5) for foot, p in phases.items()]
+    all_stances.append(Stance("LH", 0.95, 1.0, 28.5, 30.0, ends=False))  # the clip cuts it
+    found = name_gait(tuple(all_stances), (), 1.0)
+    assert found.name == name
+    assert ("over half" in found.criterion) == (name == "unknown")
 
 
 def test_names_do_not_depend_on_where_phases_start():
