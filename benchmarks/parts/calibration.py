@@ -9,7 +9,8 @@ import time
 
 import numpy as np
 
-from recon.calibrate.boards import BoardView, BoardViews, Calibration, calibrate, check, parse_board
+from recon.calibrate.board_calibration import Calibration, calibrate, check
+from recon.calibrate.boards import BoardView, BoardViews, parse_board
 from recon.geometry.camera import Camera
 from recon.testing.boards import board_poses, draw_board
 

@@ -11,8 +11,8 @@ from recon.base.files import write_bytes
 from recon.base.outputs import output_file, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
-from recon.calibrate.boards import calibrate as solved
-from recon.calibrate.boards import check as checked
+from recon.calibrate.board_calibration import calibrate as solved
+from recon.calibrate.board_calibration import check as checked
 from recon.calibrate.boards import collect, find_views, parse_board
 from recon.geometry.lens import LENS_MODELS
 from recon.io.camera_files import write_camera

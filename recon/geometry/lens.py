@@ -44,7 +44,7 @@ class Lens:
     colmap: ClassVar[Mapping[str, str]] = {}
     """COLMAP's models of this kind, with their parameters in order: f or fx fy, cx, cy, and names of `coefficients`."""
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
-    """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.boards`), if any."""
+    """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.board_calibration`)."""
     calibrated: ClassVar[int] = 0
     """Number of coefficients that these functions estimate."""
 

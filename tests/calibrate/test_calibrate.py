@@ -18,16 +18,14 @@ from typer.testing import CliRunner
 
 from recon import Camera, InputError, read_camera
 from recon.base.outputs import RECORD
+from recon.calibrate.board_calibration import calibrate, check, coverage
 from recon.calibrate.boards import (
     Board,
     BoardView,
     BoardViews,
-    calibrate,
-    check,
     choose,
     collect,
     corner_sharpness,
-    coverage,
     find_views,
     parse_board,
 )

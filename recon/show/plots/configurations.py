@@ -28,7 +28,7 @@ from recon.animal.chain import UVW_BODY
 from recon.animal.naming import both_sides
 from recon.base.arrays import Array, Bools, Index, median
 from recon.base.numbers import percent, quantity
-from recon.calibrate.boards import Calibration, coverage
+from recon.calibrate.board_calibration import Calibration, coverage
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.gait import Plane
