@@ -81,6 +81,7 @@ CAUSES = {
 """Codes that state the cause of a wrong input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
 OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "pair_disagrees")
+MISPLACED = (*OFF, "pair_refined")
 
 
 @dataclass(frozen=True, eq=False)
@@ -594,11 +595,15 @@ CASES = {
     "right: leaves the picture": Case(beyond_edge(False)),
     "two cameras": Case(lambda clip, given: given, two=True),
     **{
-        f"two, one turned by {degrees} degrees": Case(lambda c, g, by=degrees: g.turned(about("y", by)), OFF, two=True)
+        f"two, one turned by {degrees} degrees": Case(
+            lambda c, g, by=degrees: g.turned(about("y", by)), MISPLACED, two=True
+        )
         for degrees in (6, -6, 4, -4, 2, -2)
     },
     **{
-        f"two, one moved by {x_m} m": Case(lambda c, g, by_m=x_m: g.turned(np.eye(3), (by_m, 0, 0)), OFF, two=True)
+        f"two, one moved by {x_m} m": Case(
+            lambda c, g, by_m=x_m: g.turned(np.eye(3), (by_m, 0, 0)), MISPLACED, two=True
+        )
         for x_m in (0.5, -0.5, 0.25, -0.25)
     },
     **{

@@ -150,7 +150,7 @@ class FitSettings(Settings):
     """Trust the frame rate: if the animal's motion contradicts it, the intervals widen but no warning is given."""
     cameras_known: Annotated[bool, _RARE_TRAJECTORY] = False
     """Trust the cameras' poses. (default: of two cameras, one that was probably turned or moved is refined, and errors
-    of half a degree and 5 cm, or 2 % of the distance, count in the uncertainty)
+    of a tenth of a degree and 1 cm, or rarely of several degrees and decimetres, count in the uncertainty)
     """
     find_offsets: Annotated[bool, _RARE_TRAJECTORY] = False
     """Find from the animal's motion when each camera began; the search starts at offset-s."""

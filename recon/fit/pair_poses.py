@@ -1,12 +1,13 @@
-"""Weigh explanations of the poses of two cameras: as calibrated, or turned about some of their axes.
+"""Weigh explanations of the poses of two cameras: well calibrated, turned about some of their axes, or moved.
 
 The detections of two cameras leave some errors of their poses open. A turn of one camera about the vertical is visible
 only in the animal's apparent size, and it is often open which of the two cameras is turned. The errors have heavy
-tails: about each axis of each camera, the rotation is that of usual calibrations or, with probability
-`constants.TURNED_SHARE`, much larger. An explanation says about which axes the cameras are turned. Under each
-explanation the likelihood and the prior of the errors are Gaussian, so the marginal likelihood and the posterior of the
-errors have a closed form. The poses are then the mean over all explanations, which has the smallest expected error: if
-it is open which of the two cameras is turned, each is turned by half.
+tails: about each axis of each camera, the rotation is that of a good calibration or, with probability
+`constants.TURNED_SHARE`, much larger; and one of the two cameras may have been moved. An explanation says about which
+axes the cameras are turned, and whether one of them was moved. Under each explanation the likelihood and the prior of
+the errors are Gaussian, so the marginal likelihood and the posterior of the errors have a closed form. The poses are
+then the mean over all explanations, which has the smallest expected error: if it is open which of the two cameras is
+turned, each is turned by half.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ from recon.fit.terms import SIZE, extrinsic_correction
 
 _ROTATIONS = np.tile([True, True, True, False, False, False], 2)
 """Which of the twelve errors of two poses are rotations."""
+_TURNED = np.array([*product([False, True], repeat=6)]).reshape(-1, 2, 3)
+"""All choices of axes of two cameras, (64, 2, 3)."""
+_MOVED = np.array([[False, False], [True, False], [False, True]])
+"""Neither camera, or one of them, (3, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +37,8 @@ class PairPoses:
 
     is_turned: Bools
     """(E, 2, 3): about which axes each of the two cameras is turned, for each of E explanations."""
+    is_moved: Bools
+    """(E, 2): which camera was moved."""
     weight: Array
     """(E,): probabilities of the explanations."""
     mean: Array
@@ -40,26 +47,31 @@ class PairPoses:
     """(E, 12, 12): covariances of the errors."""
 
     @classmethod
-    def weigh(cls, precision: Array, pull: Array, usual_sigma: Array) -> PairPoses:
+    def weigh(cls, precision: Array, pull: Array, calibrated_sigma: Array, misplaced_sigma: Array) -> PairPoses:
         """Weigh all explanations.
 
         Parameters
         ----------
         precision, pull
             (12, 12), (12,): curvature and gradient of the negative log-likelihood at errors of 0.
-        usual_sigma
-            (12,): usual standard deviations of the errors.
+        calibrated_sigma
+            (12,): standard deviations of the errors of well calibrated cameras.
+        misplaced_sigma
+            (12,): standard deviations of the errors of cameras that were turned and moved.
         """
-        is_turned = np.array([*product([False, True], repeat=6)]).reshape(-1, 2, 3)
-        sigma = np.repeat(usual_sigma[None], len(is_turned), axis=0)
-        sigma[:, _ROTATIONS] = np.where(is_turned.reshape(-1, 6), constants.MISPLACED_RAD, sigma[:, _ROTATIONS])
+        is_turned = np.repeat(_TURNED, len(_MOVED), axis=0)
+        is_moved = np.tile(_MOVED, (len(_TURNED), 1))
+        is_misplaced = np.concatenate([is_turned, np.repeat(is_moved[..., None], 3, axis=2)], axis=2).reshape(-1, 12)
+        sigma = np.where(is_misplaced, misplaced_sigma, calibrated_sigma)
         covariance = np.asarray(np.linalg.inv(precision + np.eye(12) * sigma[:, None] ** -2.0), dtype=float)
         mean = -covariance @ pull
         log_det = np.linalg.slogdet(np.eye(12) + precision * sigma[:, None] ** 2)[1]
-        share = np.where(is_turned, constants.TURNED_SHARE, 1.0 - constants.TURNED_SHARE)
-        log_weight = np.log(share).sum(axis=(1, 2)) - 0.5 * (mean @ pull + log_det)
+        turned, moved = constants.TURNED_SHARE, constants.MOVED_SHARE
+        log_prior = np.log(np.where(is_turned, turned, 1.0 - turned)).sum(axis=(1, 2))
+        log_prior += np.log(np.where(is_moved.any(axis=1), moved, 1.0 - 2.0 * moved))
+        log_weight = log_prior - 0.5 * (mean @ pull + log_det)
         weight = np.exp(log_weight - log_weight.max())
-        return cls(is_turned, weight / weight.sum(), mean, covariance)
+        return cls(is_turned, is_moved, weight / weight.sum(), mean, covariance)
 
     def covariance_about(self, value: Array) -> Array:
         """Return the second moments (12, 12) of the errors about a value (12,)."""
@@ -129,7 +141,13 @@ def pair_poses(
         sized_gradient[column] += added * (shared[SIZE] - unknowns[SIZE].mean)
     _, curvature, pull = likelihood(sized_S, sized_gradient)
     usual_sigma = sigma * np.sqrt(variance_factor)
-    poses = PairPoses.weigh(curvature / variance_factor, pull / variance_factor, usual_sigma)
+    misplaced_sigma = np.where(_ROTATIONS, constants.MISPLACED_RAD, constants.MOVED * usual_sigma)
+    poses = PairPoses.weigh(
+        curvature / variance_factor,
+        pull / variance_factor,
+        constants.WELL_CALIBRATED * usual_sigma,
+        misplaced_sigma,
+    )
     precision, curvature, pull = likelihood(S, gradient)
     # at the minimum, the gradient of the prior is the negative gradient of the likelihood
     prior_mean = poses.expected + sigma**2 * (curvature @ poses.expected + pull)

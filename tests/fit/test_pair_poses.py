@@ -19,8 +19,13 @@ from recon.fit.trajectory import solve_segments
 USUAL_RAD = constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD
 USUAL = np.tile([*[USUAL_RAD] * 3, *[0.03] * 3], 2)
 """Usual standard deviations of the errors of two poses."""
+CALIBRATED = constants.WELL_CALIBRATED * USUAL
+MISPLACED = np.tile([*[constants.MISPLACED_RAD] * 3, *[0.3] * 3], 2)
+"""Standard deviations for well calibrated cameras, and for cameras that were turned and moved."""
 PAN, SECOND_PAN = 1, 7
 """Turns of the first and of the second camera about their vertical axis, among the twelve errors."""
+SHIFT, SECOND_SHIFT = 3, 9
+"""Shifts of the two cameras along their horizontal axis, among the twelve errors."""
 
 
 def likelihood(measured: dict[int, float], sigma_rad: float) -> tuple[np.ndarray, np.ndarray]:
@@ -31,21 +36,43 @@ def likelihood(measured: dict[int, float], sigma_rad: float) -> tuple[np.ndarray
     return precision, pull
 
 
-def test_poses_that_nothing_shows_are_as_likely_turned_as_expected():
-    poses = PairPoses.weigh(np.zeros((12, 12)), np.zeros(12), USUAL)
-    shares = np.tensordot(poses.weight, poses.is_turned, axes=1)
-    assert shares == pytest.approx(np.full((2, 3), constants.TURNED_SHARE))
-    variance = constants.TURNED_SHARE * constants.MISPLACED_RAD**2 + (1 - constants.TURNED_SHARE) * USUAL_RAD**2
-    assert np.diagonal(poses.covariance_about(np.zeros(12)))[[0, 1, 8]] == pytest.approx(np.full(3, variance))
+def test_poses_that_nothing_shows_are_as_likely_turned_and_moved_as_expected():
+    poses = PairPoses.weigh(np.zeros((12, 12)), np.zeros(12), CALIBRATED, MISPLACED)
+    assert np.tensordot(poses.weight, poses.is_turned, axes=1) == pytest.approx(np.full((2, 3), constants.TURNED_SHARE))
+    assert poses.weight @ poses.is_moved == pytest.approx(np.full(2, constants.MOVED_SHARE))
+    assert not poses.is_moved.all(axis=1).any()
+    share = np.tile([*[constants.TURNED_SHARE] * 3, *[constants.MOVED_SHARE] * 3], 2)
+    variance = share * MISPLACED**2 + (1 - share) * CALIBRATED**2
+    assert np.diagonal(poses.covariance_about(np.zeros(12))) == pytest.approx(variance)
     np.testing.assert_array_equal(poses.expected, np.zeros(12))
 
 
 def test_a_turn_that_the_detections_show_is_that_of_its_camera():
     measured = dict.fromkeys(range(12), 0.0)
     for index in (PAN, SECOND_PAN):
-        poses = PairPoses.weigh(*likelihood(measured | {index: np.radians(3.0)}, np.radians(0.1)), USUAL)
+        seen = likelihood(measured | {index: np.radians(3.0)}, np.radians(0.1))
+        poses = PairPoses.weigh(*seen, CALIBRATED, MISPLACED)
         assert np.degrees(poses.expected[index]) == pytest.approx(3.0, abs=0.01)
         assert np.degrees(poses.expected[PAN + SECOND_PAN - index]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_shift_that_the_detections_show_is_that_of_its_camera():
+    measured = dict.fromkeys(range(12), 0.0)
+    for index in (SHIFT, SECOND_SHIFT):
+        poses = PairPoses.weigh(*likelihood(measured | {index: 0.3}, 0.001), CALIBRATED, MISPLACED)
+        assert poses.expected[index] == pytest.approx(0.3, abs=0.001)
+        assert poses.expected[SHIFT + SECOND_SHIFT - index] == pytest.approx(0.0, abs=0.001)
+        assert poses.weight @ poses.is_moved == pytest.approx([float(index == SHIFT), float(index == SECOND_SHIFT)])
+
+
+def test_a_turn_explains_what_a_turn_and_a_shift_would_show_alike():
+    """Only the sum of a pan and of a shift at 10 m is measured: a turn is more often the cause than a shift."""
+    both = np.zeros(12)
+    both[[PAN, SHIFT]] = 1.0, 0.1
+    precision = np.outer(both, both) * np.radians(0.1) ** -2
+    poses = PairPoses.weigh(precision, -np.radians(3.0) * both * np.radians(0.1) ** -2, CALIBRATED, MISPLACED)
+    assert both @ poses.expected == pytest.approx(np.radians(3.0), abs=np.radians(0.1))
+    assert poses.weight @ poses.is_turned[:, 0, 1] > poses.weight @ poses.is_moved[:, 0] > constants.MOVED_SHARE
 
 
 def test_if_it_is_open_which_camera_is_turned_each_is_turned_by_half_and_both_are_uncertain():
@@ -53,7 +80,7 @@ def test_if_it_is_open_which_camera_is_turned_each_is_turned_by_half_and_both_ar
     difference = np.zeros(12)
     difference[[PAN, SECOND_PAN]] = -1.0, 1.0
     precision, angle_rad = np.outer(difference, difference) * np.radians(0.1) ** -2, np.radians(3.0)
-    poses = PairPoses.weigh(precision, -angle_rad * difference * np.radians(0.1) ** -2, USUAL)
+    poses = PairPoses.weigh(precision, -angle_rad * difference * np.radians(0.1) ** -2, CALIBRATED, MISPLACED)
     assert np.degrees(poses.expected[[PAN, SECOND_PAN]]) == pytest.approx([-1.5, 1.5], abs=0.02)
     sigma_deg = np.degrees(np.sqrt(np.diagonal(poses.covariance_about(poses.expected))))
     assert sigma_deg[PAN] == pytest.approx(sigma_deg[SECOND_PAN])
@@ -79,7 +106,8 @@ def test_the_poses_of_a_problem_become_as_uncertain_as_all_explanations_leave_th
     prior = np.diag(np.tile(problem.shared[1].sigma, 2)) ** 2
     lasting = S + np.diag([(correlation - 1.0) * 0.1**-2.0, *np.zeros(12)])  # the size counts once, too
     likelihood_precision = np.linalg.inv(np.linalg.inv(lasting)[1:, 1:]) - np.linalg.inv(prior)
-    poses = PairPoses.weigh(likelihood_precision / correlation, np.zeros(12), USUAL)
+    misplaced = np.where(np.arange(12) % 6 < 3, constants.MISPLACED_RAD, constants.MOVED * USUAL)
+    poses = PairPoses.weigh(likelihood_precision / correlation, np.zeros(12), CALIBRATED, misplaced)
     np.testing.assert_allclose(correlation * after[1:, 1:], poses.covariance_about(np.zeros(12)), rtol=1e-6, atol=1e-15)
     by_poses = np.linalg.solve(before[1:, 1:], before[1:, 0])  # the size follows the poses as before
     np.testing.assert_allclose(np.linalg.solve(after[1:, 1:], after[1:, 0]), by_poses, rtol=1e-5, atol=1e-9)
@@ -87,7 +115,7 @@ def test_the_poses_of_a_problem_become_as_uncertain_as_all_explanations_leave_th
 
 def test_with_the_mean_of_its_prior_a_problem_has_its_minimum_at_the_expected_poses():
     problem, S = random_problem(4.0)
-    gradient = 0.003 * S[:, 2]  # shows a turn, and the explanations differ from the minimum
+    gradient = 0.02 * S[:, 2]  # shows a turn, and the explanations differ from the minimum
     weighed = pair_poses(problem, problem.expected(), (S, gradient), 4.0)
     assert weighed is not None
     prior_pull = np.append(0.0, -weighed.prior_mean / np.tile(problem.shared[1].sigma, 2) ** 2)
