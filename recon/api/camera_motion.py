@@ -20,8 +20,9 @@ from recon.base.numbers import percent, quantity
 from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, up_at_tilt, up_by_marks
-from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker, TurningMotion, panorama, thumbnail
+from recon.calibrate.camera_motion.level import LevelMark, as_level, read_marks, up_at_tilt, up_by_marks
+from recon.calibrate.camera_motion.panorama import panorama, thumbnail
+from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker, TurningMotion
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io.calibration import read_camera

@@ -14,7 +14,8 @@ import pytest
 from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
-from recon.calibrate.camera_motion.rotation import Orientation, as_level, rays_of, read_marks, up_at_tilt, up_by_marks
+from recon.calibrate.camera_motion.level import as_level, read_marks, up_at_tilt, up_by_marks
+from recon.calibrate.camera_motion.rotation import Orientation, rays_of
 from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker
 from recon.geometry.camera import Camera
 from recon.io.camera_files import write_camera

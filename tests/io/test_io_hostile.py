@@ -29,7 +29,7 @@ from recon import InputError
 from recon.animal.naming import load_names
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
-from recon.calibrate.camera_motion.rotation import read_marks
+from recon.calibrate.camera_motion.level import read_marks
 from recon.cli.app import app, main
 from recon.clip import Keypoints
 from recon.io.camera_track import read_camera_track

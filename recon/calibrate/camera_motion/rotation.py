@@ -1,4 +1,4 @@
-"""Follow points between pictures, and find how the camera turned between them and which direction is up.
+"""Follow points between pictures, and find how the camera turned between them.
 
 A subject that the camera follows can cover much of the picture and have more structure than the background, and its
 points agree with each other. But these points are close together, whereas background points surround them. Therefore
@@ -7,21 +7,14 @@ rotations are ranked by the area that their points cover times the points' sprea
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
-from recon.base.documents import require_file
-from recon.base.errors import InputError, Problem, raise_problems
 from recon.geometry.camera import Camera
-from recon.geometry.frames import level_from_camera
-from recon.io.common import first_problems, frame_number, number, text_rows
 from recon.io.video import Image
 
 WORK_PX = 1280
@@ -384,100 +377,3 @@ def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[
     """Return the pixels (N, 2) of world rays (N, 3), and whether they are inside the picture."""
     pixels, valid = pixels_of(camera, rays @ orientation.rotation.T, orientation.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))
-
-
-# -- which way is up ---------------------------------------------------------------------------------------------------
-
-COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
-EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two of its points, px"
-MARKED_PX = 2.0
-"""Standard deviation of a marked point."""
-MAX_SIGMA_RAD = math.radians(3.0)
-"""Largest accepted uncertainty of the upward direction. One vertical, or parallel ones, do not determine it."""
-
-
-LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
-""""horizon" or "vertical", frame number, and two points (px) of the horizon or of an upright object in this frame."""
-
-
-def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
-    """Return orientations relative to a world with z up and y away from the camera.
-
-    `up` is the upward direction (3,) in the first frame's camera. If it is None, the mean frame is assumed to look
-    level.
-    """
-    reference = orientations[0].rotation
-    if up is None:
-        reference = Rotation.from_matrix([turn.rotation for turn in orientations]).mean().as_matrix()
-        up = up_at_tilt(0.0)
-    level = level_from_camera(up) @ reference  # from the previous world to the level world
-    return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
-
-
-def up_at_tilt(tilt_rad: float) -> Array:
-    """Return the upward direction (3,) for a camera tilted down by an angle, without roll."""
-    return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
-
-
-def up_by_marks(
-    source: Path, marks: Sequence[LevelMark], camera: Camera, orientations: Mapping[int, Orientation]
-) -> tuple[Array, float]:
-    """Return the upward direction (3,) in the first frame's camera, and its standard deviation in rad.
-
-    Rays to the horizon are level, and an upright object is in the plane of the rays to its ends. The upward direction
-    is therefore perpendicular to the former rays and to the normals of these planes. `orientations` are by frame
-    number. Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the marks do
-    not determine the upward direction.
-    """
-    first = orientations[min(orientations)].rotation
-    rows, problems = [], []
-    for kind, frame, ends_px in marks:
-        orientation = orientations.get(frame)
-        rays, valid = rays_of(camera, np.array(ends_px), orientation.zoom if orientation else 1.0)
-        if orientation is None:
-            problems.append(
-                Problem(source, "frame", str(frame), "a frame of the video whose camera orientation is known")
-            )
-        elif not valid.all():
-            problems.append(Problem(source, f"frame {frame}", str(ends_px), "points inside the picture"))
-        else:
-            level = rays if kind == "horizon" else np.cross(*rays)[None]
-            rows.append(level @ orientation.rotation @ first.T)
-    raise_problems(dict.fromkeys(problems))
-    # The error of a ray is that of a mark over the focal length. The error of a plane's normal is that of two marks
-    # over the distance between them, which is the length of the cross product.
-    A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX
-    _, size, directions = np.linalg.svd(A, full_matrices=True)
-    sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
-    if sigma > MAX_SIGMA_RAD:
-        found_text = "marks that do not determine the upward direction"
-        raise InputError(Problem(source, "marks", found_text, "two points on the horizon, or verticals far apart"))
-    up = directions[2]
-    return (up if up[1] < 0 else -up), sigma
-
-
-def read_marks(path: Path) -> tuple[LevelMark, ...]:
-    """Read marks from a CSV table of `COLUMNS`.
-
-    Raises InputError with every problem.
-    """
-    require_file(path, EXPECTED)
-    (_, header), *rows = [*text_rows(path, ",")] or [(1, [])]
-    if tuple(cell.strip() for cell in header) != COLUMNS:
-        raise InputError(Problem(path, "header", repr(",".join(header))[:80], EXPECTED))
-    marks, problems = list[LevelMark](), list[Problem]()
-    for line, cells in rows:
-        try:
-            marks.append(_mark(*(cell.strip() for cell in cells)))
-        except (TypeError, ValueError):  # too few cells, or cells that are not numbers
-            problems.append(Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED))
-    raise_problems(first_problems(problems, path) if rows else [Problem(path, "lines", "none", EXPECTED)])
-    return tuple(marks)
-
-
-def _mark(kind: str, frame: str, *ends: str) -> LevelMark:
-    frame_index, (x1, y1, x2, y2) = frame_number(frame), map(number, ends)
-    is_valid = kind in ("horizon", "vertical") and np.isfinite([x1, y1, x2, y2]).all()
-    if frame_index is None or not is_valid or (x1, y1) == (x2, y2):
-        raise ValueError
-    return kind, frame_index, ((x1, y1), (x2, y2))
