@@ -34,8 +34,9 @@ from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Number, Option, Settings
 from recon.ik.chain import SerialChain, joint_chain
-from recon.robotics import quadruped as robots
-from recon.robotics.quadruped import LEGS, Length, Limits, body_pose, leg_targets, load_robot
+from recon.robotics import models
+from recon.robotics.leg import Length, Limits
+from recon.robotics.quadruped import LEGS, SUFFIXES, body_pose, builtin_robots, leg_targets, load_robot
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
@@ -278,14 +279,14 @@ def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | 
     """
     if tip in LEGS:
         return load_robot(source).legs[tip].chain, None
-    if source in robots.builtin_robots():
+    if source in builtin_robots():
         raise InputError(Problem("--tip", "leg", str(tip or "none"), f"one of {', '.join(LEGS)}"))
-    if (file := Path(source)).suffix.lower() in robots.SUFFIXES:
-        model = robots.read_model(file)
-        ends = [tip] if tip is not None else [robots.body_names(model)[leaf - 1] for leaf in robots.leaves_of(model)]
+    if (file := Path(source)).suffix.lower() in SUFFIXES:
+        model = models.read_model(file)
+        ends = [tip] if tip is not None else [models.body_names(model)[leaf - 1] for leaf in models.leaves_of(model)]
         if len(ends) > 1:
             raise InputError(Problem("--tip", "link", "none", f"one of {', '.join(ends)}"))
-        return robots.model_chain(model, file, ends[0]), None
+        return models.model_chain(model, file, ends[0]), None
     if tip is not None:
         raise InputError(Problem("--tip", "link", tip, "none: the file has one chain"))
     chain, convention, rows = load_dh(file)

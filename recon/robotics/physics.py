@@ -26,7 +26,8 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.robotics.quadruped import LEGS, SUFFIXES, MjModel, MjSpec, Quadruped, read_model, require_mujoco, root_of
+from recon.robotics.models import MjModel, MjSpec, read_model, require_mujoco, root_of
+from recon.robotics.quadruped import LEGS, SUFFIXES, Quadruped
 from recon.robotics.retarget import LEGS_APART, RobotMotion, moved_by, stances, swinging
 from recon.show.plots.style import GREY, SMALL, drawing
 

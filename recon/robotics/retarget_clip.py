@@ -51,7 +51,8 @@ from recon.gait.gait import rejection_text
 from recon.ik.drive import control_columns
 from recon.io.writing import write_rows
 from recon.robotics import physics
-from recon.robotics.quadruped import LEGS, MjModel, Quadruped, builtin_robots, load_robot
+from recon.robotics.models import MjModel
+from recon.robotics.quadruped import LEGS, Quadruped, builtin_robots, load_robot
 from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save

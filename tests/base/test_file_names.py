@@ -130,7 +130,7 @@ def test_a_video_with_such_a_name_is_refused(tmp_path):
 
 def test_a_robot_with_such_a_name_is_refused(tmp_path):
     pytest.importorskip("mujoco")
-    from recon.robotics.quadruped import read_model
+    from recon.robotics.models import read_model
 
     path = tmp_path / f"{LATIN_1}.urdf"
     path.write_text("<robot/>")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.robotics.quadruped import Leg
+from recon.robotics.leg import Leg
 
 AIBO = Leg("swing", thigh_m=0.0695, shin_m=0.0715, knee_offset_m=0.009, foot_offset_m=-0.009)
 FLAP = Leg("flap", thigh_m=0.213, shin_m=0.213, lateral_m=0.08)

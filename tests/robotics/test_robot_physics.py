@@ -11,8 +11,9 @@ from command_line import refusal, refused, run, says
 from robot_urdf import a1_urdf
 
 from recon.fit.motion import Motion
+from recon.robotics.models import read_model
 from recon.robotics.physics import FRICTION, RULES, carried, check, followed, kept, simulated
-from recon.robotics.quadruped import LEGS, body_pose, load_robot, read_model
+from recon.robotics.quadruped import LEGS, body_pose, load_robot
 from recon.robotics.retarget import RobotMotion, posed, reference_of, retarget
 from recon.robotics.retarget_clip import RobotSamples
 from recon.testing.steady_gait import TROT, with_exact_states

@@ -19,8 +19,9 @@ from recon.ik.methods import (
     damped_least_squares,
     weighted_least_norm,
 )
+from recon.robotics.models import model_chain, read_model
 from recon.robotics.physics import described, simulated
-from recon.robotics.quadruped import LEGS, load_robot, model_chain, read_model
+from recon.robotics.quadruped import LEGS, load_robot
 
 ARM = (
     (

@@ -49,9 +49,10 @@ from recon.base.outputs import Output
 from recon.base.settings import Number, Option, Settings, input_paths
 from recon.geometry.frames import rigid
 from recon.io.writing import write_rows
+from recon.robotics.leg import Length, PositiveLength
 from recon.robotics.physics import Rule, margins_figure
 from recon.robotics.playback import write_robot
-from recon.robotics.quadruped import LEGS, Length, PositiveLength, Quadruped, leg_targets, load_robot
+from recon.robotics.quadruped import LEGS, Quadruped, leg_targets, load_robot
 from recon.robotics.retarget import RobotMotion, posed
 from recon.robotics.retarget_clip import write_tables
 from recon.show.plain import to_json
