@@ -7,12 +7,15 @@ frame, time and percent of the stride to which it belongs. The data dictionary e
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from recon.base.documents import builtin_file
 from recon.base.file_names import encodable
 from recon.base.package import version
 from recon.base.tables import guarded
@@ -29,6 +32,24 @@ _PARTS = (
     (r"_?low$", "lower end of the 90 % interval of {}"),
     (r"_?high$", "upper end of the 90 % interval of {}"),
 )
+_OF_TABLE = {
+    "velocities": (
+        *((f"(.+)_v{axis}", f"velocity of {{}} along {axis}") for axis in "xyz"),
+        *((f"(.+)_a{axis}", f"acceleration of {{}} along {axis}") for axis in "xyz"),
+    ),
+    "angle_rates": (
+        ("(.+)_rate", "angular rate of {}"),
+        ("(.+)_acceleration", "angular acceleration of {}"),
+        ("(.+)_angle", "angle at {}"),
+    ),
+    "joint_flexion": (("(.+)", "flexion of the {}; 0: straight, positive: flexed"),),
+    "force_over_time": (("(.+)", "vertical force of {}"),),
+    "gait": (
+        ("duty_factor_(.+)", "fraction of a stride for which {} stands"),
+        ("phase_(.+)", "touch-down of {} after that of LH, in strides"),
+    ),
+}
+"""Patterns of columns for each joint, angle or foot by table, and the columns' meanings."""
 _REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "footfalls"
 """Columns of text that do not identify a value."""
 _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
@@ -53,20 +74,35 @@ def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
     return frames
 
 
-def meaning_of(column: str) -> str:
-    """Return a column's name in words, without its unit."""
+def meaning_of(column: str, table: str = "") -> str:
+    """Return the meaning of a table's column, by `meanings.toml` or from the parts of its name, without its unit."""
     end = next((end for end in UNITS if column.endswith(f"_{end}")), "")
-    name = column[: -len(end) - 1] if end else column
+    return _meaning(column[: -len(end) - 1] if end else column, table)
+
+
+def _meaning(name: str, table: str) -> str:
+    meanings = _meanings()
+    for known in (meanings.get(table, {}), meanings["any"]):
+        if name in known:
+            return known[name]
     for pattern, words in _PARTS:
-        if re.search(pattern, name) and re.sub(pattern, "", name):
-            return words.format(re.sub(pattern, "", name).replace("_", " "))
+        if (whole := re.sub(pattern, "", name)) not in ("", name):
+            return words.format(_meaning(whole, table))
+    for pattern, words in _OF_TABLE.get(table, ()):
+        if match := re.fullmatch(pattern, name):
+            return words.format(match[1].replace("_", " "))
     return name.replace("_", " ")
+
+
+@cache
+def _meanings() -> dict[str, dict[str, str]]:
+    return tomllib.loads(builtin_file("show", "meanings.toml").read_text(encoding="utf-8"))
 
 
 def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     """Return the data dictionary: a row for each column of each table, with unit and meaning."""
     rows = [
-        (name, column, _unit_in_words(table, column), meaning_of(column), f"{name}.csv")
+        (name, column, _unit_in_words(table, column), meaning_of(column, name), f"{name}.csv")
         for name, table in tables.items()
         for column in table.columns
     ]

@@ -41,19 +41,30 @@ def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
 
 
 @pytest.mark.parametrize(
-    ("column", "unit", "meaning"),
+    ("table", "column", "unit", "meaning"),
     [
-        ("peak_speed_sigma_m_s", "m/s", "one standard deviation of peak speed"),
-        ("net_work_low_j_kg", "J/kg", "lower end of the 90 % interval of net work"),
-        ("ax_m_s2", "m/s²", "ax"),
-        ("left_elbow_deg", "°", "left elbow"),
-        ("duty_factor", "", "duty factor"),
-        ("frequency_hz", "Hz", "frequency"),
-        ("foot", "", "foot"),
+        ("joints", "peak_speed_sigma_m_s", "m/s", "one standard deviation of greatest speed"),
+        ("strides", "frequency_hz", "Hz", "strides per second"),
+        ("reference", "ax_m_s2", "m/s²", "acceleration along x"),
+        ("velocities", "l_eye_vx_sigma_m_s", "m/s", "one standard deviation of velocity of l eye along x"),
+        ("angle_rates", "spine_angle_rate_rad_s", "rad/s", "angular rate of spine angle"),
+        ("joint_flexion", "left_elbow_deg", "°", "flexion of the left elbow; 0: straight, positive: flexed"),
+        ("force_over_time", "LF_low_bw", "body weight", "lower end of the 90 % interval of vertical force of LF"),
+        ("gait", "phase_RF", "", "touch-down of RF after that of LH, in strides"),
+        ("vector_field_means", "speed_sigma_m_s", "m/s", "one standard deviation of the speed in a single frame"),
+        ("", "a_new_column_m", "m", "a new column"),
     ],
 )
-def test_units_and_meanings_follow_from_names(column: str, unit: str, meaning: str):
-    assert (unit_of(column), meaning_of(column)) == (unit, meaning)
+def test_units_and_meanings_follow_from_names(table: str, column: str, unit: str, meaning: str):
+    assert (unit_of(column), meaning_of(column, table)) == (unit, meaning)
+
+
+def test_a_meaning_says_more_than_the_name(whole: ClipAnalysis):
+    tables = analysis_tables(whole)
+    names = [(name, column) for name, table in tables.items() if name != "angle_rates" for column in table.columns]
+    assert not [
+        (name, column) for name, column in names if meaning_of(column, name) in (column, column.replace("_", " "))
+    ]
 
 
 def test_the_long_table_has_every_number_with_its_unit(whole: ClipAnalysis):
@@ -98,7 +109,9 @@ def test_a_workbook_has_a_readme_with_the_dictionary_and_the_tables(whole: ClipA
     assert book.sheetnames[:2] == ["README", "long"]
     assert {"strides", "stances", "joint_flexion_stride"} <= {*book.sheetnames}
     readme = [*book["README"].iter_rows(values_only=True)]
-    assert ("strides", "length_m", "m", "length", "strides.csv") in [row[:5] for row in readme]
+    assert ("strides", "length_m", "m", "length of the body's path during the stride", "strides.csv") in [
+        row[:5] for row in readme
+    ]
     assert readme[0][0].startswith("Analysis of =clip by recon")
     header, first = [*book["strides"].iter_rows(values_only=True)][:2]
     row = dict(zip(header, first, strict=True))
