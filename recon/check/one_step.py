@@ -60,7 +60,7 @@ class _ExtendedReprojection(Reprojection):
         rows = super()._rows_of(span, scene, errors)
         if self.by_unknown is None:
             return rows
-        weight = self._root_weights(scene, errors) / scene.sigma_px
+        weight = self.weights_of(scene, errors)
         drift_m = np.zeros_like(scene.points_m) if self.drift_m is None else self.drift_m[scene.frames]
         detections = Detections(
             np.arange(scene.frames.start, scene.frames.stop),

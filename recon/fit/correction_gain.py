@@ -120,31 +120,37 @@ def _segment_gain(
     world_m = clip.in_world(clip.body.detected.pose(states).points_m, size)
     views = [(view, view.shift_to_exposure(world_m)) for view in clip.views]
     for part in parts:
-        jacobian = clip.body.detected.pose_with_jacobian(states[part]).jacobian
+        by_state = size * clip.body.detected.pose_with_jacobian(states[part]).jacobian
+        of_points = _of_points(by_state, Z[part]), _of_points(by_state, Q[part])
         for number, (view, points_m) in enumerate(views):
             noise_px, weight = solution.noise_px[number, rows][part], solution.weight[number, rows][part]
             gains[number, part] = _gain_of_frames(
-                view.part(part), points_m[part], jacobian, (Z[part], Q[part]), (noise_px, weight), clip, size
+                view.part(part), points_m[part], of_points, (noise_px, weight), clip.correlation_frames
             )
     return gains
+
+
+def _of_points(by_state: Array, of_states: Array) -> Array:
+    """Return the blocks (N, J, 3, 3) of points that move by (N, J, 3, D) with states whose blocks are (N, D, D)."""
+    N, J, _, D = by_state.shape
+    moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(N, J, 3, D)
+    return moved @ by_state.swapaxes(2, 3)
 
 
 def _gain_of_frames(
     view: View,
     points_m: Array,
-    by_state: Array,
     covariance_and_derivative: tuple[Array, Array],
     noise_and_weight: tuple[Array, Array],
-    clip: ClipProblem,
-    size: float,
+    correlation_frames: float,
 ) -> Array:
     """Return the gain (N, J) of N frames of a view.
 
-    The markers (N, J, 3) move with the state by the derivatives (N, J, 3, D) at nominal size.
+    The blocks of Z and Q are those of the markers (N, J, 3, 3), whose positions are (N, J, 3).
     """
     projected, by_point, valid = view.project_with_jacobian(points_m)
-    A, eye = size * by_point @ by_state, np.eye(2)
-    A_Z_A, A_Q_A = (A @ square[:, None] @ A.swapaxes(-1, -2) for square in covariance_and_derivative)
+    A_Z_A, A_Q_A = (by_point @ of_points @ by_point.swapaxes(-1, -2) for of_points in covariance_and_derivative)
+    eye = np.eye(2)
     noise_px, weight = noise_and_weight
     w = np.where(view.present, np.nan_to_num(weight) * view.confidence, 0.0)[..., None, None]
     variance_px2 = noise_px[..., None, None] ** 2
@@ -155,7 +161,7 @@ def _gain_of_frames(
     w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2
     pulled = w_left * np.linalg.solve(eye - w_left * A_Z_A, residual_px)
     pull = (pulled.swapaxes(-1, -2) @ A_Q_A @ pulled)[..., 0, 0]
-    return np.where(valid, clip.correlation_frames * fall + pull, np.nan)
+    return np.where(valid, correlation_frames * fall + pull, np.nan)
 
 
 def _covariance_and_derivative(

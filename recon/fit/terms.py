@@ -150,6 +150,8 @@ class ReprojectionErrors(NamedTuple):
     """(N, J): squared errors in units of the loss."""
     seen: Bools
     """(N, J): which markers are detected, and in front of the camera."""
+    confidence: Array
+    """(N, J): confidence of the detections, 0 for missing ones."""
     unbiased_px: Array
     """(N, J, 2): projected markers without keypoint bias."""
     by_point: Array
@@ -389,27 +391,24 @@ class Reprojection:
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
         """Return `point_rows`, of errors with derivatives."""
-        view, sigma, seen = scene.view, scene.sigma_px, errors.seen
-        root_weight = self._root_weights(scene, errors)[..., None]
-        by_point = errors.by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
+        view, weight = scene.view, self.weights_of(scene, errors)
+        by_point = errors.by_point * weight[..., None, None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
         by_shared = self._by_scene(span, scene, by_point)
         by_bias = None
         if self._bias_m(span) is not None and self.px_per_m is not None:
-            by_bias = (root_weight / sigma[..., None])[..., 0] * self.px_per_m[scene.frames, None]
+            by_bias = weight * self.px_per_m[scene.frames, None]
         if focal_scale(self.number) in span.shared:
-            off_centre = np.where(seen[..., None], errors.unbiased_px - view.camera.matrix[:2, 2], 0.0)
-            by_focal = off_centre * root_weight / sigma[..., None]
-            by_shared[focal_scale(self.number)] = by_focal.reshape(N, 2 * J, 1)
+            off_centre = np.where(errors.seen[..., None], errors.unbiased_px - view.camera.matrix[:2, 2], 0.0)
+            by_shared[focal_scale(self.number)] = (off_centre * weight[..., None]).reshape(N, 2 * J, 1)
         if (correction := span.shared.get(extrinsic_correction(self.number))) is not None:
             by_camera = by_point @ view.rotation.swapaxes(-1, -2)
             in_camera = scene.given_view.to_camera(scene.world_m)
             rotation = euler_rotation_with_jacobian(correction[:3])[1] @ in_camera[..., None, :, None]
             by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return PointRows(
-            errors.cost, errors.in_sigmas * root_weight, by_point * scene.size, by_shared, self.number, by_bias
-        )
+        residual = errors.in_sigmas * (weight * scene.sigma_px)[..., None]
+        return PointRows(errors.cost, residual, by_point * scene.size, by_shared, self.number, by_bias)
 
     def _errors(self, scene: Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
         """Return the errors of the detections; with `jacobian`, also the derivatives of the projections."""
@@ -421,23 +420,23 @@ class Reprojection:
         unbiased_px, bias_m = projected, self._bias_m(span)
         if bias_m is not None and self.px_per_m is not None:
             projected = projected + self.px_per_m[scene.frames, None, None] * bias_m.reshape(-1, 2)
-        seen = view.present & valid
+        present = view.present
+        seen = present & valid
         e = np.where(seen[..., None], projected - view.xy_px, 0.0) / scene.sigma_px[..., None]
-        q = np.sum(e * e, axis=-1) / self.c**2
-        confidence = np.where(view.present, view.confidence, 0.0)
+        q = (e[..., 0] ** 2 + e[..., 1] ** 2) / self.c**2  # a sum over two is many times slower
+        confidence = np.where(present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
-        return ReprojectionErrors(cost, e, q, seen, unbiased_px, by_point)
+        return ReprojectionErrors(cost, e, q, seen, confidence, unbiased_px, by_point)
 
-    def _root_weights(self, scene: Scene, errors: ReprojectionErrors) -> Array:
-        """Return the square roots (N, J) of the robust weights times the confidences, 0 for markers not seen."""
-        confidence = np.where(scene.view.present, scene.view.confidence, 0.0)
-        return np.sqrt(np.where(errors.seen, confidence / (1.0 + errors.squares), 0.0))
+    def weights_of(self, scene: Scene, errors: ReprojectionErrors) -> Array:
+        """Return the factors (N, J) from errors in pixels to residuals, 0 for markers not seen."""
+        return np.sqrt(np.where(errors.seen, errors.confidence / (1.0 + errors.squares), 0.0)) / scene.sigma_px
 
     def _scene(self, span: Span) -> Scene:
         """Return the markers when the pictures were taken, and the camera with its corrections."""
         parts = self._parts(span)
-        points_m = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
+        points_m = reduce(np.add, (share * span.pose.points_m[part] for part, share in parts))
         frames = slice(span.first, span.first + len(points_m))
         delay = span.shared.get(time_offset(self.number))
         if delay is not None and self.drift_m is not None:
@@ -459,9 +458,9 @@ class Reprojection:
         N, J = by_point.shape[:2]
         by_shared: dict[str, Array] = {}
         if SIZE in span.shared:
-            by_shared[SIZE] = (by_point @ scene.points_m[..., None]).reshape(N, 2 * J, 1)
+            by_shared[SIZE] = np.einsum("njra,nja->njr", by_point, scene.points_m).reshape(N, 2 * J, 1)
         if time_offset(self.number) in span.shared and self.drift_m is not None:
-            by_offset = (by_point * scene.size) @ self.drift_m[scene.frames, ..., None]
+            by_offset = scene.size * np.einsum("njra,nja->njr", by_point, self.drift_m[scene.frames])
             by_shared[time_offset(self.number)] = by_offset.reshape(N, 2 * J, 1)
         return by_shared
 
