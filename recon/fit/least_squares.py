@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import pairwise
 
 import numpy as np
@@ -210,6 +210,7 @@ class LeastSquares:
         merged = self._cameras_in_step(span)
         if merged:
             _add_detections(sums, self.columns, merged, span, start, by_shape)
+        by_stencil: dict[tuple[int, ...], list[TermRows]] = {}
         for term in self.terms:
             if any(term is camera for camera in merged):
                 continue
@@ -217,9 +218,11 @@ class LeastSquares:
                 frames = slice(first, first + span.own_rows.stop)
                 term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames])
                 continue
-            rows = _rows_with_shape(term, span, by_shape)
-            add_normal(sums.blocks, sums.gradient, first, term.stencil, rows.residual, rows.jacobian)
-            _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, term.stencil, rows)
+            by_stencil.setdefault(term.stencil, []).append(_rows_with_shape(term, span, by_shape))
+        for stencil, rows_of_terms in by_stencil.items():  # together, because each sum goes through all of the blocks
+            rows = _together(rows_of_terms)
+            add_normal(sums.blocks, sums.gradient, first, stencil, rows.residual, rows.jacobian)
+            _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, stencil, rows)
 
     def minimise(
         self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
@@ -538,6 +541,22 @@ def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermR
     of_offsets[:, :, markers] = of_shape[..., L:].reshape(N, M, count, 3)
     by_shared = {LENGTHS: of_shape[..., :L], COMMON_KEYPOINT_BIAS: of_offsets.reshape(N, M, 3 * J)}
     return replace(rows, jacobian=rows.jacobian[..., :D], by_shared={**rows.by_shared, **by_shared})
+
+
+def _together(rows_of_terms: Sequence[TermRows]) -> TermRows:
+    """Return the rows of terms with the same stencil as those of one term."""
+    if len(rows_of_terms) == 1:
+        return rows_of_terms[0]
+    counts = [rows.residual.shape[1] for rows in rows_of_terms]
+    ends = np.cumsum(counts)
+    N, by_shared = len(rows_of_terms[0].residual), dict[str, Array]()
+    for rows, count, end in zip(rows_of_terms, counts, ends, strict=True):
+        for name, values in rows.by_shared.items():
+            whole = by_shared.setdefault(name, np.zeros((N, int(ends[-1]), values.shape[2])))
+            whole[:, end - count : end] = values
+    residual = np.concatenate([rows.residual for rows in rows_of_terms], axis=1)
+    jacobian = np.concatenate([rows.jacobian for rows in rows_of_terms], axis=1)
+    return TermRows(reduce(np.add, (rows.cost for rows in rows_of_terms)), residual, jacobian, by_shared)
 
 
 def _add_shared(
