@@ -23,7 +23,7 @@ from recon.api.subject_fit import clip_problem
 from recon.fit.body_shape import Shape
 from recon.fit.posterior import radius
 from recon.fit.shape import MODEL_SIGMA, fit_shape
-from recon.gait.gait import INTERVAL
+from recon.gait.stances import INTERVAL
 
 Rows = list[tuple[str, float, float]]
 """Bone, error, and standard deviation of the fit alone; the latter two relative to the length."""

@@ -32,7 +32,7 @@ from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.flexion import JointFlexion, extreme, joint_flexions, stride_curves
-from recon.gait.gait import INTERVAL
+from recon.gait.stances import INTERVAL
 from recon.geometry.camera import Camera
 from recon.io.camera_files import write_camera
 from recon.testing.files import write_keypoints

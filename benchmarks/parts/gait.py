@@ -28,15 +28,16 @@ from dog import Clip, read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
 
-import recon.gait.gait as method
+import recon.gait.stances as method
 from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
 from recon.api.clip_results import run_clip
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
+from recon.gait.gait import Gait, gait, match_stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
+from recon.gait.stances import FEET, INTERVAL, Stance, pose_tracks, stances
 from recon.testing.gallop import gallop
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"

@@ -22,9 +22,9 @@ from recon.api.compare import measurement_sigma
 from recon.api.experiment import SPEED, runs_of_clips
 from recon.fit.posterior import radius
 from recon.gait.clip import analyse
-from recon.gait.gait import INTERVAL
 from recon.gait.kinematics import frame_times, series_kinematics
 from recon.gait.quantities import shared_sigma_columns
+from recon.gait.stances import INTERVAL
 
 
 def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:

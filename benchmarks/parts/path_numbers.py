@@ -24,7 +24,7 @@ from markdown_table import print_table
 
 from recon import FitSettings, fit_clip, read_pose3d
 from recon.fit.posterior import radius
-from recon.gait.gait import INTERVAL
+from recon.gait.stances import INTERVAL
 from recon.thesis import path
 from recon.thesis.chain import UnknownsChain
 from recon.thesis.solution import frame_solution

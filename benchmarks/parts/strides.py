@@ -31,8 +31,9 @@ from recon import Pose3D, fit_clip, read_pose3d
 from recon.fit.motion import Motion
 from recon.fit.points import solve_points
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import Gait, gait, pose_tracks
+from recon.gait.gait import Gait, gait
 from recon.gait.quantities import PAIRS, asymmetry_values
+from recon.gait.stances import pose_tracks
 
 LEVELS = 0.0, 0.02, 0.05, 0.10
 MOVING = "run02", "walk00", "walk01", "walk03", "walk04"

@@ -24,8 +24,9 @@ from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP, Gait, Stride, interval_of, rejection_text
+from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP, Gait, Stride, rejection_text
 from recon.gait.quantities import GaitQuantity
+from recon.gait.stances import interval_of
 from recon.show.plain import picked, to_json
 from recon.show.tables import DICTIONARY, LONG, TABLES, WORKBOOK, write_analysis
 

@@ -26,7 +26,7 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.posterior import radius
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, ShapeFit, fit_shape
-from recon.gait.gait import INTERVAL
+from recon.gait.stances import INTERVAL
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 

@@ -14,7 +14,8 @@ from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import STRIDE_WORDS, interval_text
+from recon.gait.gait import STRIDE_WORDS
+from recon.gait.stances import interval_text
 from recon.show.sentences import analysis_sentences
 
 MOST_STANCES = 100

@@ -37,8 +37,9 @@ from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
 from recon.gait import kinematics
-from recon.gait.gait import INTERVAL, Gait, interval_of
+from recon.gait.gait import Gait
 from recon.gait.kinematics import OVERSAMPLING, Errors, JointKinematics
+from recon.gait.stances import INTERVAL, interval_of
 from recon.geometry.kinematics import Marker, Tree
 
 if TYPE_CHECKING:

@@ -28,8 +28,9 @@ from recon.base.arrays import Array, mean
 from recon.base.numbers import percent
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
-from recon.gait.gait import Gait, Stance, Stride, interval_of
+from recon.gait.gait import Gait, Stride
 from recon.gait.kinematics import Errors, JointKinematics
+from recon.gait.stances import Stance, interval_of
 
 Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}

@@ -46,7 +46,8 @@ from recon.base.errors import InputError, Problem
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.gait import Gait, Tracks
+from recon.gait.gait import Gait
+from recon.gait.stances import Tracks
 from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
 
 # -- an animal's motion as a reference -------------------------------------------------------------------------------

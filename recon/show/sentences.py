@@ -11,9 +11,10 @@ from recon.base.numbers import counted, decimals, interval, length_text, percent
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import G_M_S2
-from recon.gait.gait import Gait, interval_text
+from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics
 from recon.gait.quantities import GaitQuantity
+from recon.gait.stances import interval_text
 
 NO_QUANTITIES: Mapping[str, GaitQuantity] = {}
 

@@ -21,9 +21,9 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
 from recon.gait.flexion import PERCENT, extreme
-from recon.gait.gait import interval_of
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import field_means
+from recon.gait.stances import interval_of
 from recon.io.writing import write_columns, write_rows, write_table
 
 WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"

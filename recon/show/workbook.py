@@ -21,7 +21,7 @@ from recon.base.package import version
 from recon.base.tables import guarded
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import INTERVAL
+from recon.gait.stances import INTERVAL
 from recon.io.writing import formats_extra
 from recon.show.tables import DICTIONARY, LONG, TABLES, UNITS, table_content, unit_of
 

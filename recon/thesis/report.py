@@ -11,7 +11,7 @@ from recon.base.arrays import median
 from recon.base.numbers import percent
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import interval_text
+from recon.gait.stances import interval_text
 from recon.geometry.frames import level_axes
 from recon.show.plain import number, spread
 from recon.show.report import SECTIONS as TRAJECTORY_SECTIONS

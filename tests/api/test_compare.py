@@ -19,7 +19,7 @@ from recon.base.numbers import interval
 from recon.cli.compare import _lines
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import interval_of
+from recon.gait.stances import interval_of
 
 pytestmark = pytest.mark.usefixtures("remembered_analyses")
 

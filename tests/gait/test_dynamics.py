@@ -28,8 +28,8 @@ from recon.gait.dynamics import (
     over_stride,
     shape,
 )
-from recon.gait.gait import Stance
 from recon.gait.kinematics import Errors
+from recon.gait.stances import Stance
 from recon.show import plots
 from recon.show.page.pages import clip_page
 from recon.show.tables import forces, strides

@@ -14,23 +14,18 @@ from command_line import says
 from recon import FitSettings, InputError, Pose3D, analyse, fit_clip, load_skeleton, read_pose3d
 from recon.fit.posterior import radius
 from recon.gait.gait import (
-    FEET,
     PERIOD_SIGMA,
-    SLOW,
-    Stance,
     classify,
     gait,
-    ground_plane,
     match_stances,
     name_gait,
     pose_gait,
     pose_period_s,
-    pose_tracks,
     rejection_text,
-    stances,
     strides,
 )
 from recon.gait.kinematics import Errors
+from recon.gait.stances import FEET, SLOW, Stance, ground_plane, pose_tracks, stances
 from recon.testing.gallop import KEYPOINT_NAMES, gallop
 
 FPS = 90.0

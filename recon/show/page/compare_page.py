@@ -14,7 +14,7 @@ import pandas as pd
 
 from recon.base.numbers import counted, interval
 from recon.fit.result import LEVELS
-from recon.gait.gait import interval_of
+from recon.gait.stances import interval_of
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script
 

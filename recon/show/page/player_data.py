@@ -19,7 +19,7 @@ from recon.check.codes import sentences
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import INTERVAL, interval_of
+from recon.gait.stances import INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.quality import keypoint_notes
 

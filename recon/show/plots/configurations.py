@@ -31,7 +31,7 @@ from recon.base.numbers import percent, quantity
 from recon.calibrate.board_calibration import Calibration, coverage
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import MEASURED_SHARE
-from recon.gait.gait import Plane
+from recon.gait.stances import Plane
 from recon.geometry.kinematics import ROOT
 from recon.show.plots import style
 

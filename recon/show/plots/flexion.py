@@ -13,7 +13,7 @@ from matplotlib.patches import Patch, Rectangle
 from recon.animal.anatomy import FLEXES_CAUDALLY
 from recon.animal.body import Side
 from recon.gait.flexion import PERCENT, StrideCurve
-from recon.gait.gait import interval_of
+from recon.gait.stances import interval_of
 from recon.show.plots import style
 
 COLUMNS = 3

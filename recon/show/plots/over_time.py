@@ -27,9 +27,10 @@ from recon.base.arrays import Array, Bools
 from recon.base.numbers import decimals, percent, plus_minus, quantity
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
-from recon.gait.gait import Gait, Stance, interval_of
+from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics, Series
 from recon.gait.phase import Closure, LinkField, Portrait, field_means
+from recon.gait.stances import Stance, interval_of
 from recon.show.plots import style
 
 # -- stances and forces ------------------------------------------------------------------------------------------------

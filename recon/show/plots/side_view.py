@@ -13,7 +13,7 @@ from matplotlib.typing import LineStyleType
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index
 from recon.base.numbers import quantity
-from recon.gait.gait import Plane
+from recon.gait.stances import Plane
 from recon.show.plots import style
 from recon.show.plots.configurations import SIDE_COLOURS, run_frame
 

@@ -33,7 +33,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
 from recon.fit.posterior import radius
-from recon.gait.gait import INTERVAL, interval_of
+from recon.gait.stances import INTERVAL, interval_of
 
 WIDTH_MM = 180.0
 """Width of a figure on a page."""

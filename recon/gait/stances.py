@@ -1,0 +1,404 @@
+"""Find the stances of the feet, with the standard deviations of touch-down and lift-off, and the ground under them.
+
+Feet are LH, RH, LF, RF (left and right, hind and fore). The world frame has z up and metres; the ground may lie at any
+height and may slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and
+events are timed on the same grid. The mean of `body`'s joints stands for the body.
+
+Stances: a foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
+height is below `LOW[1]` of the leg's length. Such a time is a stance if at least one instant in it is below `SLOW[0]`
+and `LOW[0]` too (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below
+`LANDS`) to the last below `LIFTS`: a foot lands flat and rolls over its toes before it lifts. A foot's speed in the
+swing is its 95th percentile, or `SWING` times the body's mean speed if the clip shows less. This speed is twice the
+body's at a gallop and four times the body's at a walk, because the swing is short or long, so that one threshold
+relative to the body's speed cannot be right for both. The marker lies some centimetres above the sole and rises with
+the heel during the stance; hence 0.15 of the leg (9 cm of 0.6 m) for a low foot, and 0.3 for the end of the push-off. A
+standing foot seems to move by the error of its speed, `SPEED_ERROR` of the stated standard deviation, whose square is
+subtracted first. Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the positions of the slow
+feet, fitted with Tukey weights. Clips of a few strides hardly determine its slope across the track, so the slopes have
+a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed separately, has a plane of its
+own. If no foot is slow, or if the slow feet are `LOW[0]` of the leg away from a plane, the ground is unknown and there
+are no stances.
+
+Standard deviations of events: the uncertainty of a foot's speed has two parts. One is the path's error, scaled to the
+speed below which standing feet seem to move in nine of ten instants (`Tracks.rest_sigmas`). The other is the landing or
+lift-off threshold itself, `EVENT_SIGMAS` of the speed in the swing. Divided by the foot's acceleration at the event,
+their sum is a time. No event is further off than the middle of the stance. `benchmarks/gait.py` compares stances and
+intervals with force plates and motion capture.
+
+The leg's length is the median height of the body above the ground, which is the length in Froude numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from recon.base.arrays import Array, Bools, Brief, mean, median
+from recon.base.numbers import interval, length_text
+from recon.clip import frame_ranges
+from recon.fit.posterior import radius
+from recon.gait import kinematics
+from recon.gait.kinematics import MIN_POINTS, Errors, Series
+from recon.io.common import Pose3D
+
+FEET: Mapping[str, str] = {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}
+BODY = ("neck_base", "tail_base")
+
+OVERSAMPLING = 10
+MAX_GAP_S = 0.05
+"""Longest gap of a foot or the body that is interpolated. A longer gap could hide a touch-down."""
+SLOW = (0.16, 0.32)
+"""Speed of a foot over the ground, relative to its speed in the swing: it certainly stands below the first value, and
+may stand below the second.
+"""
+SWING = 1.3
+"""Smallest speed of a foot in the swing relative to the body's speed."""
+REST = 0.5
+"""Largest speed at which feet stand in poses that jitter, relative to the body's speed."""
+LANDS = 0.12
+"""Relative speed of a foot at touch-down, fitted to force plates."""
+LIFTS = 0.22
+"""Relative speed of a foot at lift-off, fitted to force plates."""
+EVENT_SIGMAS = (0.05, 0.1)
+"""Standard deviations of these two speeds."""
+SPEED_ERROR = 0.6
+"""Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
+the value on two of three kinds of recordings, and times the stances of the third with this value.
+"""
+LOW = (0.15, 0.3)
+"""Height above the ground, in leg lengths, below which a slow foot certainly stands, and below which it may stand."""
+INTERVAL = 0.9
+"""Probability with which the intervals contain times and duty factors."""
+MIN_STANCE_S = 0.02
+"""Shortest stance, far below the 0.06 s of a galloping cheetah."""
+SLOPE_SIGMA = 0.1
+"""Standard deviation of the ground's slopes."""
+HEIGHT_SIGMA_M = 0.03
+"""Standard deviation of a standing foot's marker about the plane."""
+
+
+@dataclass(frozen=True)
+class Stance:
+    """One stance: the time for which a foot is on the ground."""
+
+    foot: str
+    start_s: float
+    end_s: float
+    start_row: float
+    """Row of the clip at which the stance begins, with a fraction."""
+    end_row: float
+    """Row of the clip at which the stance ends, with a fraction."""
+    begins: bool = True
+    """False if the clip, or a gap in it, cuts the beginning, so that the stance may have begun earlier."""
+    ends: bool = True
+    """False if the clip, or a gap in it, cuts the end."""
+    start_sigma_s: float = np.nan
+    """Standard deviation of the beginning, NaN if the clip cuts it."""
+    end_sigma_s: float = np.nan
+    """Standard deviation of the end, NaN if the clip cuts it."""
+
+    @property
+    def start_frame(self) -> float:
+        """Return `start_row` by its former name; in tables, `start_frame` is the frame of the video."""
+        return self.start_row
+
+    @property
+    def end_frame(self) -> float:
+        """Return `end_row` by its former name."""
+        return self.end_row
+
+    @property
+    def duration_s(self) -> float:
+        """Return how long the foot stands, s."""
+        return self.end_s - self.start_s
+
+    @property
+    def start_interval_s(self) -> tuple[float, float]:
+        """Return the `INTERVAL` of the touch-down, NaN if the clip cuts the touch-down."""
+        return interval_of(self.start_s, self.start_sigma_s)[1:]
+
+    @property
+    def end_interval_s(self) -> tuple[float, float]:
+        """Return the `INTERVAL` of the lift-off, NaN if the clip cuts the lift-off."""
+        return interval_of(self.end_s, self.end_sigma_s)[1:]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A ground plane z = height_m + slope[0] (x - x0) + slope[1] (y - y0), centred on the slow feet."""
+
+    middle_m: tuple[float, float]
+    height_m: float
+    slope: tuple[float, float]
+    spread_m: float
+    """Robust standard deviation of the slow feet from the plane."""
+    samples: int
+    """Number of samples of slow feet (fine grid). If it is 0, the plane is level through the lowest position of any
+    foot.
+    """
+
+    def above(self, xyz_m: Array) -> Array:
+        """Return the heights (...) of points (..., 3) above the plane."""
+        return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Brief):
+    """Motion of the F feet and of the body at the N times of the fine grid, NaN if unknown."""
+
+    feet: tuple[str, ...]
+    time_s: Array
+    """The times of the N samples, shape (N,)."""
+    foot_m: Array
+    """The positions of the F feet, shape (N, F, 3)."""
+    body_m: Array
+    """The position of the body, shape (N, 3)."""
+    foot_speed_m_s: Array
+    """The horizontal speeds of the feet, shape (N, F)."""
+    foot_speed_sigma_m_s: Array
+    """Standard deviation of the feet's speeds, shape (N, F); 0 for paths without errors."""
+    body_speed_m_s: Array
+    """The horizontal speed of the body, shape (N,)."""
+    slow_m_s: Array
+    """Speeds (4, F) below which each foot certainly stands, possibly stands, has landed, and has not lifted."""
+    swing_m_s: Array
+    """Speed of each foot in the swing, minus its apparent speed at rest, shape (F,)."""
+    height_m: Array
+    """Heights of the feet above the ground, shape (N, F)."""
+    grounds: tuple[tuple[slice, Plane], ...]
+    """Rows of the clip and the plane under the feet in these rows, one pair for each segment of the clip."""
+    leg_m: float
+
+    @cached_property
+    def rest_sigmas(self) -> float:
+        """Return the speed that standing feet stay below in nine of ten instants, relative to its standard deviation.
+
+        The value is 1 if no foot stands.
+        """
+        rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
+        rest &= self.foot_speed_sigma_m_s > 0
+        relative = self.foot_speed_m_s[rest] / self.foot_speed_sigma_m_s[rest]
+        return float(np.quantile(relative, 0.9)) if len(relative) else 1.0
+
+    def above_ground(self, xyz_m: Array) -> Array:
+        """Return the heights (N, ...) of points (N, ..., 3) above their segment's ground, NaN outside all segments."""
+        return _above(self.grounds, xyz_m)
+
+
+_Value = TypeVar("_Value", float, Array)
+
+
+def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _Value]:
+    """Return a value and the ends of its `INTERVAL`.
+
+    Parameters
+    ----------
+    value, sigma : float or ndarray
+        The value and its standard deviation, in the same unit.
+
+    Returns
+    -------
+    value, low, high : tuple
+        The value, unchanged, and the two ends.
+    """
+    reach = radius(INTERVAL) * sigma
+    return value, value - reach, value + reach
+
+
+def interval_text(value: float, sigma: float, unit: str, sign: str = "", least: float = -np.inf) -> str:
+    """Format a value with its interval, such as "16.2 m/s (90 %: 14.2 to 18.1)", or the value alone without sigma.
+
+    If `sign` is "+", positive values get a sign. `least` is the smallest possible value.
+    """
+    _, low, high = interval_of(value, sigma)
+    return interval(value, low, high, unit, level="90 %", sign=sign, least=least)
+
+
+# -- tracks ----------------------------------------------------------------------------------------------------------
+
+
+def pose_tracks(
+    pose: Pose3D,
+    fps: float,
+    errors: Sequence[Errors] = (),
+    feet: Mapping[str, str] = FEET,
+    body: tuple[str, ...] = BODY,
+    segments: Sequence[slice] = (slice(None),),
+    restless: bool = False,
+) -> Tracks:
+    """Return the motion of the feet and the body on the fine grid.
+
+    Parameters
+    ----------
+    pose : Pose3D
+        T frames, metres, z up, NaN where missing.
+    fps : float
+        Frames per second.
+    errors : sequence of Errors
+        Errors (T, J, 3) of the positions, metres, which add up.
+    feet : mapping
+        Joint of each foot, by LH, RH, LF, RF.
+    body : tuple of str
+        Joints whose mean represents the body.
+    segments : sequence of slice
+        Rows of each segment, which has its own ground.
+    restless : bool
+        Whether the poses jitter. Standing feet then seem to move, at the 10th percentile of their speed.
+
+    Raises
+    ------
+    InputError
+        If the pose lacks joints; names all of them.
+    ValueError
+        If there are fewer than `MIN_POINTS` frames.
+    """
+    joint_rows, foot_count = kinematics.joint_index(pose, (*feet.values(), *body)), len(feet)
+    time_s = kinematics.frame_times(pose.frames, fps)
+    if len(time_s) < MIN_POINTS:
+        raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
+
+    def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
+        return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+
+    def foot_path(at: int) -> tuple[Array, Array, Array]:
+        """Return positions, speeds and standard deviations of one foot; the path of a long clip needs much memory."""
+        series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
+        velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
+        deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
+        return series.value, speed, np.linalg.norm(velocity / np.maximum(speed, 1e-9)[:, None] * deviation, axis=1)
+
+    foot, foot_speed, foot_speed_sigma = (
+        np.stack(values, axis=1) for values in zip(*map(foot_path, joint_rows[:foot_count]), strict=True)
+    )
+    body_path = path(pose.xyz_m[:, joint_rows[foot_count:]].mean(axis=1))
+    body_speed = np.linalg.norm(body_path.rate[:, :2], axis=1)
+    known_speeds = [speed[np.isfinite(speed)] if np.isfinite(speed).any() else np.zeros(1) for speed in foot_speed.T]
+    rest, fast = np.array([np.percentile(speed, (10, 95)) for speed in known_speeds]).T * [[restless], [1]]
+    rest = np.minimum(rest, REST * mean(body_speed))
+    swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
+    slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
+    slow = foot_speed < slow_m_s[0]
+    grounds = tuple((rows, ground_plane(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
+    return Tracks(
+        feet=tuple(feet),
+        time_s=body_path.time_s,
+        foot_m=foot,
+        body_m=body_path.value,
+        foot_speed_m_s=foot_speed,
+        foot_speed_sigma_m_s=foot_speed_sigma,
+        body_speed_m_s=body_speed,
+        slow_m_s=slow_m_s,
+        swing_m_s=swing_m_s,
+        height_m=_above(grounds, foot),
+        grounds=grounds,
+        leg_m=median(_above(grounds, body_path.value)),
+    )
+
+
+def _fine(rows: slice) -> slice:
+    """Return the rows of the fine grid between the first and the last of the clip's rows."""
+    return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
+
+
+def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
+    above = np.full(xyz_m.shape[:-1], np.nan)
+    for rows, plane in grounds:
+        above[_fine(rows)] = plane.above(xyz_m[_fine(rows)])
+    return above
+
+
+def ground_plane(foot_m: Array, slow: Bools) -> Plane:
+    """Fit a plane to the feet (N, F, 3) where they are slow (N, F).
+
+    The fit is by least squares with Tukey's weights and a prior on the slopes. If no foot is slow, the plane is level
+    through the lowest position.
+    """
+    points_m = foot_m[slow]
+    if not len(points_m):
+        lowest = float(np.nanmin(foot_m[..., 2])) if np.isfinite(foot_m).any() else np.nan
+        return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
+    middle = np.median(points_m[:, :2], axis=0)
+    design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
+    # Samples of the fine grid within a stance are not independent: the prior has at least the weight of one of them.
+    prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
+    weight = np.ones(len(points_m))
+    parameters, spread = np.zeros(3), 0.0
+    for _ in range(20):
+        normal = design.T @ (weight[:, None] * design) / OVERSAMPLING + prior
+        parameters = np.linalg.solve(normal, design.T @ (weight * points_m[:, 2]) / OVERSAMPLING)
+        residual_m = points_m[:, 2] - design @ parameters
+        spread = float(np.median(np.abs(residual_m)) / 0.6745)
+        cutoff_m = 4.685 * max(spread, HEIGHT_SIGMA_M)
+        weight = np.where(np.abs(residual_m) < cutoff_m, (1 - (residual_m / cutoff_m) ** 2) ** 2, 0.0)
+    (x, y), (height, along_x, along_y) = middle.tolist(), parameters.tolist()
+    return Plane((x, y), height, (along_x, along_y), spread, len(points_m))
+
+
+# -- stances ---------------------------------------------------------------------------------------------------------
+
+
+def stances(tracks: Tracks) -> tuple[Stance, ...]:
+    """Return the stances of all feet in the order of their beginnings; none if the ground is unknown."""
+    if why_no_ground(tracks):
+        return ()
+    result = [s for k in range(len(tracks.feet)) for s in _stances_of(tracks, k)]
+    return tuple(sorted(result, key=lambda s: (s.start_s, s.foot)))
+
+
+def why_no_ground(tracks: Tracks) -> str | None:
+    """Return why the ground under the feet is unknown, or None if it is known."""
+    planes = [plane for _, plane in tracks.grounds if plane.samples]
+    if not planes:
+        return "the ground is not known: no foot is slow enough to be standing"
+    spread_m = max(plane.spread_m for plane in planes)
+    if not spread_m < LOW[0] * tracks.leg_m:
+        return f"the ground is not known: slow feet are {length_text(spread_m)} off a plane (median)"
+    return None
+
+
+def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
+    speed_error, height = SPEED_ERROR * tracks.foot_speed_sigma_m_s[:, k], tracks.height_m[:, k]
+    speed = np.sqrt(np.maximum(tracks.foot_speed_m_s[:, k] ** 2 - speed_error**2, 0.0))
+    certain_speed, largest_speed, landing_speed, lifting_speed = tracks.slow_m_s[:, k]
+    slow_rows = np.flatnonzero(speed < certain_speed)
+    certain_rows = slow_rows[height[slow_rows] < LOW[0] * tracks.leg_m]
+    is_known = np.pad(np.isfinite(speed), 1)  # index i of the array is for the step before sample i
+    result = []
+    may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * tracks.leg_m)
+    for first, end in frame_ranges(np.flatnonzero(may_stand)):
+        if np.any((certain_rows >= first) & (certain_rows < end)):
+            stance_speed = speed[first:end]
+            has_landed = stance_speed < (landing_speed if stance_speed.min() < landing_speed else certain_speed)
+            landing = first + int(has_landed.argmax())
+            lift_off = end - 1 - int((stance_speed < lifting_speed)[::-1].argmax())
+            is_seen = bool(landing > first or is_known[first]), bool(lift_off < end - 1 or is_known[end + 1])
+            start_s, end_s = (float(tracks.time_s[i]) for i in (landing, lift_off))
+            sigmas = [
+                _event_sigma_s(tracks, k, i, (end_s - start_s) / 2, threshold_sigma) if event_seen else np.nan
+                for i, event_seen, threshold_sigma in zip((landing, lift_off), is_seen, EVENT_SIGMAS, strict=True)
+            ]
+            result.append(
+                Stance(
+                    tracks.feet[k], start_s, end_s, landing / OVERSAMPLING, lift_off / OVERSAMPLING, *is_seen, *sigmas
+                )
+            )
+    return [s for s in result if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
+
+
+def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
+    """Return the standard deviation, in seconds, of an event of the k-th foot at the i-th instant.
+
+    most_s: time from the event to the middle of the stance. threshold_sigma: standard deviation of the threshold,
+    relative to the speed in the swing.
+    """
+    nearby = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
+    speed, time = tracks.foot_speed_m_s[nearby, k], tracks.time_s[nearby]
+    known = np.isfinite(speed)
+    acceleration = np.ptp(speed[known]) / np.ptp(time[known])
+    path_sigma_m_s = tracks.rest_sigmas * tracks.foot_speed_sigma_m_s[i, k]
+    sigma = float(np.hypot(path_sigma_m_s, threshold_sigma * tracks.swing_m_s[k]))
+    return min(sigma / max(acceleration, 1e-9), most_s / radius(INTERVAL))
