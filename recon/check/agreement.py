@@ -25,6 +25,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import NamedTuple
 
@@ -416,6 +417,12 @@ def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: flo
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
 
 
+@lru_cache(maxsize=16)
+def _points_of(*sights: _Sight) -> _Points:
+    """Return `_points`, which several comparisons of a camera with the same other cameras need."""
+    return _points(sights)
+
+
 def _points(sights: Sequence[_Sight]) -> _Points:
     """Return the points nearest to the rays of two or more cameras, with outliers down-weighted."""
     rays = np.array([sight.rays for sight in sights])
@@ -494,7 +501,9 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
     levels = np.full(len(sights), np.nan)
     for v in agreeing:
         partners = [sights[o] for o in agreeing if o != v]
-        levels[v] = _pair_level(sights[v], *partners)[0] if len(agreeing) == 2 else _level(sights[v], _points(partners))
+        levels[v] = (
+            _pair_level(sights[v], *partners)[0] if len(agreeing) == 2 else _level(sights[v], _points_of(*partners))
+        )
     return levels
 
 
@@ -504,7 +513,7 @@ def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) 
     if len(partners) == 1:
         level, error_rad, n = _pair_level(sight, partners[0])
         return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | corrected
-    points = _points(partners)
+    points = _points_of(*partners)
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
     known = np.isfinite(squared)
