@@ -437,12 +437,12 @@ class View(Brief):
 
     @property
     def is_still(self) -> bool:
-        """Whether the camera stands still."""
+        """Return whether the camera stands still."""
         return self.T_camera_world.ndim == 2
 
     @property
     def present(self) -> Bools:
-        """Whether each keypoint was detected in each frame, (T, J)."""
+        """Return whether each keypoint was detected in each frame, (T, J)."""
         return np.isfinite(self.xy_px[..., 0])
 
     @property
@@ -638,7 +638,7 @@ class Source(Brief):
 
     @property
     def moves(self) -> bool:
-        """Whether the camera moves."""
+        """Return whether the camera moves."""
         return self.poses is not None
 
     @property

@@ -36,7 +36,7 @@ class Circle:
     predicted: Evaluation
     """3D scores over all frames, from the fit of the predictions."""
     noisy: Evaluation
-    """The same from the fit of the true points with noise."""
+    """3D scores over all frames, from the fit of the true points with noise."""
 
     @property
     def predicted_m(self) -> float:

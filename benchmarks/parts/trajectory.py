@@ -101,7 +101,7 @@ class Fit:
     inside_relative: np.ndarray
     """1.0 (T, J) where the centred truth is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     inside_place: np.ndarray
-    """The same (T, J) without centring."""
+    """Errors (T, J) without centring."""
     sigma_m: np.ndarray
     """Relative standard deviation (T,), RMS over the joints."""
     too_far_m: float

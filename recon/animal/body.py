@@ -207,7 +207,7 @@ class Body(Brief):
 
     @cached_property
     def detected(self) -> Tree:
-        """The tree with its markers at the points that the detector sees."""
+        """Return the tree with its markers at the points that the detector sees."""
         if not self.keypoint_offset_m:
             return self.tree
         zero = (0.0, 0.0, 0.0)

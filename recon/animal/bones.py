@@ -49,7 +49,7 @@ class Bone:
 
     @property
     def title(self) -> str:
-        """The bone with the joints that it connects: upper arm, shoulder to elbow."""
+        """Return the bone with the joints that it connects: upper arm, shoulder to elbow."""
         return f"{self.name}, {self.connects[0]} to {self.connects[1]}"
 
 

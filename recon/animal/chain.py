@@ -179,7 +179,7 @@ class Chain(Skeleton):
 
     @cached_property
     def body(self) -> Body:
-        """The chain as a tree of segments in metres, the root first.
+        """Return the chain as a tree of segments in metres, the root first.
 
         There is one segment for each link, named after the joint at its end. The x axes of the segments are along the
         links. The root has the axes x = U, y = W, z = -V, and its origin is the root joint. Every joint is a marker.

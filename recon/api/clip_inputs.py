@@ -53,7 +53,7 @@ HEIGHT_SIGMA = 0.05
 The proportions of animals of one species differ.
 """
 HEIGHT_SIGMA_OF_NO_SPECIES = 0.15
-"""The same for a skeleton of no species, whose proportions differ more.
+"""Relative standard deviation of such a size for a skeleton of no species, whose proportions differ more.
 
 The size of dogs whose height is given with the skeleton quadruped is 13 % off.
 """

@@ -64,7 +64,7 @@ class AuditedPoints(Brief):
 
     @property
     def in_space(self) -> bool:
-        """Whether the points are 3D."""
+        """Return whether the points are 3D."""
         return self.positions.shape[2] == 3
 
     @cached_property

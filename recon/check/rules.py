@@ -197,7 +197,7 @@ def many_left_out(motion: Motion) -> Iterator[Finding]:
 
 
 def _unlikely(source: Source) -> int:
-    """Return the number of detections that were left out for their likelihoods."""
+    """Return the number of detections that were left out because of a low likelihood."""
     cleaning = source.cleaning
     other_reasons = (reason for reason in cleaning.left_out.reasons if reason != UNLIKELY)
     return cleaning.total("rejected") - sum(map(cleaning.left_out.count, other_reasons))

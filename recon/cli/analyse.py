@@ -25,7 +25,7 @@ MOST_STANCES = 100
 def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
     """Analyse a reconstruction: kinematics, gait, vector fields and phase portraits.
 
-    Writes tables (CSV) and figures (PNG, SVG). Afterwards, recon view shows the plots next to the playback.
+    The results are tables (CSV) and figures (PNG, SVG). Afterwards, recon view shows the plots next to the playback.
 
     Example: recon analyse results/clip
     """

@@ -37,7 +37,7 @@ def frame(
 def solver(settings: SolverSettings, progress: Progress) -> Answer:
     """Show how the optimiser of `recon frame` worked: cost, gradient, Jacobian, limits.
 
-    Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
+    The results are tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
 
     Example: recon solver results/clip
     """

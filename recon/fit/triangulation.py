@@ -49,7 +49,7 @@ _SPLINE_ROUNDS = 3
 _MEDIAN_OF_CHI_SQUARE = 1.3863
 """Median of a detection's squared error relative to its expectation, for several rays: that of two normal numbers."""
 _MEDIAN_OF_TWO_RAYS = 0.9099
-"""The same for two rays, whose errors are a single number."""
+"""Median of this squared error for two rays, whose errors are a single number."""
 _LEAST_OF_KEYPOINT = 20
 """Smallest number of detections from which a keypoint's own noise is estimated."""
 _LEAST_KNOTS = 6

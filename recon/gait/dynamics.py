@@ -60,7 +60,7 @@ Exp. Biol. 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed,
 222:jeb204107).
 """
 OTHER_FORE = (0.5, 0.16)
-"""The same for other gaits; a guess."""
+"""Fraction of the impulse on the fore feet in other gaits, and its standard deviation; a guess."""
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
 STANCE_SPREAD = 0.2

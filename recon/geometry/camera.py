@@ -229,7 +229,7 @@ class Camera(Brief):
 
     @cached_property
     def lens(self) -> Lens:
-        """The lens model with its coefficients."""
+        """Return the lens model with its coefficients."""
         return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property

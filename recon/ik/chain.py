@@ -152,7 +152,7 @@ class SerialChain:
 
     @cached_property
     def sliding(self) -> Bools:
-        """Whether each joint slides along its axis, shape (n,)."""
+        """Return whether each joint slides along its axis, shape (n,)."""
         return np.array(["s" in self.tree.axes[column - 3] for column in self.columns])
 
     @cached_property

@@ -110,18 +110,18 @@ class IkSettings(Settings):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The names of the methods that run."""
+        """Return the names of the methods that run."""
         extended = () if self.cost is None else (EXTENDED,)
         return (*METHODS, *extended) if self.compare else (self.method,)
 
     @property
     def parameters(self) -> str:
-        """The origin of the methods' parameters, in words."""
+        """Return the origin of the methods' parameters, in words."""
         return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property
     def has_no_task(self) -> bool:
-        """Whether neither a target nor a path is given."""
+        """Return whether neither a target nor a path is given."""
         return self.target is None and self.follow is None
 
     @property
@@ -171,7 +171,7 @@ class IkRun:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The content of ik.json."""
+        """Return the content of ik.json."""
         limb, stride, settings = self.limb, self.stride, self.settings
         stride_s = {"start_s": self.begins_s, "end_s": limb.first_s + stride.end_s}
         fitted = {

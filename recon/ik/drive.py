@@ -72,7 +72,7 @@ class Run:
 
     @property
     def driven(self) -> bool:
-        """Whether the motion was to a target, not along a path."""
+        """Return whether the motion was to a target, not along a path."""
         return self.aim_m.ndim == 1
 
     @property
@@ -114,7 +114,7 @@ class Run:
 
     @property
     def length_m(self) -> float:
-        """The length of the end effector's path."""
+        """Return the length of the end effector's path."""
         return float(np.linalg.norm(np.diff(self.end_m, axis=0), axis=1).sum())
 
     @property

@@ -245,7 +245,7 @@ def _name_problems(path: Path, field: str, names: Sequence[str], count: int) -> 
 
 
 def _frame_problems(path: Path, frames: np.ndarray, count: int) -> Iterator[Problem]:
-    """Yield the problem of frame numbers that are not increasing whole numbers, one for each of `count` frames."""
+    """Yield a problem if frame numbers are not increasing whole numbers, or not one for each of `count` frames."""
     if len(frames) != count:
         yield Problem(path, "frames", f"{len(frames)} numbers", f"{count}, one for each frame")
         return

@@ -563,7 +563,7 @@ LOST_SHARE = 0.01
 If more frames are missing, the video is damaged.
 """
 LOST_FRAMES = 3
-"""The same in frames, for short videos."""
+"""Number of frames in a short video's header that may be missing."""
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
 """Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and the original

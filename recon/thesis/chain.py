@@ -55,32 +55,32 @@ class UnknownsChain(Chain):
 
     @property
     def n_state(self) -> int:
-        """The number of unknowns D = 2 A + 7, 21 for the 8U chain."""
+        """Return the number of unknowns D = 2 A + 7, 21 for the 8U chain."""
         return 2 * self.n_angles + 7
 
     @cached_property
     def theta_slice(self) -> slice:
-        """The position of the thetas in the state."""
+        """Return the position of the thetas in the state."""
         return slice(0, self.n_angles)
 
     @cached_property
     def phi_slice(self) -> slice:
-        """The position of the phis in the state."""
+        """Return the position of the phis in the state."""
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property
     def position_slice(self) -> slice:
-        """The position of x0, y0, z0 in the state: the root in the local frame, metres."""
+        """Return the position of x0, y0, z0 in the state: the root in the local frame, metres."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
     @cached_property
     def euler_slice(self) -> slice:
-        """The position of xi, psi, zeta of R_camera_local in the state, rad."""
+        """Return the position of xi, psi, zeta of R_camera_local in the state, rad."""
         return slice(2 * self.n_angles + 3, 2 * self.n_angles + 6)
 
     @property
     def base_index(self) -> int:
-        """The index of the base length in the state."""
+        """Return the index of the base length in the state."""
         return 2 * self.n_angles + 6
 
     @cached_property

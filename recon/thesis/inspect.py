@@ -125,7 +125,7 @@ class SolverRecord:
 
     @property
     def frame(self) -> int:
-        """The number of the frame that is shown."""
+        """Return the number of the frame that is shown."""
         return int(self.motion.frames[self.search.problem.frame])
 
     @property
@@ -189,7 +189,7 @@ class SolverRecord:
 
     @property
     def _is_beyond(self) -> dict[str, Bools]:
-        """Whether an angle is beyond its expected range, and a rate beyond its limit, (T, 2 A) each, by name."""
+        """Return whether an angle is beyond its expected range, and a rate beyond its limit, (T, 2 A) each, by name."""
         return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:
@@ -248,7 +248,7 @@ class SolverRecord:
 
     @property
     def solutions(self) -> dict[str, FrameSolution]:
-        """The two solutions, "free" and "fixed" by the camera's rotation; the solution of the fit comes first."""
+        """Return the two solutions, "free" and "fixed" by the camera's rotation; that of the fit comes first."""
         first, second = ("fixed", "free") if self.options.camera_rotation == "fixed" else ("free", "fixed")
         return {first: self.solution, second: self.other_solution}
 

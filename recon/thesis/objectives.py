@@ -248,7 +248,7 @@ class DirectionPrior(Objective):
 
     @property
     def ties(self) -> bool:  # type: ignore[override]
-        """Whether the term reads the frame before."""
+        """Return whether the term reads the frame before."""
         return self.expected is None
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:

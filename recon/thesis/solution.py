@@ -132,7 +132,7 @@ class FrameSolution(Solution):
 
     @property
     def reference_path(self) -> ReferencePath | None:
-        """The path to which the reference joint is tied, in the world and at the animal's size."""
+        """Return the path to which the reference joint is tied, in the world and at the animal's size."""
         path = self.path
         if path is None:
             return None
@@ -182,7 +182,7 @@ class FrameSolution(Solution):
 
     @cached_property
     def status(self) -> tuple[Status, ...]:
-        """The status of each of the T frames: converged, not_converged or no_data."""
+        """Return the status of each of the T frames: converged, not_converged or no_data."""
         return tuple("no_data" if report is None else report.status for report in self.reports)
 
     def findings(self) -> tuple[Finding, ...]:

@@ -155,7 +155,7 @@ class FrameProblem:
 
     @property
     def pixels(self) -> JointReprojection:
-        """The objective f1."""
+        """Return the objective f1."""
         first = self.terms[0]
         assert isinstance(first, JointReprojection)
         return first
@@ -204,7 +204,7 @@ class FrameSearch:
 
     @property
     def x(self) -> Array:
-        """The minimum, shape (D,)."""
+        """Return the minimum, shape (D,)."""
         return self.points[-1]
 
     @property

@@ -34,7 +34,7 @@ STEPS = 6
 ROUNDS = 4
 """Number of steps to the rotation between two pictures, for a given focal length."""
 COARSE_ROUNDS = 2
-"""The same where focal lengths are only tried."""
+"""Number of steps to this rotation where focal lengths are only tried."""
 PAIR_FLOOR_PX = 0.15
 """Error that all points of a pair of pictures have in common, in pixels."""
 
