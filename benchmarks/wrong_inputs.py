@@ -15,6 +15,7 @@ PARTS = {
     "lens": Part("wrong_inputs.py", ["--views", "5", "--cases", "focal,anamorphic,letterboxed"], data="cheetah-runs"),
     "standing": Part("standing.py", data="dog-mocap"),
     "zoom": Part("wrong_inputs.py", ["--cases", "zooms x"], data="cheetah-runs"),
+    "which-camera": Part("which_camera.py", data="cheetah-runs"),
     "limits": Part("one_step_limits.py", ["--views", "6"], data="cheetah-runs"),
     "audit": Part("audit.py", data="cheetah-runs"),
     "planted-faults": Part("planted_faults.py", quick=["--seeds", "1"]),

@@ -57,8 +57,9 @@ CAUSES = {
         "same_keypoints",
     ),
     *("missing_as_constant", "keypoints_normalised", "keypoints_y_up", "picture_upside_down", "picture_turned"),
-    *("world_not_z_up", "smaller_video", "other_camera_named", "left_right_swap", "frame_rate_stated"),
+    *("world_not_z_up", "smaller_video", "other_camera_named", "another_camera_fits", "left_right_swap"),
     *(
+        "frame_rate_stated",
         "frame_rate",
         "animal_still",
         "time_reversed",
@@ -162,11 +163,14 @@ class Clip:
     def rng(self) -> np.random.Generator:
         return np.random.default_rng(sum(map(ord, self.run.name + self.cameras[0])))
 
-    def given(self, name: str) -> Given:
+    def camera(self, name: str) -> Camera:
         calibration = self.run / "scene.json"
         camera = read_camera(calibration, name) if calibration.is_file() else read_camera(self.run / f"{name}.toml")
+        return replace(camera, name=name)
+
+    def given(self, name: str) -> Given:
         keypoints = replace(read_keypoints(self.run / f"{name}.csv"), fps=self.meta["fps"])
-        return Given(keypoints, replace(camera, name=name))
+        return Given(keypoints, self.camera(name))
 
 
 def cameras_of(run: Path) -> list[str]:
@@ -188,6 +192,8 @@ class Case:
     """Whether clips have two cameras."""
     both: bool = False
     """Whether the first of two cameras is changed, too."""
+    whole_file: bool = False
+    """Whether the camera file has all cameras of the run, of which the given one is chosen by its name."""
 
 
 def about(axis: str, degrees: float) -> np.ndarray:
@@ -633,11 +639,15 @@ def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
     if case.both or not case.two:
         first = case.change(clip, first)
     given = [first, *(case.change(clip, one) for one in rest)]
-    paths = [folder / f"{name}.csv" for name in clip.cameras]
+    paths = [folder / f"{'clip' if case.whole_file else name}.csv" for name in clip.cameras]
     for one, path in zip(given, paths, strict=True):
         write_csv(replace(one.keypoints, fps=None), path)
-    write_cameras([one.camera for one in given], folder / "cameras.toml")
+    cameras = [one.camera for one in given]
     told = dict(given[-1].told)
+    if case.whole_file:
+        told["camera_name"] = (given[0].camera.name,)
+        cameras += [other for other in map(clip.camera, cameras_of(clip.run)) if other.name != given[0].camera.name]
+    write_cameras(cameras, folder / "cameras.toml")
     if "subject" in told:
         (folder / "subject.toml").write_text(told["subject"])
         told["subject"] = folder / "subject.toml"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from recon.animal.body import ROUGH_SIZE_SIGMA
 from recon.animal.chain import Chain, load_chain
-from recon.api.clip_cameras import cameras_in, other_camera_in, other_cameras
+from recon.api.clip_cameras import cameras_in, other_camera_in, other_cameras, possible_cameras
 from recon.api.clip_inputs import ClipInputs, prepare
 from recon.api.settings import FitSettings
 from recon.base.progress import Progress, silent
@@ -27,6 +27,7 @@ from recon.fit.correction_gain import correction_gain_m2
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
+from recon.geometry.camera import Camera
 
 LOGGER = logging.getLogger("recon")
 PAIR_REFINED = "pair_refined", "pair_adjusted"
@@ -242,7 +243,8 @@ def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
 
 def _check_inputs(fit: _Fit, motion: Motion, inputs: ClipInputs, settings: FitSettings) -> _Fit:
     """Add the findings on the input files that the solution reveals."""
-    findings = input_findings(motion, inputs.prior, fit.options, *_file_facts(inputs, settings))
+    named, possible, stated_hz, seek_swaps = _file_facts(inputs, settings)
+    findings = input_findings(motion, inputs.prior, fit.options, named, stated_hz, seek_swaps, possible)
     return replace(fit, findings=(*fit.findings, *findings))
 
 
@@ -310,17 +312,23 @@ def _log(motion: Motion) -> None:
         LOGGER.log(level, "%s: %s", name, text)
 
 
-def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
+def _file_facts(
+    inputs: ClipInputs, settings: FitSettings
+) -> tuple[list[str | None], tuple[Camera, ...], float | None, bool]:
     """Return what `input_findings` needs to know about the files and settings.
 
-    Returns three values: by keypoint file, another camera that its name contains, or None; the frame rate that a file
+    Returns four values: by keypoint file, another camera that its name contains, or None; other cameras of the camera
+    file that may have filmed the only keypoint file, none if its name contains its camera; the frame rate that a file
     states, if it differs from the given one; and whether to look for swaps.
     """
-    named = []
+    named: list[str | None] = []
+    possible: tuple[Camera, ...] = ()
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):
         cameras = () if source.moves else other_cameras(source.camera, settings)
         names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
         named_camera = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
         named.append(None if source.camera.name in names else named_camera)
+        if len(inputs.sources) == 1 and not source.moves and not names:
+            possible = possible_cameras(source.camera, settings)
     stated_hz = next((s.keypoints.stated_fps for s in inputs.sources if s.keypoints.stated_fps is not None), None)
-    return named, stated_hz, not settings.fast or bool(settings.fix_swaps)
+    return named, possible, stated_hz, not settings.fast or bool(settings.fix_swaps)

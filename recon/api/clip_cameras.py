@@ -61,6 +61,22 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
     return tuple(candidate for candidate in cameras if candidate.name != camera.name)
 
 
+def possible_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
+    """Return the other cameras of the camera file that may have filmed a clip, poses in metres.
+
+    They have a pose in a world with z up, and a picture of the size of the clip's own camera. There are none if `up`
+    turns the world.
+    """
+    if settings.up is not None or not camera.knows_up:
+        return ()
+    size_px = camera.image_size_px
+    return tuple(
+        _with_pose_in_metres(candidate, None, settings.camera_unit)
+        for candidate in other_cameras(camera, settings)
+        if candidate.knows_up and candidate.image_size_px == size_px
+    )
+
+
 def _with_pose_in_metres(camera: Camera, track: CameraTrack | None, unit: Unit) -> Camera:
     """Return a camera with its pose in metres, or without a pose if it has a track."""
     if track is not None:

@@ -122,23 +122,30 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Refit:
+class SceneRefit:
+    """Solution of part of a clip with another camera, states (T, D) at nominal size, and its cost."""
+
     cost: float
     """Cost, where errors within the correlation time count once."""
     states: Array
 
 
-def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float) -> _Refit:
+def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float) -> SceneRefit:
     """Return the solution with another focal length, with the contacts and the ground of that scene."""
     (view,) = clip.views
     scaled = replace(clip, views=(view.with_focal_scale(log_factor),))
     axis = view.T_camera_world.reshape(-1, 4, 4)[0, 2, :3]
     start = states.copy()  # about the camera's centre
     start[:, ROOT] += math.expm1(log_factor) * (start[:, ROOT] @ axis)[:, None] * axis
-    *_, contact_terms = contacts(scaled, scaled.markers(start), 1.0)
-    estimate = scaled.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS)
-    cost = estimate.cost / clip.correlation_frames + _ground_cost(scaled, scaled.markers(estimate.states))
-    return _Refit(cost, estimate.states)
+    return refit_scene(scaled, start, noise_px)
+
+
+def refit_scene(clip: ClipProblem, start: Array, noise_px: Array) -> SceneRefit:
+    """Return the minimum near states (T, D), with the contacts and the ground of these states."""
+    *_, contact_terms = contacts(clip, clip.markers(start), 1.0)
+    estimate = clip.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS)
+    cost = estimate.cost / clip.correlation_frames + _ground_cost(clip, clip.markers(estimate.states))
+    return SceneRefit(cost, estimate.states)
 
 
 def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:

@@ -33,6 +33,7 @@ from recon.check.likelihood import (
     unit_square_finding,
     with_calibration_at_either_end,
 )
+from recon.check.other_camera import other_camera_finding
 from recon.check.stretch import stretch_finding
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
@@ -40,6 +41,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import REFERENCE_HZ
+from recon.geometry.camera import Camera
 
 FASTEST_M_S = 40.0
 """Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
@@ -58,12 +60,14 @@ def input_findings(
     named: Sequence[str | None],
     stated_hz: float | None = None,
     seek_swaps: bool = True,
+    possible: Sequence[Camera] = (),
 ) -> tuple[Finding, ...]:
     """Return the findings on the keypoints that a motion was fitted to.
 
     The tests are, in this order: copies; motions that no animal makes; for each camera, another picture, then swaps;
-    for a single camera, the animal's halves, the lens, the stretch and the focal length; for several cameras, their
-    clocks; and the frame rate. A test is left out if an earlier finding explains what it would find.
+    for a single camera, another one of its file, the animal's halves, the lens, the stretch and the focal length; for
+    several cameras, their clocks; and the frame rate. A test is left out if an earlier finding explains what it would
+    find.
 
     Parameters
     ----------
@@ -79,6 +83,8 @@ def input_findings(
         Frame rate stated in a file, or None.
     seek_swaps
         Whether to search for swaps, which takes the longest time.
+    possible
+        Other cameras of the camera file that may have filmed a single camera's clip.
     """
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
@@ -91,6 +97,7 @@ def input_findings(
     is_explained = has_copies or any(item.code in MOVES for item in moves)
     exchanged: list[Finding] = []
     drifting: list[Finding] = []
+    elsewhere: list[Finding] = []
     rates: Sequence[Finding] = ()
     with threadpool_limits(1, user_api="blas"):
         other_pictures = _other_pictures(motion, clip, named)
@@ -102,6 +109,9 @@ def input_findings(
                     exchanged += [swap_finding(trial, source, motion.body) for trial in trials]
                     if len(motion.sources) == 1 and not exchanged:
                         moves = _explain_by_only_view(motion, ground_clip, baseline, moves)
+        if possible and has_learned_prior and not (is_explained or other_pictures):
+            baseline = baseline_of(clip, 0, solution.states, solution.size)
+            elsewhere += other_camera_finding(baseline, solution.noise_px[0], possible)
         if len(motion.sources) > 1 and not (other_pictures or has_copies):
             names = [source.camera.name for source in motion.sources]
             drifting += drift_findings(ground_clip, solution, names, motion.fps)
@@ -109,7 +119,7 @@ def input_findings(
             rates = _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
     if other_pictures or _has_error(rates):
         moves = []  # they follow from the other fault
-    return (*copied, *exchanged, *other_pictures.values(), *drifting, *rates, *moves)
+    return (*copied, *exchanged, *other_pictures.values(), *elsewhere, *drifting, *rates, *moves)
 
 
 def _has_error(findings: Sequence[Finding]) -> bool:

@@ -97,6 +97,10 @@ SENTENCES = {
         "file's name says cam3, but the camera is cam1: with the wrong camera",
         {"other": "cam3", "given": "cam1"},
     ),
+    "another_camera_fits": (
+        "fits cam2, cam5 of the camera file better than cam1: if",
+        {"given": "cam1", "others": ("cam2", "cam5")},
+    ),
     "left_right_swap": (
         "look swapped in frame 10, in the fore legs, and the pose has them swapped too. Look",
         {"part": "the fore legs"},
