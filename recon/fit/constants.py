@@ -7,24 +7,28 @@ set other values. docs/benchmarks.md shows their effect.
 # -- detections ---------------------------------------------------------------------------------------------------
 
 ROBUST_C = 3.0
-"""Number of standard deviations at which the robust weight of a residual is 0.5; a round number."""
+"""Number of standard deviations at which the robust weight of a residual is 0.5; a round number.
+
+`python benchmarks/accuracy.py --only ablation` also fits with 30.
+"""
 KEYPOINT_BIAS_SHARE = 0.6
 """Fraction of a keypoint's distance from its marker that stays constant over a clip."""
 COMMON_BIAS_SHARE = 0.4
 """Fraction of the variance of the keypoint bias that several cameras share.
 
-It is the most likely value in the benchmark's real runs.
+It is the most likely value in the real runs; `python benchmarks/cameras.py --only several` also fits with 0.
 """
 NOISE_ABOUT_BIAS = 1.2
 """Factor on the variance of detections about their keypoint bias, because real bias is not quite constant over a clip.
 
 With this factor the 90 % intervals of the benchmark's real runs contain the truth as often as if the whole bias counted
-as noise.
+as noise (`python benchmarks/cameras.py --only several`).
 """
 ERROR_TIME_S = 0.16
 """Correlation time of errors of detections, in seconds; detections within it count once in the uncertainty.
 
-It was chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints.
+It was chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints
+(`python benchmarks/uncertainty.py --only views`).
 """
 
 # -- cameras and their clocks -------------------------------------------------------------------------------------
@@ -116,9 +120,9 @@ SHAPE_COUNT = 8.0
 # -- the animal's motion ------------------------------------------------------------------------------------------
 
 POSE_WEIGHT = 1.0
-"""Weight of the prior's poses per 1/90 s; benchmarks hardly change without it."""
+"""Weight of the prior's poses per 1/90 s; results hardly change without (`benchmarks/accuracy.py --only ablation`)."""
 MOTION_WEIGHT = 1.0
-"""Weight of the prior's motion per 1/90 s; benchmarks hardly change without it."""
+"""Weight of the prior's motion per 1/90 s; results hardly change without (`benchmarks/accuracy.py --only ablation`)."""
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
 """Accelerations of the root in the level frame.
 
@@ -130,7 +134,10 @@ YAW_ACCELERATION_RAD_S2 = 40.0
 LATERAL_M_S = 0.5
 """Velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Constant angle between the trunk and the direction of travel, for several cameras; as in the real runs."""
+"""Constant angle between the trunk and the direction of travel, for several cameras; as in the real runs.
+
+`python benchmarks/cameras.py --only several` lists their angles, and also fits without one.
+"""
 CLIMB_M_S = 0.5
 """Vertical velocity of the root."""
 MISFIT_USUAL = 3.6
