@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -397,3 +398,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         cameras.append({"k": FISHEYE.matrix.tolist(), "d": [[0.0]] * 4, "r": rotation, "t": t, "name": f"cam{number}"})
     (out / "scene.json").write_text(json.dumps({"camera_resolution": [1920, 1080], "cameras": cameras}))
     return out
+
+
+@pytest.fixture
+def clips(tmp_path) -> Path:
+    """A folder with three clips of the frame method."""
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    for name in ("a", "b", "c"):
+        shutil.copy(SAMPLES / "noisy.csv", folder / f"{name}.csv")
+    return folder

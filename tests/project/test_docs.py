@@ -54,7 +54,7 @@ NOT_RUN = {
     r"python3 -m venv |\. \.venv/bin/activate": "an environment of its own",
     r"pip install ": "needs the package index",
     r"dask (scheduler|worker) |recon batch manifest\.csv .*--scheduler": "needs a cluster, as in test_batch.py",
-    r"recon batch PROJECT ": "needs a project of Anipose; test_batch.py",
+    r"recon batch PROJECT ": "needs a project of Anipose; test_batch_inputs.py",
     r"recon prior fit training_positions\.csv ": "needs recordings; test_prior.py runs it",
     r"recon (fit run\d_cam|subject fit results/run1|prior fit tom/|evaluate one/)": "test_new_species.py runs it",
     r"recon retarget .* --robot robot\.urdf ": "takes half a minute; test_robot_retarget.py",
