@@ -21,7 +21,7 @@ from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
 from recon.check.verdict import add_verdict, verdict_lines
 from recon.clip import Source, views_of
 from recon.fit import constants
-from recon.fit.belt import belt_path_m, views_from_belt
+from recon.fit.belt import belt_path_m, relative_to_belt, views_from_belt
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.correction_gain import correction_gain_m2
 from recon.fit.motion import Motion
@@ -143,15 +143,16 @@ def _solve(
 ) -> TrajectorySolution:
     """Solve for the motion from the sources.
 
-    On a belt the motion is solved twice, because the second solve knows the belt's path.
+    On a belt the motion is solved twice, because the second solve knows the belt's path. It begins at the first one's
+    poses: from the beginning, the search for a body that passes moving cameras often ends at another pose.
     """
     views = views_of(sources)
     solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
     if belt_speed_m_s is None:
         return solution
     path_m = belt_path_m(solution, sources[0].keypoints.frames / inputs.fps, belt_speed_m_s)
-    views = views_from_belt(views, path_m)
-    return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
+    start, views = relative_to_belt(solution, path_m), views_from_belt(views, path_m)
+    return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, start=start)
 
 
 def _solve_near(

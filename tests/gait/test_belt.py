@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.api.clip import fit_clip
+from recon.animal.prior import prior_from_body
+from recon.api.clip import _solve, fit_clip
+from recon.api.clip_inputs import ClipInputs
 from recon.api.settings import FitSettings
 from recon.base.errors import InputError
 from recon.check.inputs import movement
 from recon.fit.belt import belt_path_m, relative_to_belt
+from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.gait.clip import BELT_GIVEN, ClipAnalysis, analyse, over_belt
 from recon.io.camera_files import write_camera
@@ -69,6 +72,25 @@ def test_the_belt_is_given_once_and_the_verdict_says_where(fitted):
         over_belt(replace(treadmill, settings={"belt_speed_m_s": 2.0}), 3.0)
 
 
+def test_the_solve_over_the_belt_begins_at_the_poses_on_it(fitted, monkeypatch):
+    """From the beginning, a dog's runs and a slow walk ended at poses that do not explain the detections."""
+    begun = []
+
+    def solve(views, *_, start=None):
+        begun.append((views, start))
+        return fitted.solution
+
+    monkeypatch.setattr("recon.api.clip.solve_trajectory", solve)
+    inputs = ClipInputs(fitted.body, prior_from_body(fitted.body), fitted.sources, (0.0,), fitted.fps, None, "")
+    _solve(inputs, 2.0, fitted.sources, TrajectoryOptions())
+    (_, first), (views, second) = begun
+    assert first is None
+    path_m = belt_path_m(fitted.solution, fitted.time_s, 2.0)
+    assert second.joints_m == pytest.approx(fitted.solution.joints_m + path_m[:, None], nan_ok=True)
+    camera_m = np.linalg.inv(views[0].T_camera_world)[:, :3, 3]
+    assert camera_m - camera_m[0] == pytest.approx(path_m, abs=1e-9)
+
+
 @pytest.mark.slow
 def test_a_fit_with_the_belt_speed_has_the_speed_over_the_belt(tmp_path):
     clip, _ = whole_gallop(fps=60, n_frames=40)
@@ -85,4 +107,5 @@ def test_a_fit_with_the_belt_speed_has_the_speed_over_the_belt(tmp_path):
     assert [found.code for found in treadmill.findings if found.severity == "error"] == ["treadmill"]
     motion = fit_clip(replace(settings, belt_speed_m_s=speed_m_s))
     assert "treadmill" not in [found.code for found in motion.findings]
+    assert motion.verdict.level == "use"
     assert ClipAnalysis(motion).gait.speed_m_s == pytest.approx(speed_m_s, rel=0.1)
