@@ -194,13 +194,13 @@ def dog_rows(as_stated: bool) -> list[list[str]]:
             signed = moved.speed_m_s - point_kinematics(motion.time_s, true_m).speed_m_s
             off = np.abs(signed)
             (net, sigma), (true_net, _) = found.net_acceleration_m_s2, net_acceleration(motion.time_s, true_m)
-            of_flights = off_gravity(d.flights)
+            of_flights = np.abs(off_gravity(d.flight_parts))
             rows.append(
                 [
                     *(clip.name, f"{np.nanmean(off < reach * moved.speed_sigma_m_s):.0%}, {independent(signed):.0f}"),
                     f"{np.sqrt(np.nanmean(off**2)):.2f}, {np.sqrt(np.nanmean(moved.speed_sigma_m_s**2)):.2f}",
                     f"{net:.2f} ± {reach * sigma:.2f}, {true_net:.2f}",
-                    f"{len(of_flights)}, {int((of_flights.abs() > OFF_GRAVITY).sum())}",
+                    f"{len(of_flights)}, {int((of_flights > OFF_GRAVITY).sum())}",
                     carry_the_body(found),
                 ]
             )

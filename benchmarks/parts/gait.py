@@ -79,10 +79,8 @@ def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
     """Return the mean speed of each link's tip relative to its parent, m/s, mean of both sides."""
     found = {}
     for limb, chain in CHAINS.items():
-        sides = [
-            field_means(pose_vector_field(pose, tuple(j.format(side) for j in chain), fps))["speed_m_s"].tolist()
-            for side in "lr"
-        ]
+        fields = (pose_vector_field(pose, tuple(j.format(side) for j in chain), fps) for side in "lr")
+        sides = [[field_means(field).speed_m_s for field in fields_of_side] for fields_of_side in fields]
         found |= dict(zip(LINKS[limb], np.mean(sides, axis=0).tolist(), strict=True))
     return found
 

@@ -215,11 +215,9 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
         "body_mass_kg": analysis.body_mass_kg,
         "stride_s": analysis.gait.stride_s,
         "stride_sigma_s": analysis.gait.stride_sigma_s,
-        "mean_peak_bw": float(dynamics.forces["peak_bw"].mean()) if len(dynamics.forces) else None,
-        "mean_peak_interval_bw": dynamics.forces[["peak_low_bw", "peak_high_bw"]].mean().tolist()
-        if len(dynamics.forces)
-        else None,
-        "flights": dynamics.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
+        "mean_peak_bw": None if dynamics.mean_peak_bw is None else dynamics.mean_peak_bw[0],
+        "mean_peak_interval_bw": None if dynamics.mean_peak_bw is None else dynamics.mean_peak_bw[1:],
+        "flights": [picked(flight, "start_s", "end_s", "up_m_s2", "sigma_m_s2") for flight in dynamics.flight_parts],
         **_with_interval("net_acceleration", "_m_s2", interval_of(*dynamics.net_acceleration_m_s2)),
         "strides": [_stride_energy(dynamics, stride) for stride in analysis.gait.strides],
         "findings": [finding.code for finding in findings_of_dynamics(analysis.motion, dynamics)],

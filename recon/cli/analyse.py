@@ -52,8 +52,8 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
     if "spine_flexion" in analysis.angles:
         low, high = (math.degrees(angle) for angle in analysis.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
-    if (dynamics := analysis.dynamics) is not None and len(dynamics.forces):
-        peak, low, high = dynamics.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
+    if (dynamics := analysis.dynamics) is not None and dynamics.mean_peak_bw is not None:
+        peak, low, high = dynamics.mean_peak_bw
         peak_text = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
         yield f"Peak vertical force of a foot: {peak_text}."
     if (stride := analysis.stride) is not None:

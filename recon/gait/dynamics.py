@@ -26,12 +26,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from recon.animal.capsules import capsules, inertias_m2, middles_m
-from recon.base.arrays import Array, Brief, Integers
+from recon.base.arrays import Array, Brief, Integers, mean
 from recon.check.codes import finding
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
@@ -86,6 +86,33 @@ MASS_LASTS_S = 10.0
 """Correlation time of errors of masses, which are constant."""
 
 
+class StanceForce(NamedTuple):
+    """Vertical force of a foot in a stance that is completely in the clip, with the ends of its 90 % intervals."""
+
+    foot: str
+    start_s: float
+    end_s: float
+    peak_bw: float
+    peak_low_bw: float
+    peak_high_bw: float
+    impulse_bw_s: float
+    impulse_low_bw_s: float
+    impulse_high_bw_s: float
+
+
+class Flight(NamedTuple):
+    """A part of the clip in which no foot stands, within the errors of touch-down and lift-off."""
+
+    first: int
+    stop: int
+    start_s: float
+    end_s: float
+    up_m_s2: float
+    """Acceleration of a parabola through the heights of the centre of mass: -`G_M_S2` in free fall."""
+    sigma_m_s2: float
+    """Its standard deviation from the errors of position, pose and masses."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Dynamics(Brief):
     """Centre of mass, energies and forces of a clip of T frames.
@@ -107,35 +134,32 @@ class Dynamics(Brief):
     """(N, 3): standard deviation of `angular_momentum`."""
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
-    force_rows: Sequence[tuple[Any, ...]]
-    """Rows of `forces`."""
+    stance_forces: Sequence[StanceForce]
     force: Mapping[str, Array]
     """(N, 3): expected vertical force of each foot and the ends of its 90 % interval."""
-    flight_rows: Sequence[tuple[float, ...]]
-    """Rows of `flights`."""
+    flight_parts: Sequence[Flight]
 
     @cached_property
     def forces(self) -> pd.DataFrame:
-        """Return a table with one row per stance that is completely in the clip.
-
-        Columns foot, start_s and end_s; peak_bw of the vertical force and impulse_bw_s, each with the ends of its
-        interval (peak_low_bw, ...).
-        """
+        """Return `stance_forces` as a table."""
         import pandas as pd  # slow to import
 
-        return pd.DataFrame(self.force_rows, columns=[*FORCE_COLUMNS])
+        return pd.DataFrame(self.stance_forces, columns=[*StanceForce._fields])
 
     @cached_property
     def flights(self) -> pd.DataFrame:
-        """Return a table of the parts of the clip in which no foot stands.
-
-        No foot stands within the errors of touch-down and lift-off. Columns first, stop, start_s and end_s; up_m_s2,
-        the acceleration of a parabola through the heights of the centre of mass (-`G_M_S2` in free fall); and
-        sigma_m_s2, its standard deviation from the errors of position, pose and masses.
-        """
+        """Return `flight_parts` as a table."""
         import pandas as pd  # slow to import
 
-        return pd.DataFrame(self.flight_rows, columns=[*FLIGHT_COLUMNS])
+        return pd.DataFrame(self.flight_parts, columns=[*Flight._fields])
+
+    @property
+    def mean_peak_bw(self) -> tuple[float, float, float] | None:
+        """Return the mean of the stances' peak forces and the means of their intervals' ends, or None without any."""
+        if not self.stance_forces:
+            return None
+        peak, low, high = zip(*((s.peak_bw, s.peak_low_bw, s.peak_high_bw) for s in self.stance_forces), strict=True)
+        return mean(peak), mean(low), mean(high)
 
     @cached_property
     def directions(self) -> Array:
@@ -199,7 +223,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     near = Errors(errors[-1].sigma[:, end_joints], errors[-1].correlation_s)
     spread = _turning_sigma(value, rate, end_shares, sigma, end_joints, near)
     turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum, spread])).value
-    force_rows, force = _forces(gait)
+    stance_forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
         net_acceleration_m_s2=net,
@@ -208,9 +232,9 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
         angular_momentum=turning[:, 1:4],
         angular_momentum_sigma=np.maximum(turning[:, 5:], 0.0),
         ground_m=centre.series.value[:, 2] - gait.tracks.above_ground(centre.series.value),
-        force_rows=force_rows,
+        stance_forces=stance_forces,
         force=force,
-        flight_rows=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
+        flight_parts=_flights(motion, gait, centre_m, apart_m * sigma[:, None], by_pose),
     )
 
 
@@ -295,8 +319,8 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     starts = start + normal(count) * start_sigma
     ends = end + normal(count) * end_sigma
     is_gallop = "gallop" in gait.name.name or gait.name.name == "unknown"
-    mean, sigma = GALLOP_FORE if is_gallop else OTHER_FORE
-    fore = np.clip(mean + sigma * normal(1)[:, 0], 0.1, 0.9)
+    fore_mean, fore_sigma = GALLOP_FORE if is_gallop else OTHER_FORE
+    fore = np.clip(fore_mean + fore_sigma * normal(1)[:, 0], 0.1, 0.9)
     factor = np.exp(FOOT * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
     pair_sum = np.stack([factor[:, is_fore == pair].sum(axis=1) for pair in is_fore], axis=1)
@@ -322,16 +346,11 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     return starts, np.maximum(ends, starts + 0.3 * (end - start)), share[:, foot_rows] * period
 
 
-FORCE_COLUMNS = (
-    *("foot", "start_s", "end_s", "peak_bw", "peak_low_bw", "peak_high_bw"),
-    *("impulse_bw_s", "impulse_low_bw_s", "impulse_high_bw_s"),
-)
-FLIGHT_COLUMNS = ("first", "stop", "start_s", "end_s", "up_m_s2", "sigma_m_s2")
 _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
-def _forces(gait: Gait) -> tuple[list[tuple[Any, ...]], dict[str, Array]]:
-    """Return the rows of whole stances, and each foot's force over time, NaN in stances cut by the clip."""
+def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
+    """Return the forces of whole stances, and each foot's force over time, NaN in stances cut by the clip."""
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []
     durations_s = np.where([stance.begins and stance.ends for stance in gait.stances], ends - starts, np.nan)
@@ -351,19 +370,19 @@ def _forces(gait: Gait) -> tuple[list[tuple[Any, ...]], dict[str, Array]]:
         for k, curve in enumerate((curves.mean(axis=0), *np.quantile(curves, _ENDS, axis=0))):
             force[stance.foot][nearby, k] += np.interp(time_s[nearby], node_s, curve)
         if np.isfinite(impulses[0, i]):
-            rows.append((stance.foot, stance.start_s, stance.end_s, *peak[:, i].tolist(), *impulse[:, i].tolist()))
+            rows.append(
+                StanceForce(stance.foot, stance.start_s, stance.end_s, *peak[:, i].tolist(), *impulse[:, i].tolist())
+            )
     return rows, force
 
 
-def _flights(
-    motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]
-) -> list[tuple[float, ...]]:
-    """Return the rows of flights between the first and the last stance, for an animal with four known feet.
+def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> list[Flight]:
+    """Return the flights between the first and the last stance, for an animal with four known feet.
 
     by_mass_m: (T, S, 3), shift of the centre by one standard deviation of each segment's mass fraction. errors: (T, 3),
     those of the centre from all other causes.
     """
-    time_s, rows_of_flights = motion.time_s, []
+    time_s, flights = motion.time_s, list[Flight]()
     if len(gait.tracks.feet) >= 4 and gait.stances:
         is_free = np.isfinite(gait.tracks.foot_m[::OVERSAMPLING]).all(axis=(1, 2)) & motion.solved
         is_free &= (time_s > min(s.end_s for s in gait.stances)) & (time_s < max(s.start_s for s in gait.stances))
@@ -376,24 +395,23 @@ def _flights(
                 row_errors = [Errors(error.sigma[rows, 2], error.correlation_s) for error in errors]
                 row_errors += [Errors(column, np.inf) for column in by_mass_m[rows, :, 2].T]
                 vertical = kinematics.parabola_acceleration(time_s[rows], centre_m[rows, 2], row_errors)
-                rows_of_flights.append((int(first), int(stop), time_s[first], time_s[stop - 1], *vertical))
-    return rows_of_flights
+                flights.append(Flight(int(first), int(stop), float(time_s[first]), float(time_s[stop - 1]), *vertical))
+    return flights
 
 
-def off_gravity(flights: pd.DataFrame) -> pd.Series:
-    """Return the deviation of each flight from free fall, in standard deviations."""
-    return (flights["up_m_s2"] + G_M_S2) / flights["sigma_m_s2"].clip(lower=1e-9)
+def off_gravity(flights: Sequence[Flight]) -> Array:
+    """Return the deviation of each of F flights from free fall, in standard deviations, shape (F,)."""
+    return np.array([(flight.up_m_s2 + G_M_S2) / np.maximum(flight.sigma_m_s2, 1e-9) for flight in flights])
 
 
 def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...]:
     """Return a finding if the flight that differs most from free fall deviates far more than its uncertainty."""
-    deviation = off_gravity(result.flights).abs()
+    deviation = np.abs(off_gravity(result.flight_parts))
     if not (deviation > OFF_GRAVITY).any():
         return ()
-    worst = result.flights.iloc[int(deviation.to_numpy().argmax())]
-    frames = int(motion.frames[int(worst["first"])]), int(motion.frames[int(worst["stop"]) - 1]) + 1
-    numbers: dict[str, Any] = {name: float(worst[name]) for name in ("up_m_s2", "sigma_m_s2")}
-    return (finding("flight_against_gravity", frames, **numbers),)
+    worst = result.flight_parts[int(np.argmax(deviation))]
+    frames = int(motion.frames[worst.first]), int(motion.frames[worst.stop - 1]) + 1
+    return (finding("flight_against_gravity", frames, up_m_s2=worst.up_m_s2, sigma_m_s2=worst.sigma_m_s2),)
 
 
 OVER_STRIDE = {"net_work": "_j_kg", "net_power": "_w_kg", "net_acceleration": "_m_s2", "exchange": ""}

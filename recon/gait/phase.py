@@ -28,20 +28,16 @@ C. van der Leek, MSc(Eng), University of Cape Town, 2022.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from recon.base.arrays import Array, Brief, mean
 from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
 from recon.io.common import Pose3D
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
@@ -154,24 +150,33 @@ def pose_vector_field(
     return vector_field(frame_times(pose.frames, fps), pose.xyz_m[:, joint_rows], chain, forward_m)
 
 
-def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
-    """Return a table with a row for each link: means over its known frames, and the number of these frames.
+class FieldMeans(NamedTuple):
+    """Means of a link's vector field over its known frames, and the number of these frames; NaN without any."""
 
-    The columns are the means of the speed in the plane and in space, of |dr| and of |dtheta|, and the root mean square
-    of the speed's standard deviation in a frame. They are NaN without known frames.
-    """
-    import pandas as pd
+    link: str
+    parent: str
+    speed_m_s: float
+    """Mean speed in the plane."""
+    speed_3d_m_s: float
+    """Mean speed in space."""
+    dr_m_s: float
+    """Mean of |dr|."""
+    dtheta_rad_s: float
+    """Mean of |dtheta|."""
+    speed_sigma_m_s: float
+    """Root mean square of the speed's standard deviation in a frame."""
+    frames: int
 
-    rows = []
-    for field in fields:
-        space = np.linalg.norm(field.velocity_m_s, axis=1)
-        values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
-        is_known = np.isfinite(values).all(axis=0)
-        means = [mean(quantity[is_known]) for quantity in values]
-        sigma = np.sqrt(mean(np.broadcast_to(field.speed_sigma_m_s, is_known.shape)[is_known] ** 2))
-        rows.append(("-".join(field.link), "-".join(field.parent), *means, float(sigma), int(is_known.sum())))
-    columns = ["link", "parent", "speed_m_s", "speed_3d_m_s", "dr_m_s", "dtheta_rad_s", "speed_sigma_m_s", "frames"]
-    return pd.DataFrame(rows, columns=columns)
+
+def field_means(field: LinkField) -> FieldMeans:
+    """Return the means of a link's vector field."""
+    space = np.linalg.norm(field.velocity_m_s, axis=1)
+    values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
+    is_known = np.isfinite(values).all(axis=0)
+    speed, speed_3d, dr, dtheta = (mean(quantity[is_known]) for quantity in values)
+    sigma = float(np.sqrt(mean(np.broadcast_to(field.speed_sigma_m_s, is_known.shape)[is_known] ** 2)))
+    names = "-".join(field.link), "-".join(field.parent)
+    return FieldMeans(*names, speed, speed_3d, dr, dtheta, sigma, int(is_known.sum()))
 
 
 def tips(joints_m: Array, forward_m: Array) -> Array:

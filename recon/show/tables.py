@@ -19,10 +19,10 @@ from recon.check.to_correct import to_correct as worth_correcting
 from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
+from recon.gait.dynamics import G_M_S2, OVER_STRIDE, StanceForce, over_stride
 from recon.gait.flexion import PERCENT, extreme
 from recon.gait.kinematics import AngleKinematics
-from recon.gait.phase import field_means
+from recon.gait.phase import FieldMeans, field_means
 from recon.gait.stances import interval_of
 from recon.io.writing import write_columns, write_rows, write_table
 
@@ -473,11 +473,8 @@ def vector_field(analysis: ClipAnalysis) -> Columns:
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
     """Return each link's mean speeds over the frames."""
-    columns = "limb, link, parent, speed_m_s, speed_3d_m_s, dr_m_s, dtheta_rad_s, speed_sigma_m_s, frames"
-    rows = [
-        (limb, *row) for limb, fields in analysis.fields.items() for row in field_means(fields).itertuples(index=False)
-    ]
-    return columns.split(", "), rows
+    rows = [(limb, *means) for limb, fields in analysis.fields.items() for means in map(field_means, fields)]
+    return ["limb", *FieldMeans._fields], rows
 
 
 def closures(analysis: ClipAnalysis) -> Table:
@@ -525,8 +522,8 @@ def forces(analysis: ClipAnalysis) -> Table:
 
     If the animal's mass is known, the table also has newtons.
     """
-    columns = [*FORCE_COLUMNS]
-    rows = [] if analysis.dynamics is None else [*analysis.dynamics.force_rows]
+    columns: list[str] = [*StanceForce._fields]
+    rows: list[tuple[Any, ...]] = [] if analysis.dynamics is None else [*analysis.dynamics.stance_forces]
     if analysis.body_mass_kg is not None:
         weight_n = analysis.body_mass_kg * G_M_S2
         columns += [name.replace("_bw", "_n") for name in columns[3:]]

@@ -73,9 +73,10 @@ def test_a_fit_imports_what_it_uses(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_page_without_a_video_imports_no_pandas(tmp_path, whole_results):
-    modules = imported_by("report", copytree(whole_results, tmp_path / "results"))
-    assert (tmp_path / "results" / "report.html").is_file()
+@pytest.mark.parametrize(("command", "made"), [("report", "report.html"), ("analyse", "analysis/analysis.json")])
+def test_a_page_and_an_analysis_import_no_pandas(tmp_path, whole_results, command, made):
+    modules = imported_by(command, copytree(whole_results, tmp_path / "results"))
+    assert (tmp_path / "results" / made).is_file()
     assert "matplotlib" in modules
     assert "pandas" not in modules
 

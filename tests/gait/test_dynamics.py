@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,12 +14,12 @@ from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
 from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.api.analyse import summarise
 from recon.gait.dynamics import (
-    FORCE_COLUMNS,
     G_M_S2,
     MEAN_OF_PEAK,
     OFF_GRAVITY,
     OVER_STRIDE,
     SKEW,
+    StanceForce,
     _forces,
     _turning_sigma,
     findings_of_dynamics,
@@ -187,23 +186,23 @@ def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(f
     i = next(i for i, stance in enumerate(gait.stances) if stance.begins and stance.ends)
     known, quarter_s = gait.stances[i], gait.stances[i].duration_s / 4
 
-    def first_force(stance: Stance) -> dict[str, Any]:
-        """Return the first row of the forces, with this stance in place of the known one."""
-        rows, _ = _forces(replace(gait, stances=(*gait.stances[:i], stance, *gait.stances[i + 1 :])))
-        return dict(zip(FORCE_COLUMNS, rows[0], strict=True))
+    def first_force(stance: Stance) -> StanceForce:
+        """Return the first of the forces, with this stance in place of the known one."""
+        stance_forces, _ = _forces(replace(gait, stances=(*gait.stances[:i], stance, *gait.stances[i + 1 :])))
+        return stance_forces[0]
 
     short = replace(known, end_s=known.start_s + 2 * quarter_s, start_sigma_s=quarter_s, end_sigma_s=quarter_s)
     before, after = map(first_force, (known, short))
-    assert after["foot"] == known.foot
-    assert after["peak_bw"] < 1.5 * before["peak_bw"]  # twice as high if it lasted half as long
-    assert after["peak_high_bw"] < 1.6 * before["peak_high_bw"]
+    assert after.foot == known.foot
+    assert after.peak_bw < 1.5 * before.peak_bw  # twice as high if it lasted half as long
+    assert after.peak_high_bw < 1.6 * before.peak_high_bw
     # So does a part of one, whatever its ends seem to be; one that is known is taken as it is.
     part = replace(known, end_s=known.start_s + quarter_s / 2, start_sigma_s=quarter_s / 6, end_sigma_s=quarter_s / 6)
     longer = first_force(part)
-    assert longer["peak_bw"] < 3 * before["peak_bw"]  # eight times as high as it is
+    assert longer.peak_bw < 3 * before.peak_bw  # eight times as high as it is
     sure = replace(known, start_sigma_s=1e-4, end_sigma_s=1e-4)
     taken = first_force(sure)
-    assert taken["impulse_bw_s"] == pytest.approx(taken["peak_bw"] * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
+    assert taken.impulse_bw_s == pytest.approx(taken.peak_bw * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
 
 
 def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
@@ -228,18 +227,17 @@ def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
     d = found.dynamics
     assert d is not None
     assert found.gait is not None
-    assert len(d.flights)
-    assert (off_gravity(d.flights).abs() < OFF_GRAVITY).all()
+    assert len(d.flights) == len(d.flight_parts) > 0
+    assert (np.abs(off_gravity(d.flight_parts)) < OFF_GRAVITY).all()
     for flight in d.flights.itertuples():
         inside = motion.time_s[flight.first : flight.stop]
         assert all(((inside < s.start_s) | (inside > s.end_s)).all() for s in found.gait.stances)
     assert findings_of_dynamics(motion, d) == ()
     # A path that is thrown at twice the frame rate falls at four times the acceleration.
-    first, stop, *times_s = d.flight_rows[0][:4]
-    fast = (first, stop, *times_s, -4 * G_M_S2, 5.0)
-    (one,) = findings_of_dynamics(motion, replace(d, flight_rows=[*d.flight_rows, fast]))
+    fast = d.flight_parts[0]._replace(up_m_s2=-4 * G_M_S2, sigma_m_s2=5.0)
+    (one,) = findings_of_dynamics(motion, replace(d, flight_parts=[*d.flight_parts, fast]))
     assert one.code == "flight_against_gravity"
-    assert one.frames == (motion.frames[int(first)], motion.frames[int(stop) - 1] + 1)
+    assert one.frames == (motion.frames[fast.first], motion.frames[fast.stop - 1] + 1)
 
 
 def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):

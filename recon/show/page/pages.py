@@ -266,7 +266,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
             )
             yield _group("Joint angles over the stride", text, [joint_flexion(analysis.flexion_curves)])
         dynamics = None if motion.jitters else analysis.dynamics
-        if dynamics is not None and dynamics.force_rows:
+        if dynamics is not None and dynamics.stance_forces:
             text = (
                 "Force of each foot in body weights, from its stances and the impulse of a stride on level ground, "
                 f"from masses of this source: {motion.body.mass_source}. Validated on galloping cheetahs."

@@ -435,7 +435,8 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 style.blank(left)
                 style.blank(right)
                 continue
-            speed, sigma = field_means((field,)).iloc[0][["speed_m_s", "speed_sigma_m_s"]]
+            means = field_means(field)
+            speed, sigma = means.speed_m_s, means.speed_sigma_m_s
             is_grey = sigma > speed
             colour = style.GREY if is_grey else style.COLOURS[0]
             quiver = _arrows(left, field, time_s, every, float(fastest), colour)
