@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from recon.base.file_names import encodable
 from recon.base.tables import guarded
 from recon.clip import Keypoints, frame_ranges
 from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 @contextmanager
@@ -138,8 +142,24 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     import pyarrow as pa  # a dependency of rerun
     from pyarrow import csv as arrow_csv
 
-    table = pa.table({name: pa.array(_guarded_column(values), from_pandas=True) for name, values in columns.items()})
+    table = pa.table({name: _arrow_array(_guarded_column(values)) for name, values in columns.items()})
     arrow_csv.write_csv(table, path, arrow_csv.WriteOptions(quoting_style="none"))
+
+
+def _arrow_array(values: np.ndarray) -> pa.Array:
+    """Return a column (N,) as an array of pyarrow, with NaN as null.
+
+    It is made from its bytes, because `pa.array` imports pandas, which takes longer than writing a short clip's tables.
+    """
+    import pyarrow as pa
+
+    if values.dtype.kind == "U":
+        texts = [text.encode() for text in values.tolist()]
+        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+        return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends), pa.py_buffer(b"".join(texts)))
+    is_known = np.packbits(values == values, bitorder="little")
+    buffers = [pa.py_buffer(is_known), pa.py_buffer(values)]
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), buffers)
 
 
 def _guarded_column(values: np.ndarray) -> np.ndarray:
