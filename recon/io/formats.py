@@ -18,6 +18,7 @@ import numpy as np
 
 from recon.base.documents import damage_as_input_error, read_head
 from recon.base.errors import InputError, Problem
+from recon.base.numbers import percent
 from recon.clip import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, frames_seen, joined_tracks
 from recon.io.times import with_rate
@@ -462,8 +463,13 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
     stated = likelihood[~np.isnan(likelihood)]
     low, high = (float(stated.min()), float(stated.max())) if stated.size else (0.0, 1.0)
     if low < -LIKELIHOOD_MARGIN or high > 1 + LIKELIHOOD_MARGIN:
-        detail = f"{low:g} to {high:g}{', apparently in percent' * (low >= 0 and 1 < high <= 100)}"
-        raise InputError(Problem(path, "likelihood", detail, "numbers from 0 to 1"))
+        above = float(np.mean(stated > 1))
+        # a spreadsheet that dropped decimal points leaves a part of the likelihoods above 1
+        is_percent = low >= 0 and high <= 100 and above > 0.5
+        cause = (
+            ", apparently in percent" if is_percent else f", above 1 in {percent(above)} of the points" * (above > 0)
+        )
+        raise InputError(Problem(path, "likelihood", f"{low:g} to {high:g}{cause}", "numbers from 0 to 1"))
     if low < 0 or high > 1:
         notes = (*notes, f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1.")
     return Keypoints(
@@ -508,6 +514,12 @@ _SLEAP_PROJECT = {"metadata", "frames"}
 _SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, or sleap-convert --format analysis"
 
 
+_CALIBRATION = re.compile(
+    rb"camera_?matrix|camera_resolution|recon-camera|^\[cam_[0-9a-z]+\]|intrinsic_?matrix", re.IGNORECASE
+)
+"""Keys of calibrations near the beginning of a file."""
+
+
 def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
     """Return a plain description of a file of no known format, and of what is expected instead.
 
@@ -523,6 +535,8 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
     for start, name, instead in _UNREAD:
         if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
             return name, instead or expected
+    if _CALIBRATION.search(head):
+        return "a calibration, which belongs to --camera", expected
     if re.search(rb'"version"\s*:\s*"AlphaPose', head):
         return "AlphaPose's results in the layout of another program", "AlphaPose's own: run it without --format"
     return _describe_head(head), expected

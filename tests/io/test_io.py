@@ -362,12 +362,25 @@ def test_stray_blanks_in_names_are_noted(tmp_path):
 def test_likelihoods_that_mean_something_else_are_refused(tmp_path):
     """In per cent, every one would pass the cut-off."""
     for text, *expected in (
-        (SINGLE.replace("0.9", "37"), "likelihood", ["0 to 37", "percent"], "0 to 1"),
+        (SINGLE.replace("0.9", "37"), "likelihood", ["0 to 37", "above 1 in 20 % of the points"], "0 to 1"),
         (SINGLE.replace("0.9", "-1"), "likelihood", "-1 to 1", "0 to 1"),
         (SINGLE.replace("0.9", "inf"), "line 4, nose/likelihood", "'inf'"),
         ("frame,bodypart,x,y,likelihood\n0,nose,1,2,90\n", "likelihood", ["90 to 90", "percent"], "0 to 1"),
     ):
         refuses(save(tmp_path, text), tuple(expected))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"camera_resolution": [1920, 1080], "cameras": []}',
+        '[camera]\nformat = "recon-camera"\n',
+        "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n",
+        '[cam_0]\nname = "A"\n',
+    ],
+)
+def test_a_calibration_in_place_of_keypoints_is_named(text, tmp_path):
+    refuses(save(tmp_path, text), ("format", "a calibration, which belongs to --camera"))
 
 
 def test_odd_likelihoods_are_noted(tmp_path):
