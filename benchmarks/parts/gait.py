@@ -36,7 +36,7 @@ from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.gait import Gait, gait, match_stances
 from recon.gait.kinematics import joint_kinematics, spine_flexion
-from recon.gait.phase import field_means, pose_vector_field
+from recon.gait.phase import means_of_field, pose_vector_field
 from recon.gait.stances import FEET, INTERVAL, Stance, pose_tracks, stances
 from recon.testing.gallop import gallop
 
@@ -80,7 +80,7 @@ def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
     found = {}
     for limb, chain in CHAINS.items():
         fields = (pose_vector_field(pose, tuple(j.format(side) for j in chain), fps) for side in "lr")
-        sides = [[field_means(field).speed_m_s for field in fields_of_side] for fields_of_side in fields]
+        sides = [[means_of_field(field).speed_m_s for field in fields_of_side] for fields_of_side in fields]
         found |= dict(zip(LINKS[limb], np.mean(sides, axis=0).tolist(), strict=True))
     return found
 

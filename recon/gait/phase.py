@@ -28,16 +28,20 @@ C. van der Leek, MSc(Eng), University of Cape Town, 2022.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from recon.base.arrays import Array, Brief, mean
 from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
 from recon.io.common import Pose3D
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
@@ -168,7 +172,7 @@ class FieldMeans(NamedTuple):
     frames: int
 
 
-def field_means(field: LinkField) -> FieldMeans:
+def means_of_field(field: LinkField) -> FieldMeans:
     """Return the means of a link's vector field."""
     space = np.linalg.norm(field.velocity_m_s, axis=1)
     values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
@@ -177,6 +181,13 @@ def field_means(field: LinkField) -> FieldMeans:
     sigma = float(np.sqrt(mean(np.broadcast_to(field.speed_sigma_m_s, is_known.shape)[is_known] ** 2)))
     names = "-".join(field.link), "-".join(field.parent)
     return FieldMeans(*names, speed, speed_3d, dr, dtheta, sigma, int(is_known.sum()))
+
+
+def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
+    """Return a table of `FieldMeans` with a row for each link."""
+    import pandas as pd  # slow to import
+
+    return pd.DataFrame([means_of_field(field) for field in fields], columns=list(FieldMeans._fields))
 
 
 def tips(joints_m: Array, forward_m: Array) -> Array:

@@ -22,7 +22,7 @@ from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import G_M_S2, OVER_STRIDE, StanceForce, over_stride
 from recon.gait.flexion import PERCENT, extreme
 from recon.gait.kinematics import AngleKinematics
-from recon.gait.phase import FieldMeans, field_means
+from recon.gait.phase import FieldMeans, means_of_field
 from recon.gait.stances import interval_of
 from recon.io.writing import write_columns, write_rows, write_table
 
@@ -473,7 +473,7 @@ def vector_field(analysis: ClipAnalysis) -> Columns:
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
     """Return each link's mean speeds over the frames."""
-    rows = [(limb, *means) for limb, fields in analysis.fields.items() for means in map(field_means, fields)]
+    rows = [(limb, *means) for limb, fields in analysis.fields.items() for means in map(means_of_field, fields)]
     return ["limb", *FieldMeans._fields], rows
 
 

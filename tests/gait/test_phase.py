@@ -13,6 +13,7 @@ from recon.gait.phase import (
     degree_of_closure,
     field_means,
     field_with_sigma,
+    means_of_field,
     phase_portrait,
     pose_vector_field,
     scaled,
@@ -52,9 +53,11 @@ def test_a_rotating_link(heading):
     np.testing.assert_allclose(field.dtheta_rad_s, rate, atol=2e-3)
     np.testing.assert_allclose(field.dr_m_s, 0.0, atol=1e-3)
     np.testing.assert_allclose(field.speed_m_s, 0.3 * np.abs(rate), atol=1e-3)
-    means = field_means(field)
+    means = means_of_field(field)
     assert means.speed_m_s == pytest.approx(0.3 * np.mean(np.abs(rate)), rel=1e-3)
     assert means.frames == 90
+    table = field_means([field])
+    assert (tuple(table), table.loc[0, "speed_m_s"], table.loc[0, "frames"]) == (means._fields, means.speed_m_s, 90)
 
 
 def test_a_link_that_stretches_and_an_unmoved_one():
@@ -84,12 +87,12 @@ def test_poses_with_gaps():
     pose = Pose3D(("tail_base", "neck_base", "paw"), joints, np.arange(90))
     (field,) = pose_vector_field(pose, ("tail_base", "neck_base", "paw"), FPS)
     assert np.isnan(field.speed_m_s[30:60]).all()
-    means = field_means(field)
+    means = means_of_field(field)
     assert means.frames == 60
     assert means.dtheta_rad_s == pytest.approx(5.0, rel=1e-4)
     joints[:] = np.nan
     empty = pose_vector_field(Pose3D(pose.names, joints, pose.frames), ("tail_base", "neck_base", "paw"), FPS)
-    assert np.isnan(field_means(empty[0]).speed_m_s)
+    assert np.isnan(means_of_field(empty[0]).speed_m_s)
     with refusal(("pose", "joints", "'hoof'")):
         pose_vector_field(pose, ("tail_base", "neck_base", "hoof"), FPS)
     with pytest.raises(ValueError, match="three joints"):
@@ -138,7 +141,7 @@ def test_deviations_of_a_link_that_turns():
     np.testing.assert_allclose(found.dtheta_sigma_rad_s, 0.1)
     np.testing.assert_allclose(found.speed_sigma_m_s, 0.04, rtol=1e-3)
     np.testing.assert_allclose(found.dr_sigma_m_s, 0, atol=1e-12)
-    means = field_means(found)
+    means = means_of_field(found)
     assert means.speed_sigma_m_s == pytest.approx(0.04, rel=1e-3)
 
 

@@ -29,7 +29,7 @@ from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics, Series
-from recon.gait.phase import Closure, LinkField, Portrait, field_means
+from recon.gait.phase import Closure, LinkField, Portrait, means_of_field
 from recon.gait.stances import Stance, interval_of
 from recon.show.plots import style
 
@@ -435,7 +435,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 style.blank(left)
                 style.blank(right)
                 continue
-            means = field_means(field)
+            means = means_of_field(field)
             speed, sigma = means.speed_m_s, means.speed_sigma_m_s
             is_grey = sigma > speed
             colour = style.GREY if is_grey else style.COLOURS[0]
