@@ -263,13 +263,23 @@ def _with_free_world(problem: LeastSquares) -> LeastSquares:
     return replace(problem, terms=[term for term in problem.terms if not isinstance(term, OnGround)])
 
 
+def states_at_size(states: Array, by_size: Array, size: float, other_size: float) -> Array:
+    """Return states (T, D) at nominal size for another size of the animal, from their derivatives (T, D) at a size.
+
+    The animal's position in the world moves in a straight line. It is the size times the root, so the root does not.
+    """
+    step = by_size * (other_size - size)
+    step[:, ROOT] *= size / other_size
+    return states + step
+
+
 def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
     """Yield the arrays of one segment one at a time, because those of a long clip are large."""
     # several cameras: the other shared unknowns stay as solved, so that the rays still meet
     state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
-    states = segment.estimate.states + state_by_size * (size - segment.size)
+    states = states_at_size(segment.estimate.states, state_by_size, segment.size, size)
     points = clip.body.tree.pose(states).points_m
     by_size, markers = segment_posterior.joint_by_size_m, clip.in_world(clip.markers(states), size)
     centred = by_size - by_size.mean(axis=1, keepdims=True)
