@@ -17,6 +17,7 @@ PARTS = {
     "longest": Part("long_clips.py", ["100000x1"]),
     "batch": Part("batch.py", quick=["--clips", "10", "--broken", "1"]),
     "start": Part("startup.py", quick=["3"]),
+    "short": Part("short.py", quick=["--runs", "2", "--clips", "5"]),
     "analyse": Part("analyse.py", ["40", "4000"], quick=["500"]),
     "pages": Part("pages.py", ["pages"], quick=["pages", "--clips", "10"]),
     "browser": Part("pages.py", ["browser"], quick=["browser", "--frames", "200", "--clips", "10"]),
