@@ -23,7 +23,8 @@ from pydantic import create_model
 from threadpoolctl import threadpool_limits
 
 from recon.api.batch_inputs import SUMMARY, Clip
-from recon.api.clip_inputs import SharedInputs, prepare, read_model_and_cameras
+from recon.api.clip_cameras import read_clip_cameras
+from recon.api.clip_inputs import SharedInputs, prepare, read_model
 from recon.api.clip_results import (
     Record,
     digests,
@@ -152,13 +153,16 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 
     With `shared_only`, only problems of cameras, skeletons, subjects and priors are returned.
     """
-    read = cache(read_model_and_cameras)
+    model_of, cameras_of = cache(read_model), cache(read_clip_cameras)
 
     def read_once(settings: FitSettings) -> SharedInputs:
         """Return the body, the prior and the cameras of a clip; inputs that several clips share are read only once."""
-        # The names of keypoint files decide which cameras are used.
-        files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints
-        return read(replace(settings, keypoints=files, individual=None, frames=None))
+        numbers = [str(i) for i, _ in enumerate(settings.keypoints)]
+        numbered = replace(settings, keypoints=numbers, individual=None, frames=None)
+        # Without names of cameras, those of the keypoint files decide which cameras are used.
+        named = numbered if settings.camera_name else replace(numbered, keypoints=settings.keypoints)
+        model, cameras = collect_problems(lambda: model_of(numbered), lambda: cameras_of(named))
+        return *model, cameras
 
     check = read_once if shared_only else partial(prepare, read_shared=read_once)
     return [problems_of(partial(check, clip.settings)) for clip in clips]

@@ -143,7 +143,7 @@ def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
 
     Raises InputError with the problems of all three.
     """
-    model, cameras = collect_problems(lambda: _model(settings), lambda: read_clip_cameras(settings))
+    model, cameras = collect_problems(lambda: read_model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras
 
 
@@ -192,7 +192,8 @@ def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Ke
     return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
 
 
-def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
+def read_model(settings: FitSettings) -> tuple[Body, MotionPrior]:
+    """Return the body and the prior, which depend neither on the names of keypoint files nor on what is in them."""
     if settings.method == "frame":
         from recon.thesis.clip import load_body
 

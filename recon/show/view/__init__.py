@@ -255,17 +255,18 @@ def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Ar
 
     axes: as in `Scene`.
     """
-    candidates = []
-    for turn_rad in np.linspace(0.0, 2 * np.pi, 72, endpoint=False):
-        right = np.array([np.cos(turn_rad), np.sin(turn_rad)]) @ axes[:2]
-        back = (np.cross(right, axes[2]) + OVERVIEW_RAISED * axes[2]) / np.hypot(1.0, OVERVIEW_RAISED)
-        seen_m = points_m @ (view := np.stack((right, np.cross(back, right), back))).T
-        middle_m = (seen_m.min(axis=0) + seen_m.max(axis=0)) / 2
-        across, upright, depth = (seen_m - middle_m).T
-        reach = np.maximum(np.abs(upright), np.abs(across) / OVERVIEW_ASPECT) / np.tan(VIEW_RAD / 2)
-        candidates.append((float(np.max(depth + reach)), back, middle_m @ view))
-    distance_m, back, target_m = min(candidates, key=lambda candidate: candidate[0])
-    return target_m + (1.1 * distance_m + margin_m) * back, target_m
+    turns_rad = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+    right = np.stack([np.cos(turns_rad), np.sin(turns_rad)], axis=1) @ axes[:2]
+    back = (np.cross(right, axes[2]) + OVERVIEW_RAISED * axes[2]) / np.hypot(1.0, OVERVIEW_RAISED)
+    views = np.stack([right, np.cross(back, right), back], axis=1)
+    seen_m = points_m @ views.transpose(0, 2, 1)
+    middles_m = (seen_m.min(axis=1) + seen_m.max(axis=1)) / 2
+    across, upright, depth = np.moveaxis(seen_m - middles_m[:, None], 2, 0)
+    reach = np.maximum(np.abs(upright), np.abs(across) / OVERVIEW_ASPECT) / np.tan(VIEW_RAD / 2)
+    distances_m = np.max(depth + reach, axis=1)
+    nearest = int(np.argmin(distances_m))
+    target_m = middles_m[nearest] @ views[nearest]
+    return target_m + (1.1 * distances_m[nearest] + margin_m) * back[nearest], target_m
 
 
 # -- the viewer --------------------------------------------------------------------------------------------------------
