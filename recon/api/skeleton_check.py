@@ -111,6 +111,13 @@ def _remarks(body: Body) -> Iterator[str]:
     heights_m = {foot: point_m[foot][2] for foot in body.feet}
     if too_high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
         yield f"feet: not below {' and '.join(body.forward)} in the expected pose: {', '.join(too_high)}."
+    segment_of = {marker.name: marker.segment for marker in body.tree.markers}
+    for segment in dict.fromkeys(segment_of[foot] for foot in body.feet):
+        if len(feet := [foot for foot in body.feet if segment_of[foot] == segment]) > 1:
+            yield (
+                f"feet: {' and '.join(feet)} are on one segment, {segment}, and cannot move against each other. "
+                "Draft the skeleton from a clip in which the animal walks."
+            )
     for label, foot in body.feet_by_label().items():
         is_ahead = (point_m[foot] - (rear + front) / 2) @ (front - rear) > 0
         if is_ahead != (label[-1] == "F"):

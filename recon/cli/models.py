@@ -123,7 +123,11 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
     lines += [f"Renamed to the quadruped's names: {', '.join(renamed_texts)}."] if renamed_texts else []
     lines += [f"Not on the skeleton: {', '.join(unplaced)}."] if unplaced else []
     look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
-    return Answer({"out": out, "keypoints": markers, "without_place": unplaced}, [*lines, look])
+    remarks = (
+        [remark for remark in check_skeleton(out)["remarks"] if remark.startswith("feet:")] if settings.camera else []
+    )
+    content = {"out": out, "keypoints": markers, "without_place": unplaced}
+    return Answer(content, [*lines, look], notes=remarks)
 
 
 # -- measured animals and priors ---------------------------------------------------------------------------------------

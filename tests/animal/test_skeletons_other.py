@@ -419,6 +419,11 @@ def test_check_of_a_chain():
             '"left_hind_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_front_paw"',
             ["feet:", "left_hind_paw lies behind", "fore foot"],
         ),
+        (
+            'left_fore = "left_front_paw"\nright_fore = "right_front_paw"',
+            'left_fore = "left_ear"\nright_fore = "right_ear"',
+            ["feet: left_ear and right_ear are on one segment, head,", "animal walks"],
+        ),
         ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", ["to the left): left_ear, right_ear."]),
         (CAT[CAT.index("left_fore") : CAT.index("# The root:")], "", ["feet: none."]),
         (
