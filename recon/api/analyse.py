@@ -75,7 +75,7 @@ class AnalyseSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield a problem if decimal commas are requested for tables that do not have them."""
         if self.decimal_comma and self.tables_format != "long":
-            yield Problem("--decimal-comma", "table", f"--format {self.tables_format}", "also --format long")
+            yield Problem("--decimal-comma", "table", f"--format {self.tables_format}", "--format long as well")
 
     @property
     def out_folder(self) -> Path:
