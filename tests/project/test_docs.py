@@ -74,7 +74,7 @@ NOT_RUN = {
 
 SNIPPET = re.compile(r'--8<-- "(.*)"\n')
 """A block that the site fills with a file of the repository; the files have tests of their own."""
-LANGUAGES = {"sh", "python", "toml", "csv", "text"}
+LANGUAGES = {"sh", "python", "r", "toml", "csv", "text"}
 
 
 def name_of(page: Path) -> str:
