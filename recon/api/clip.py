@@ -215,9 +215,13 @@ def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
 
     options = replace(fit.options, refine_cameras=True, refine_first=True, lengths_known=True)
     refined = _solve_near(inputs, fit.solution, fit.sources, options)
-    if not refined.posed.any() or why_not_refined(refined, fit.solution, constants.CALIBRATED_RAD):
+    if not refined.posed.any():
         return fit
     is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras) or pair_is_turned(refined)
+    # lengths that were solved for fit closer than known ones, and can hide that a camera is turned
+    may_fit_worse = is_misplaced and fit.solution.shape is not None
+    if why_not_refined(refined, fit.solution, constants.CALIBRATED_RAD, may_fit_worse=may_fit_worse):
+        return fit
     solution = refined if is_misplaced else _with_pair_tests(refined, fit.solution)
     findings = (*fit.findings, pair_refined(refined, is_misplaced))
     return replace(fit, options=options, solution=solution, findings=findings)

@@ -728,17 +728,23 @@ def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: 
 
 
 def why_not_refined(
-    refined: TrajectorySolution, fixed: TrajectorySolution, better_below_rad: float = np.inf
+    refined: TrajectorySolution,
+    fixed: TrajectorySolution,
+    better_below_rad: float = np.inf,
+    *,
+    may_fit_worse: bool = False,
 ) -> tuple[Finding, ...]:
     """Return the reasons to keep the calibrated cameras, or nothing if the refined poses are to be used.
 
     A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards. If no camera fits better,
     the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a wrong size
-    of the animal can hide them.
+    of the animal can hide them. If `may_fit_worse` is true, the fixed cameras may fit better for another reason, and
+    then only a camera that becomes an outlier as a whole counts.
     """
     fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
     names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
-    lost = (refined_px > UNCHANGED_FACTOR * fixed_px) | (refined_px > OUTLIER_FACTOR * np.median(refined_px))
+    growth = OUTLIER_FACTOR if may_fit_worse else UNCHANGED_FACTOR
+    lost = (refined_px > growth * fixed_px) | (refined_px > OUTLIER_FACTOR * np.median(refined_px))
     worst_lost, most_turned = int(np.argmax(lost * refined_px / fixed_px)), int(np.argmax(turns_rad))
     if lost[worst_lost]:
         return (

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from example_run import ASIDE, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
 
-from recon.check.agreement import FRAMES, agreement_findings
+from recon.check.agreement import FRAMES, agreement_findings, why_not_refined
 from recon.clip import View
-from recon.fit.result import Finding
+from recon.fit.result import Finding, TrajectorySolution
 from recon.geometry.frames import euler_rotation, rigid
 from recon.testing.cameras import level_pose
 
@@ -167,3 +167,20 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
 
 def test_one_camera_has_nobody_to_agree_with():
     assert judged(run_views(1)) == ()
+
+
+def test_refined_poses_that_fit_worse_are_used_only_where_they_may_unless_a_camera_is_an_outlier(two_cameras):
+    """As beside a fit that also solved for the lengths."""
+
+    def moved(shift_px: Sequence[float]) -> TrajectorySolution:
+        solution = two_cameras.solution
+        views = [replace(v, xy_px=v.xy_px + px) for v, px in zip(solution.views, shift_px, strict=True)]
+        return replace(solution, views=tuple(views))
+
+    def reasons(shift_px: Sequence[float], **options: bool) -> list[str]:
+        return [one.code for one in why_not_refined(moved(shift_px), moved([5.0, 5.0]), -1.0, **options)]
+
+    assert reasons([5.0, 5.0]) == []
+    assert reasons([10.0, 10.0]) == ["cameras_not_refined"]
+    assert reasons([10.0, 10.0], may_fit_worse=True) == []
+    assert reasons([5.0, 100.0], may_fit_worse=True) == ["cameras_not_refined"]
