@@ -102,6 +102,14 @@ def length_text(length_m: float, sigma_m: float | None = None) -> str:
     return plus_minus(scale * length_m, sigma, unit, default=default)
 
 
+def rough_length(length_m: float) -> str:
+    """Return a length that is known only roughly, with at most two digits: 8 mm, 0.47 m, 4.7 m, 12 m."""
+    scale, unit = (1e3, "mm") if abs(length_m) < SHORT_M else (1.0, "m")
+    scaled = scale * length_m
+    digits = 0 if unit == "mm" else 1 - math.floor(math.log10(abs(length_m)))
+    return quantity(scaled, digits, unit)
+
+
 def known_within(sigma_m: float) -> str:
     """Return a text for a length that is known only roughly, such as "known to within 2 m"."""
     scale, unit = (1e3, "mm") if sigma_m < SHORT_M else (1.0, "m")

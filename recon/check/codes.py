@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from recon.base.documents import builtin_file
-from recon.base.numbers import counted, length_text, quantity
+from recon.base.numbers import counted, length_text, quantity, rough_length
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
@@ -130,9 +130,8 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
     pose_m, position_m = (numbers.get(name, math.nan) for name in EFFECTS)
     if not math.isfinite(pose_m + position_m):
         return ""
-    return (
-        f" Without this fault, poses would change by {length_text(pose_m)} and positions by {length_text(position_m)}."
-    )
+    pose, position = rough_length(pose_m), rough_length(position_m)
+    return f" Without this fault, poses would change by {pose} and positions by {position}."
 
 
 def _speed_text(speed_m_s: float) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, printable
-from recon.base.numbers import NORMAL_90, counted
+from recon.base.numbers import NORMAL_90, counted, rough_length
 from recon.check.codes import EFFECTS, WITHOUT_FAULT, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
@@ -68,6 +68,10 @@ NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
 """Reason for the verdict "use" without notes and without a learned prior."""
 _NOTHING_SERIOUS_OF_SOME = "No check that ran found a fault that spoils the result"
 """Beginning of the reason for the verdict "use" with notes and without a learned prior."""
+_NO_BAD_POSES = "No check found a fault that spoils the poses"
+"""Beginning of the reason for the verdict "use" with a note that may put the animal elsewhere."""
+_NO_BAD_POSES_OF_SOME = "No check that ran found a fault that spoils the poses"
+"""Beginning of the reason for "use" with a note that may put the animal elsewhere, and without a learned prior."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -233,7 +237,7 @@ def _verdict(motion: Motion) -> Verdict:
     level = level_of(pose, error=False, warning=bool(warnings))
     # the factor that most exceeds its value in a good view
     strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
-    reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion)
+    reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion, position)
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
         reason = f"Good except for this: {_sentence_of(motion, notes[0])}"
     warned = bool(warnings) and level != "do not use"
@@ -242,17 +246,22 @@ def _verdict(motion: Motion) -> Verdict:
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned)
 
 
-def _nothing_against(motion: Motion) -> str:
-    """Return the reason for the verdict on a motion without errors and warnings: what was checked, and its notes."""
+def _nothing_against(motion: Motion, position: ExpectedError) -> str:
+    """Return the reason for the verdict on a motion without errors and warnings: what was checked, and its notes.
+
+    A note that may put the animal elsewhere is named, because the verdict "use" is about the poses.
+    """
     solution = motion.solution
     are_all_checked = not (isinstance(solution, TrajectorySolution) and solution.prior == NONE)
     notes = [item.code for item in motion.findings if item.severity == "note"]
     if {*notes} <= WITHOUT_FAULT:
         return NOTHING_AGAINST if are_all_checked else NOT_ALL_CHECKED
     count = f"{counted(len(notes), 'note')} {'is' if len(notes) == 1 else 'are'} in the report"
-    if are_all_checked:
-        return f"{NOTHING_SERIOUS}; {count}."
-    return f"{_NOTHING_SERIOUS_OF_SOME}; {count}, and {_UNCHECKED}."
+    beginning = NOTHING_SERIOUS if are_all_checked else _NOTHING_SERIOUS_OF_SOME
+    if position.widened_by:
+        position_text = f"but positions may be off by {rough_length(position.high)} ({position.widened_by})"
+        beginning = f"{_NO_BAD_POSES if are_all_checked else _NO_BAD_POSES_OF_SOME}, {position_text}"
+    return f"{beginning}; {count}{'' if are_all_checked else f', and {_UNCHECKED}'}."
 
 
 def reason_in_list(reason: str | None) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.base.numbers import length_text
+from recon.base.numbers import rough_length
 from recon.check.codes import EFFECTS, WITHOUT_FAULT
 
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
@@ -69,6 +69,6 @@ def _largest_notes(findings: Sequence[Mapping[str, Any]], reason: str) -> list[s
             pose_m, position_m = (item["numbers"].get(name) or 0.0 for name in EFFECTS)
             effect_m = max(pose_m, position_m)
             affected = "pose" if pose_m > position_m else "position"
-            effect = f" ({affected} by {length_text(effect_m)})" if effect_m else ""
+            effect = f" ({affected} by {rough_length(effect_m)})" if effect_m else ""
             notes.append((effect_m, item["text"].partition(". ")[0].rstrip(".") + effect + "."))
     return [text for _, text in sorted(notes, key=lambda note: -note[0])[:NOTES]]

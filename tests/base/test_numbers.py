@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import recon
-from recon.base.numbers import quantity
+from recon.base.numbers import quantity, rough_length
 
 BY_HAND = re.compile(r"\{[^{}]*:\.\df\} ?(?:m/s|mm|px|m|s|Hz|°)(?![\w/²])")
 """A number in an f-string with a unit behind it."""
@@ -20,6 +20,22 @@ BY_HAND = re.compile(r"\{[^{}]*:\.\df\} ?(?:m/s|mm|px|m|s|Hz|°)(?![\w/²])")
 )
 def test_a_quantity_has_its_digits_and_its_unit(value, digits, unit, text):
     assert quantity(value, digits, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("length_m", "text"),
+    [
+        (0.0, "0 mm"),
+        (0.0084, "8 mm"),
+        (0.047, "47 mm"),
+        (0.468, "0.47 m"),
+        (4.66, "4.7 m"),
+        (12.3, "12 m"),
+        (123, "120 m"),
+    ],
+)
+def test_a_rough_length_has_at_most_two_digits(length_m, text):
+    assert rough_length(length_m) == text
 
 
 def test_no_text_formats_a_number_with_a_unit_by_hand():

@@ -184,6 +184,19 @@ def test_with_notes_the_reason_does_not_say_that_no_check_found_a_fault(small_tr
     assert reason_in_list(verdict.reason) == (reason if prior == "none" else "")
 
 
+@pytest.mark.parametrize(("prior", "some"), [("running-cheetah", ""), ("none", " that ran")])
+def test_a_note_that_may_put_the_animal_elsewhere_is_in_the_reason(small_trajectory, prior, some):
+    """The verdict "use" is about the poses; a user of the path must not read it as being about the path."""
+    solution = replace(small_trajectory.solution, prior=prior)
+    note = replace(finding("picture_zooms", way="out", pose_effect_m=0.001, position_effect_m=9.0), severity="note")
+    verdict = _verdict(replace(small_trajectory, solution=solution, findings=(note,)))
+    assert verdict.level == "use"
+    assert verdict.reason.startswith(
+        f"No check{some} found a fault that spoils the poses, but positions may be off by 9.0 m (picture_zooms); 1 note"
+    )
+    assert reason_in_list(verdict.reason) == verdict.reason
+
+
 def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
     solution = small_trajectory.solution
     vague = replace(solution, relative_covariance_m2=1e4 * solution.relative_covariance_m2)

@@ -602,7 +602,7 @@ def test_no_camera(tmp_path):
     out = tmp_path / "a"
     refused(fit_args(out, camera=None), nothing)
     # What is wrong with the file comes first.
-    first, _ = refused(fit_args(out, camera=None, keypoints=CAMERA), (CAMERA, "format", "[camera]"), nothing)
+    first, _ = refused(fit_args(out, camera=None, keypoints=CAMERA), (CAMERA, "format", "calibration"), nothing)
     assert first.file == CAMERA
     no_size = ("--image-size", "image_size_px", "nothing", "--hfov-deg")
     refused(fit_args(out, "--hfov-deg", 60, camera=None), no_size)

@@ -577,7 +577,7 @@ def test_a_terminal_names_the_two_notes_with_the_largest_effect(trajectory):
         Console(file=out, width=160).print(console_summary(trajectory | {"verdict": verdict, "findings": findings}))
         notes = [line.split(maxsplit=1)[1].strip() for line in out.getvalue().splitlines() if line.startswith("note ")]
         assert notes == (
-            ["Second thing (position by 1.50 m).", "Third thing (position by 0.30 m)."] if level == "use" else []
+            ["Second thing (position by 1.5 m).", "Third thing (position by 0.30 m)."] if level == "use" else []
         )
 
 
