@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,8 @@ TAILS = 3.0
 """Degrees of freedom of Student's t distribution of the errors."""
 TESTED_S = 1.0
 """Seconds of a clip that are tested at once."""
+TRIANGULATED_S = 4.0
+"""Seconds of a clip, approximately, that are triangulated at once; enough to estimate the noise of each keypoint."""
 LOOSE = 2.0
 """Factor on the noise for a fit in which a keypoint may belong to either side."""
 
@@ -157,6 +160,8 @@ class Baseline:
     """The clip's other views, which contributed to the states."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
     """The fits of parts of the clip as given, by first frame and the frame after the last."""
+    _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+    """The triangulated points of parts of the clip, by first frame."""
 
     @property
     def view(self) -> View:
@@ -179,10 +184,25 @@ class Baseline:
             self._refits[key] = refit
         return self._refits[key]
 
-    @cached_property
-    def points_elsewhere_m(self) -> Array | None:
-        """Markers (T, J, 3) in the world, triangulated from the other views; None without at least two of them."""
-        return triangulate_views(self.other_views).points_m if len(self.other_views) > 1 else None
+    def points_elsewhere_m(self, rows: slice) -> Array | None:
+        """Return the markers (T, J, 3) in the world, triangulated from the other views; None without two of them.
+
+        The clip is triangulated in parts of `TRIANGULATED_S`, and only the parts that contain any of the rows, because
+        the whole of a long clip takes longer than the search for swaps. The rest is NaN.
+        """
+        if len(self.other_views) < 2:
+            return None
+        T, points_m = len(self.states), np.full((*self.view.confidence.shape, 3), np.nan)
+        count = max(round(T / self.clip.fps / TRIANGULATED_S), 1)
+        for first, stop in pairwise(T * i // count for i in range(count + 1)):
+            if stop <= rows.start or rows.stop <= first:
+                continue
+            if first not in self._points_elsewhere_m:
+                start = max(first - 1, 0)  # a delayed view is interpolated from the frame before
+                views = [view.part(slice(start, stop)) for view in self.other_views]
+                self._points_elsewhere_m[first] = triangulate_views(views).points_m[first - start :]
+            points_m[first:stop] = self._points_elsewhere_m[first]
+        return points_m
 
 
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:

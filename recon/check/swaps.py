@@ -193,10 +193,11 @@ def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
 
     Their points show the sides without a fit, which would have to be made for each stretch.
     """
-    points_m = baseline.points_elsewhere_m
+    view, clip, rows = baseline.view, baseline.clip, stretch.rows
+    # a delayed view lies between the points of two frames
+    points_m = baseline.points_elsewhere_m(slice(rows.start - 1, rows.stop + 1))
     if points_m is None:
         return False
-    view, clip, rows = baseline.view, baseline.clip, stretch.rows
     projected, _ = view.project(view.shift_to_exposure(points_m))
     sigma_px = (
         likelihood.LOOSE * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.permutation))))[0]

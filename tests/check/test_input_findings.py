@@ -50,6 +50,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
+from recon.fit.triangulation import triangulate_views
 from recon.geometry.frames import euler_rotation, inverse, rigid
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
@@ -191,6 +192,19 @@ def test_other_cameras_refute_exchanged_sides_without_a_fit():
         baseline = baseline_of(clip, 0, states, plain().size)
         tried = [stretch("all", 15, 25), stretch("all", 0, 15), stretch("fore", 25, T)]
         assert [is_refuted(baseline, one) for one in tried] == expected
+
+
+def test_other_cameras_are_triangulated_only_near_the_rows_of_a_stretch(monkeypatch):
+    monkeypatch.setattr(likelihood, "TRIANGULATED_S", 10 / FPS)
+    views = [view_of(truth_m(), pose, seed=i) for i, pose in enumerate(POSES[:3])]
+    views[1] = replace(views[1], offset_frames=0.3)
+    clip = ClipProblem.from_views(views, BODY, PRIOR, FPS, TrajectoryOptions())
+    baseline = baseline_of(clip, 0, plain().states, plain().size)
+    near, whole = baseline.points_elsewhere_m(slice(12, 21)), triangulate_views(views[1:]).points_m
+    known = np.isfinite(near).all(axis=(1, 2))
+    assert np.array_equal(np.flatnonzero(known), np.arange(10, 30))
+    assert np.allclose(near[10:30], whole[10:30], atol=0.01)
+    assert [is_refuted(baseline, stretch("all", *ends)) for ends in ((12, 21), (0, 40))] == [True, True]
 
 
 def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
