@@ -75,6 +75,9 @@ class Normal:
         return Normal(self.blocks, self.gradient, self.border[..., :0], np.zeros((0, 0)), nothing)
 
 
+_NO_PIECE = Normal(*5 * (np.zeros(0),))
+
+
 @dataclass(frozen=True)
 class Window:
     """A piece of a clip, n frames, with all frames before it eliminated."""
@@ -93,6 +96,11 @@ class Window:
         """Return the rows of these frames and of those of the next piece."""
         last = self if self.following is None else self.following
         return slice(self.rows.start, last.rows.stop)
+
+    def without_piece(self) -> Window:
+        """Return the window without its normal equations, half of its memory, which `solved_for` does not need."""
+        following = None if self.following is None else self.following.without_piece()
+        return replace(self, piece=_NO_PIECE, following=following)
 
     def solved(self) -> Array:
         """Return H^-1 of the gradient and the border, (n, D, 1 + P)."""
@@ -151,7 +159,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]
     for window in eliminated(pieces, damping):
         kept += window.factor.band.size + window.whitened.size
         is_kept = window.whitened.shape[-1] >= _IN_BLOCKS and kept < _KEPT
-        windows.append((window if is_kept else window.solved(), window.reduced()))
+        windows.append((window.without_piece() if is_kept else window.solved(), window.reduced()))
         gradients.append(window.piece.gradient)
         shared_gradient = shared_gradient + window.piece.shared_gradient
     reduced = np.sum([part for _, part in windows], axis=0)
