@@ -22,6 +22,7 @@ PARTS = {
     "flexion-two": Part("flexion.py", ["--cameras", "2"], data="dog-mocap"),
     "bones": Part("bone_lengths.py", data="cheetah-runs"),
     "rates": Part("trajectory.py", ["--only", "rates"], data="cheetah-runs"),
+    "treadmill": Part("treadmill.py", data="dog-mocap"),
     "forces": Part("dynamics.py", data="dog-mocap"),
 }
 
