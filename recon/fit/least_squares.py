@@ -272,12 +272,13 @@ class LeastSquares:
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the point at a fraction of a step, with its cost.
 
-        The animal's position in the world moves in a straight line. It is the size times the root, so a step of the
-        root would overshoot if the size changes as well.
+        Several cameras see the animal's position in the world, which moves in a straight line. It is the size times the
+        root, so a step of the root would overshoot if the size changes as well. The picture of one camera depends on
+        the root more than on the size, and the root moves in a straight line.
         """
         shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
         states = current.states + share * states_step
-        if SIZE in self.columns:
+        if SIZE in self.columns and sum(isinstance(term, Reprojection) for term in self.terms) > 1:
             of_root = share * size_of(current.shared) / size_of(shared)
             states[:, ROOT] = current.states[:, ROOT] + of_root * states_step[:, ROOT]
         return replace(current, states=states, cost=self.cost(states, shared), shared=shared)

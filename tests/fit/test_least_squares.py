@@ -344,6 +344,23 @@ def test_a_step_of_the_size_keeps_the_animal_in_its_place():
     np.testing.assert_allclose(found.shared[SIZE] * found.states[:, :3], states[:, :3], atol=1e-3)
 
 
+def test_a_step_of_the_size_keeps_the_animal_in_the_picture_of_one_camera():
+    """From the camera at the origin, a marker looks the same for each size. A root that moved by less because the size
+    grows would fall short of the detection."""
+    tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
+    states = np.zeros((40, tree.n_state))
+    states[:, :3] = [0.5, 20.0, 0.3]
+    camera = view(np.zeros((40, 1, 2)))
+    seen = replace(camera, xy_px=camera.project(tree.pose(states).points_m)[0])
+    sight = Reprojection(seen, np.ones((40, 1)), 1e6, np.zeros(3), 0)
+    weak = Linear("weak", (0,), np.eye(tree.n_state)[None] * 1e-2, 1e-2 * states[0])
+    size = SharedUnknown(SIZE, np.array([4 / 3]), np.array([1e-3]))
+    begin = states + np.eye(tree.n_state)[0]
+    found = LeastSquares(tree, [weak], [sight], [size]).minimise(begin, 1e-6, 1, {SIZE: np.ones(1)})
+    assert found.shared[SIZE] == pytest.approx(4 / 3, abs=1e-2)
+    np.testing.assert_allclose(found.states[:, 0], 0.5, atol=1e-2)
+
+
 def test_a_step_is_extended_to_the_least_cost_on_its_parabola():
     from recon.fit.least_squares import _best_length
 
