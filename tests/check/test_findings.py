@@ -225,6 +225,10 @@ def test_every_code_has_its_sentence(code):
     assert sentence(one).endswith((".", "?"))
 
 
+def test_a_finding_of_an_older_file_has_a_sentence():
+    assert sentence(finding("animal_still", speed_m_s=0.02)) == "The animal stands still (0.02 m/s)."
+
+
 def test_of_one_camera_no_name_is_said():
     one = finding("keypoints_y_up", camera="cam1")
     assert sentence(one) == f"cam1: {sentence(one, named=False)}"

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.api.clip_cameras import other_camera_in
 from recon.base.errors import InputError
-from recon.check.codes import finding
+from recon.check.codes import finding, sentence
 from recon.check.inputs import copies, movement
 from recon.check.likelihood import baseline_of, lens_findings, with_calibration_at_either_end
 from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
@@ -146,6 +146,20 @@ def test_what_no_animal_does_is_named(code):
         states[:, :2] = states[:1, :2] + share * (states[:, :2] - states[:1, :2])
     (found,) = movement(moved(states))
     assert found.code == code
+
+
+@pytest.mark.parametrize(
+    ("prior", "severity", "text"),
+    [
+        ("running-cheetah", "warning", "(0 m/s), but the prior was learned from moving animals: poses may be further"),
+        ("none", "note", "(0 m/s): the clip has no strides to measure."),
+    ],
+)
+def test_standing_still_is_a_fault_only_under_a_learned_prior(prior, severity, text):
+    motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
+    (found,) = movement(replace(motion, solution=replace(motion.solution, prior=prior)))
+    assert found.severity == severity
+    assert sentence(found).startswith(f"The animal stands still {text}")
 
 
 def test_an_animal_that_steps_on_the_spot_is_on_no_treadmill():
