@@ -60,18 +60,13 @@ WHY = {
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason for the verdict "use" without notes."""
-NOTHING_SERIOUS = "No check found a fault that spoils the result"
+_NOTHING_SPOILS = "No check{that_ran} found a fault that spoils the {what}"
+NOTHING_SERIOUS = _NOTHING_SPOILS.format(that_ran="", what="result")
 """Beginning of the reason for the verdict "use" with notes."""
 _UNCHECKED = "frame rate, swaps, lens and zoom were not checked"
 """What is not checked without a learned prior."""
 NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
 """Reason for the verdict "use" without notes and without a learned prior."""
-_NOTHING_SERIOUS_OF_SOME = "No check that ran found a fault that spoils the result"
-"""Beginning of the reason for the verdict "use" with notes and without a learned prior."""
-_NO_BAD_POSES = "No check found a fault that spoils the poses"
-"""Beginning of the reason for the verdict "use" with a note that may put the animal elsewhere."""
-_NO_BAD_POSES_OF_SOME = "No check that ran found a fault that spoils the poses"
-"""Beginning of the reason for "use" with a note that may put the animal elsewhere, and without a learned prior."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -257,11 +252,11 @@ def _nothing_against(motion: Motion, position: ExpectedError) -> str:
     if {*notes} <= WITHOUT_FAULT:
         return NOTHING_AGAINST if are_all_checked else NOT_ALL_CHECKED
     count = f"{counted(len(notes), 'note')} {'is' if len(notes) == 1 else 'are'} in the report"
-    beginning = NOTHING_SERIOUS if are_all_checked else _NOTHING_SERIOUS_OF_SOME
+    that_ran, unchecked = ("", "") if are_all_checked else (" that ran", f", and {_UNCHECKED}")
+    beginning = _NOTHING_SPOILS.format(that_ran=that_ran, what="poses" if position.widened_by else "result")
     if position.widened_by:
-        position_text = f"but positions may be off by {rough_length(position.high)} ({position.widened_by})"
-        beginning = f"{_NO_BAD_POSES if are_all_checked else _NO_BAD_POSES_OF_SOME}, {position_text}"
-    return f"{beginning}; {count}{'' if are_all_checked else f', and {_UNCHECKED}'}."
+        beginning += f", but positions may be off by {rough_length(position.high)} ({position.widened_by})"
+    return f"{beginning}; {count}{unchecked}."
 
 
 def reason_in_list(reason: str | None) -> str:
