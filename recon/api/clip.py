@@ -248,8 +248,7 @@ def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
 
 def _check_inputs(fit: _Fit, motion: Motion, inputs: ClipInputs, settings: FitSettings) -> _Fit:
     """Add the findings on the input files that the solution reveals."""
-    named, possible, stated_hz, seek_swaps = _file_facts(inputs, settings)
-    findings = input_findings(motion, inputs.prior, fit.options, named, stated_hz, seek_swaps, possible)
+    findings = input_findings(motion, inputs.prior, fit.options, *_file_facts(inputs, settings))
     return replace(fit, findings=(*fit.findings, *findings))
 
 
@@ -319,12 +318,12 @@ def _log(motion: Motion) -> None:
 
 def _file_facts(
     inputs: ClipInputs, settings: FitSettings
-) -> tuple[list[str | None], tuple[Camera, ...], float | None, bool]:
+) -> tuple[list[str | None], float | None, bool, tuple[Camera, ...]]:
     """Return what `input_findings` needs to know about the files and settings.
 
-    Returns four values: by keypoint file, another camera that its name contains, or None; other cameras of the camera
-    file that may have filmed the only keypoint file, none if its name contains its camera; the frame rate that a file
-    states, if it differs from the given one; and whether to look for swaps.
+    Returns four values: by keypoint file, another camera that its name contains, or None; the frame rate that a file
+    states, if it differs from the given one; whether to look for swaps; and the other cameras of the camera file that
+    may have filmed the only keypoint file, none if its name contains a camera.
     """
     named: list[str | None] = []
     possible: tuple[Camera, ...] = ()
@@ -336,4 +335,4 @@ def _file_facts(
         if len(inputs.sources) == 1 and not source.moves and not names:
             possible = possible_cameras(source.camera, settings)
     stated_hz = next((s.keypoints.stated_fps for s in inputs.sources if s.keypoints.stated_fps is not None), None)
-    return named, possible, stated_hz, not settings.fast or bool(settings.fix_swaps)
+    return named, stated_hz, not settings.fast or bool(settings.fix_swaps), possible

@@ -20,8 +20,9 @@ _ONE_DIGIT_OF_INTERVAL = 3.55
 
 def decimals(value: float) -> str:
     """Return the format of a number without uncertainty: one decimal, two below 1, or one digit that is not 0."""
-    smallest = math.isfinite(value) and 0 < abs(value) < 0.01
-    return ".1f" if abs(value) >= 1 else f".{-math.floor(math.log10(abs(value)))}f" if smallest else ".2f"
+    if 0 < abs(value) < 0.01:
+        return f".{-math.floor(math.log10(abs(value)))}f"
+    return ".1f" if abs(value) >= 1 else ".2f"
 
 
 def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:

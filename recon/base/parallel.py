@@ -174,7 +174,7 @@ class _Process:
     def __init__(self, log: Path) -> None:
         context = multiprocessing.get_context("spawn")  # other start methods do not work with threads
         self.channel, child_channel = context.Pipe()
-        self._process, self._log = context.Process(target=_run_tasks, args=(child_channel, log)), log
+        self._process, self._log = context.Process(target=_take_tasks, args=(child_channel, log)), log
         try:
             with _isolated_start():
                 self._process.start()
@@ -246,7 +246,7 @@ def _isolated_start() -> Iterator[None]:
 # -- in the process ---------------------------------------------------------------------------------------------------
 
 
-def _run_tasks(channel: Connection, log: Path) -> None:
+def _take_tasks(channel: Connection, log: Path) -> None:
     """Run one task after the other, until the parent closes the channel.
 
     Each library gets one thread before any is imported. Printed text goes into the log.

@@ -60,12 +60,12 @@ def gains_of(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> 
     for camera in cameras:
         pose = camera_poses([camera])[0]
         candidate = baseline.with_view(replace(baseline.view, camera=camera, T_camera_world=pose))
-        start = _before(states, pose[:3, :3].T @ baseline.view.rotation)
+        start = _turned(states, pose[:3, :3].T @ baseline.view.rotation)
         gains[camera.name] = own_cost - refit_scene(candidate.part(rows), start, noise_px).cost
     return gains
 
 
-def _before(states: Array, turn: Array) -> Array:
+def _turned(states: Array, turn: Array) -> Array:
     """Return states (T, D), relative to a camera's centre, turned by a rotation about it but upright as before."""
     turned = states.copy()
     turned[:, ROOT] = states[:, ROOT] @ turn.T

@@ -69,11 +69,8 @@ def test_a_finding_on_the_frame_rate_says_the_speed(small_trajectory):
     speed_m_s = 30.0 * np.nanmean(np.linalg.norm(np.diff(root_m, axis=0), axis=1))
     assert found.numbers["given_speed_m_s"] == pytest.approx(speed_m_s)
     assert found.numbers["other_speed_m_s"] == pytest.approx(speed_m_s * 83 / 30)
-    effects, speeds = (
-        {"pose_effect_m": 0.01, "position_effect_m": 0.1},
-        {"given_speed_m_s": 4.34, "other_speed_m_s": 12.01},
-    )
-    said = sentence(finding("frame_rate", given_hz=30.0, other_hz=83.0, **effects, **speeds))
+    rate = finding("frame_rate", given_hz=30.0, other_hz=83.0, pose_effect_m=0.01, position_effect_m=0.1)
+    said = sentence(replace(rate, numbers={**rate.numbers, "given_speed_m_s": 4.34, "other_speed_m_s": 12.01}))
     assert "by the same factor. The animal's speed would be 12 m/s, not 4.3 m/s. Check --fps" in said
     assert "positions by" not in said
 
