@@ -30,7 +30,7 @@ import pandas as pd
 from arguments import parser_of
 from trajectory import print_table
 
-from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
+from recon import Body, Camera, FitSettings, Pose3D, fit_clip, load_skeleton, write_camera
 from recon.animal.measured import save_prior
 from recon.animal.prior import prior_from_body
 from recon.api.prior_fit import PriorFitSettings, run_prior_fit
@@ -38,6 +38,8 @@ from recon.fit import constants
 from recon.fit.points import solve_points
 from recon.fit.result import TrajectorySolution
 from recon.gait.evaluation import aligned, joint_errors, score
+from recon.gait.gait import Gait, gait
+from recon.gait.stances import pose_tracks
 
 SKELETON = "dog-27"
 WIDEN = 1.5
@@ -87,6 +89,13 @@ def read_clips(folder: Path) -> list[Clip]:
 
 def body_of() -> Body:
     return load_skeleton(SKELETON)
+
+
+def marker_gait(clip: Clip) -> Gait:
+    """Return the gait of the markers of a clip."""
+    body = body_of()
+    pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
+    return gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
 
 
 # -- how the skeleton was measured ---------------------------------------------------------------------------------

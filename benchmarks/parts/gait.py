@@ -24,12 +24,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from arguments import parser_of
-from dog import Clip, read_clips, write_view
+from dog import Clip, marker_gait, read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
 
 import recon.gait.stances as method
-from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
+from recon import FitSettings, Pose3D, fit_clip, read_pose3d
 from recon.api.clip_results import run_clip
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
@@ -295,13 +295,11 @@ def view_rows(runs: Sequence[Path]) -> list[dict]:
 @cache
 def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
     """Return each clip's gait by the markers, and fitted by one camera from the side."""
-    folder, body, found = recordings("dog-mocap"), load_skeleton("dog-27"), []
+    folder, found = recordings("dog-mocap"), []
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
-            pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
-            marked = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
             settings, _ = write_view(clip, Path(written), seed)
-            found.append((clip, marked, fit_clip(settings)))
+            found.append((clip, marker_gait(clip), fit_clip(settings)))
     return tuple(found)
 
 

@@ -22,16 +22,16 @@ from pathlib import Path
 
 import numpy as np
 from arguments import parser_of
-from dog import Clip, body_of, read_clips, write_view
+from dog import Clip, body_of, marker_gait, read_clips, write_view
 from gait import fitted, plate_stances
 from markdown_table import print_table
 from recordings import recordings
 
-from recon import Pose3D, fit_clip, read_pose3d
+from recon import fit_clip, read_pose3d
 from recon.fit.motion import Motion
 from recon.fit.points import solve_points
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import Gait, gait
+from recon.gait.gait import gait
 from recon.gait.quantities import PAIRS, asymmetry_values
 from recon.gait.stances import pose_tracks
 
@@ -77,12 +77,6 @@ def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
     points_m = clip.points_m.copy()
     points_m[:, [clip.names.index(marker) for marker in body.markers]] = body.tree.pose(states).points_m
     return replace(clip, points_m=points_m)
-
-
-def marker_gait(clip: Clip) -> Gait:
-    body = body_of()
-    pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
-    return gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
 
 
 def fit_changed(seen: Clip, seed: int, kept: Path) -> Motion:

@@ -101,7 +101,7 @@ class Fit:
     inside_relative: np.ndarray
     """1.0 (T, J) where the centred truth is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     inside_place: np.ndarray
-    """Errors (T, J) without centring."""
+    """1.0 (T, J) where the truth in the camera's frame is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     sigma_m: np.ndarray
     """Relative standard deviation (T,), RMS over the joints."""
     too_far_m: float

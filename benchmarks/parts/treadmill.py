@@ -2,7 +2,7 @@
 
     python benchmarks/parts/treadmill.py [FOLDER]
 
-Each clip of a dog's motion capture that travels at `SLOWEST` m/s or more in the mean is moved back by its mean
+Each clip of a dog's motion capture that travels at `SLOWEST_M_S` or more in the mean is moved back by its mean
 velocity, seen by one camera from the side as in `dog.py`, and fitted with the belt's speed. Its speed, stride length
 and stances are compared with those of the markers over ground. FOLDER is by default the dog-mocap of
 $RECON_SHARED_DATA, or of ../shared/data.
@@ -17,15 +17,14 @@ from pathlib import Path
 
 import numpy as np
 from arguments import parser_of
-from dog import Clip, read_clips, write_view
+from dog import Clip, marker_gait, read_clips, write_view
 from markdown_table import print_table
 
-from recon import Pose3D, fit_clip, load_skeleton
+from recon import fit_clip
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import gait, match_stances
-from recon.gait.stances import pose_tracks
+from recon.gait.gait import match_stances
 
-SLOWEST = 0.9
+SLOWEST_M_S = 0.9
 
 
 def on_belt(clip: Clip) -> tuple[Clip, float]:
@@ -37,13 +36,11 @@ def on_belt(clip: Clip) -> tuple[Clip, float]:
 
 
 def rows(folder: Path) -> Iterator[dict]:
-    body = load_skeleton("dog-27")
     for seed, clip in enumerate(read_clips(folder)):
         stays, speed_m_s = on_belt(clip)
-        if speed_m_s < SLOWEST:
+        if speed_m_s < SLOWEST_M_S:
             continue
-        pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
-        marked = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
+        marked = marker_gait(clip)
         with tempfile.TemporaryDirectory() as written:
             settings, _ = write_view(stays, Path(written), seed)
             found = ClipAnalysis(fit_clip(replace(settings, belt_speed_m_s=speed_m_s))).gait

@@ -39,6 +39,8 @@ from recon.fit.result import Finding
 
 CODE = "another_camera_fits"
 RIGHT, OTHER = "right camera", "another camera"
+BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
+"""Upper ends of the stated intervals, by the error that they bound."""
 SAME = Case(lambda clip, given: given)
 SLOPE = about("y", float(np.degrees(np.arctan(0.03))))
 
@@ -86,9 +88,6 @@ def row(clip: Clip, name: str, case: Case, given_name: str) -> dict[str, Any] | 
         "use without": level == "use" or (level == "check" and bool(others) and not warned),
         "beyond": is_beyond,
     }
-
-
-BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
 
 
 def rows_of(clip: Clip) -> list[dict[str, Any]]:
