@@ -47,7 +47,7 @@ class TrajectoryOptions:
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
     refine_first: bool = False
-    """Whether the first of two cameras is refined as well; the pose of each then has usual errors, or is turned."""
+    """Whether the first of two cameras is refined as well; each may be turned or moved (`recon.fit.pair_poses`)."""
     focal_sigma: float | None = None
     """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 

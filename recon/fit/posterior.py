@@ -184,7 +184,7 @@ def curvature(
 ) -> Curvature:
     """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
 
-    Either of two cameras may be turned, which makes their poses more uncertain (`recon.fit.pair_poses`);
+    Either of two cameras may be turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`);
     `expected_precision` does not contain that. `normal` holds the problem's normal equations with the nuisance
     unknowns, if they are known.
     """
