@@ -32,7 +32,6 @@ SLEAP_AXES = {"f": "frame", "t": "track", "n": "node", "c": "xy"}
 
 def sleap_file(path: Path, tracks="tcnf", scores="tnf", occupancy="ft", dims: bool = True, **more) -> Path:
     """An analysis file with its axes in this order; `more` replaces datasets, None leaves one out."""
-
     occupied = np.ones((5, 2), np.uint8)
     occupied[0, 1] = 0
     arrays = {
@@ -75,7 +74,6 @@ def test_sleap(tmp_path, orders, dims):
 
 
 def test_sleap_not_transposed(tmp_path):
-
     path = sleap_file(tmp_path / "a.h5", "fnct", dims=False)
     with h5py.File(path, "a") as file:
         file.attrs["transpose"] = False
@@ -175,7 +173,6 @@ def test_movement_attributes_of_other_kinds(tmp_path):
 
 def test_movement_without_numbers_of_its_dimensions(tmp_path):
     """Other programs than h5netcdf say only in each dimension which variables it belongs to."""
-
     data = movement_data(True)
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     with h5py.File(tmp_path / "a.nc", "a") as file:
@@ -246,7 +243,6 @@ def test_real_nwb(shared_data):
 
 def nwb_file(path: Path, edit=None) -> Path:
     """Two animals, a and b, of our own writer, which `edit` may change."""
-
     write = next(f.write for f in FORMATS if f.name == "nwb")
     clip = Keypoints(("nose", "tail"), XY[:, 0, :2], SCORE[:, 0, :2], np.arange(5), fps=20.0, individual="a")
     write(clip, path)
@@ -609,7 +605,6 @@ def test_other_files_of_matlab(tmp_path):
 
 
 def test_sleap_anipose(tmp_path):
-
     values = np.random.default_rng(0).normal(size=(5, 2, 3, 3))
     with h5py.File(tmp_path / "points3d.h5", "w") as file:
         file.create_dataset("tracks", data=values, compression="gzip", chunks=True)
