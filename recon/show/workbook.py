@@ -74,7 +74,7 @@ def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
     return frames
 
 
-def meaning_of(column: str, table: str = "") -> str:
+def meaning_of(column: str, table: str) -> str:
     """Return the meaning of a table's column, by `meanings.toml` or from the parts of its name, without its unit."""
     end = next((end for end in UNITS if column.endswith(f"_{end}")), "")
     return _meaning(column[: -len(end) - 1] if end else column, table)

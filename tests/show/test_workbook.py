@@ -61,6 +61,7 @@ def test_units_and_meanings_follow_from_names(table: str, column: str, unit: str
 
 def test_a_meaning_says_more_than_the_name(whole: ClipAnalysis):
     tables = analysis_tables(whole)
+    # In angle_rates, the values of an angle are called like the angle.
     names = [(name, column) for name, table in tables.items() if name != "angle_rates" for column in table.columns]
     assert not [
         (name, column) for name, column in names if meaning_of(column, name) in (column, column.replace("_", " "))
