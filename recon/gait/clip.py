@@ -465,8 +465,8 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(motion: Motion, xyz_m: Array, last_s: float) -> Sequence[Errors]:
-    """Return the errors of the joints (T, J, 3) of a motion."""
+def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
+    """Return the errors of the joints (T, J, 3) of a motion, whose `error_time_s` is `error_s`."""
     solution, floor = motion.solution, 1e-4
     if motion.jitters:
         independent_and_lasting, path = kinematics.lasting_errors(xyz_m, motion.fps), solution.reference_path
@@ -478,12 +478,12 @@ def _errors(motion: Motion, xyz_m: Array, last_s: float) -> Sequence[Errors]:
         return *independent_and_lasting, Errors(_by_size(motion), np.inf), Errors(rest, position_time_s)
     # These are the common errors of all joints. The relative errors of one joint can exceed its absolute errors.
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
-    of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_ERROR_TIME * last_s)
+    of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_ERROR_TIME * error_s)
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
-        return Errors(position, POSITION_ERROR_TIME * last_s), of_pose
+        return Errors(position, POSITION_ERROR_TIME * error_s), of_pose
     by_size = _by_size(motion)
     rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
-    return Errors(by_size, np.inf), Errors(rest, POSITION_ERROR_TIME * last_s), of_pose
+    return Errors(by_size, np.inf), Errors(rest, POSITION_ERROR_TIME * error_s), of_pose
 
 
 def _by_size(motion: Motion) -> Array:

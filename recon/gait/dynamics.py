@@ -104,7 +104,9 @@ class Flight(NamedTuple):
     """A part of the clip in which no foot stands, within the errors of touch-down and lift-off."""
 
     first: int
+    """Row of its first frame."""
     stop: int
+    """Row after its last frame."""
     start_s: float
     end_s: float
     up_m_s2: float
@@ -135,9 +137,11 @@ class Dynamics(Brief):
     ground_m: Array
     """(N,): height of the ground under the centre of mass."""
     stance_forces: Sequence[StanceForce]
+    """Forces of the stances that are completely in the clip."""
     force: Mapping[str, Array]
     """(N, 3): expected vertical force of each foot and the ends of its 90 % interval."""
     flight_parts: Sequence[Flight]
+    """Parts of the clip in which no foot stands."""
 
     @cached_property
     def forces(self) -> pd.DataFrame:
