@@ -1,4 +1,4 @@
-"""How large are the errors of poses and positions from one camera?
+"""Measure the errors of poses and positions from one camera.
 
     python benchmarks/accuracy.py [--only NAME ...] [--quick]
 

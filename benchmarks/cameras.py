@@ -1,4 +1,4 @@
-"""How good are results from several, moving and poorly known cameras?
+"""Evaluate results from several, moving and poorly known cameras.
 
     python benchmarks/cameras.py [--only NAME ...] [--quick]
 

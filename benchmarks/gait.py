@@ -1,4 +1,4 @@
-"""How good are stances, speeds, gaits and forces?
+"""Evaluate stances, speeds, gaits and forces.
 
     python benchmarks/gait.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""How good and how fast is the keypoint network?
+"""Measure how good and how fast the keypoint network is.
 
     python benchmarks/net.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""How does recon compare with other programs for several cameras, on the same files?
+"""Compare recon with other programs for several cameras, on the same files.
 
     python benchmarks/peers.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""How well do robots follow a motion, and how well do they climb?
+"""Measure how well robots follow a motion, and how well they climb.
 
     python benchmarks/robots.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""How much time and memory do the commands take?
+"""Measure the time and memory that the commands take.
 
     python benchmarks/speed.py [--only NAME ...] [--quick]
 

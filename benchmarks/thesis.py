@@ -1,4 +1,4 @@
-"""How good are the frame method and the methods of inverse kinematics?
+"""Evaluate the frame method and the methods of inverse kinematics.
 
     python benchmarks/thesis.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""Are the stated uncertainties and the verdict right?
+"""Test whether the stated uncertainties and the verdict are right.
 
     python benchmarks/uncertainty.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""Which wrong inputs do the findings name?
+"""Test which wrong inputs the findings name.
 
     python benchmarks/wrong_inputs.py [--only NAME ...] [--quick]
 

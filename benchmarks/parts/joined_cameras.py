@@ -4,7 +4,8 @@
 
 The runs are those of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Each view is fitted by itself, and the
 views of a run become one clip as in `recon compare --design`. The true speed is that of the reference joint in the
-reconstruction of all cameras. Intervals are those of 90 %; the size of these animals is that of their species.
+reconstruction of all cameras. Intervals are 90 % intervals. The animals have the mean size of their
+species, as the fits assume.
 """
 
 from __future__ import annotations

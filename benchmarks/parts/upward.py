@@ -4,9 +4,9 @@
 
 The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are used with all cameras of a run,
 and the cheetah-runs also with every pair. Off: the angle between the two directions, degrees. Stated: its standard
-deviation about the less certain axis, which has nearly all of the error; if it is right, the median error is 0.67 of
-it, and nine in ten errors are below 1.64 of it. Refused: if it is above 10 degrees, the program does not turn the
-world. The script runs in one thread.
+deviation about the less certain axis, which has nearly all of the error. If the stated values are right, the median of
+off / stated is 0.67, and nine in ten ratios are below 1.64. Refused: the stated value is above 10 degrees, and the
+program does not turn the world. The script runs in one thread.
 """
 
 from __future__ import annotations

@@ -496,7 +496,10 @@ def middle(n: int) -> Change:
 
 
 def beyond_edge(comes: bool) -> Change:
-    """Return a change that cuts the picture at the animal's middle a quarter, or three quarters, into the clip."""
+    """Return a change that removes the points beyond an edge, as if the animal came into the picture or left it.
+
+    The edge is where the animal's middle is after a quarter of the clip if it comes, or after three quarters.
+    """
 
     def change(clip: Clip, given: Given) -> Given:
         x, t = np.nanmedian(given.xy_px[..., 0], axis=1), np.arange(len(given.xy_px))
