@@ -113,7 +113,7 @@ def test_without_a_world_they_are_in_the_level_frame(small_trajectory):
     np.testing.assert_array_equal(motion.states, motion.solution.states)
     points = motion.body.tree.pose(motion.states).points_m
     np.testing.assert_allclose(motion.in_reference(points), motion.joints_m, atol=1e-12)
-    # A board's world need not be upright, and is none that yaw could refer to.
+    # The world of a calibration board need not be upright, so yaw has no meaning there.
     board = with_first(
         motion, camera=replace(motion.camera, rotation=np.eye(3), translation_m=np.zeros(3), world_z_up=False)
     )
@@ -160,7 +160,7 @@ def test_place_sigma_is_that_of_the_mean_along_the_line_of_sight(small_trajector
     J, draws = 24, 4000
     mixing = rng.normal(0, 0.05, (3 * J, 3 * J)) / np.sqrt(J)
     offsets = (rng.normal(size=(draws, 3 * J)) @ mixing.T).reshape(draws, J, 3)
-    # Where the offsets and the place are correlated, the joints' covariances are not their sums.
+    # The offsets and the position are correlated, so the joints' covariances are not their sums.
     place = rng.normal(0, [0.05, 0.05, 0.3], (draws, 3)) + 2 * offsets[:, 0]
     points = place[:, None] + offsets  # camera frame
     centred = points - points.mean(axis=1, keepdims=True)

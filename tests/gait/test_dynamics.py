@@ -151,7 +151,7 @@ def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inerti
     d = analyse(with_exact_states(motion, states, motion.fps)).dynamics
     assert d is not None
     middle = slice(100, -100)
-    # Rods are not thick: of the capsules' own inertia they lack some, which is little of the animal's.
+    # Rods have no thickness, so they lack a part of the capsules' inertia, which is little for the whole animal.
     np.testing.assert_allclose(d.internal_j_kg[middle], 0.5 * inertia * rate_rad_s**2, rtol=0.03)
     np.testing.assert_allclose(d.angular_momentum[middle, 2], inertia * rate_rad_s, rtol=0.03)
     assert share @ own > 0.08 * inertia
@@ -165,7 +165,7 @@ def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
         3 * rng.normal(size=(1, 4, 3)),
         rng.uniform(0, 0.02, (1, 3, 3)),
     )
-    # Of the centre of mass, as the rods' ends are.
+    # The rods' ends are given relative to the centre of mass.
     at_m, rate_m_s = (of - np.einsum("tek,e->tk", of, share)[:, None] for of in (at_m, rate_m_s))
     near = Errors(sigma_m[:, of_joint], error_time_s)
     said = _turning_sigma(at_m, rate_m_s, share, share_sigma, of_joint, near)[0]

@@ -69,7 +69,7 @@ def test_bad_chains_are_refused():
 def test_reach_and_manipulability():
     assert planar_chain((1.0, 0.5)).reach_m == pytest.approx((0.5, 1.5))
     assert planar_chain((1.0, 0.5, 0.6)).reach_m == pytest.approx((0.0, 2.1))
-    # Of two links: r1 r2 |sin q2|.
+    # The manipulability of two links is r1 r2 |sin q2|.
     arm = planar_chain((1.0, 0.5))
     assert manipulability(arm.jacobian(np.array([0.3, 0.7]))) == pytest.approx(0.5 * np.sin(0.7))
     assert manipulability(arm.jacobian(np.zeros(2))) == 0

@@ -65,7 +65,7 @@ def test_formulas(chain):
         (GradientProjection(lambda _: np.ones(chain.n), k=2.0), least + 2 * P @ np.ones(chain.n)),
         (weighted_least_norm(np.diag(W)), weighted),
         (damped_least_squares(0.2), damped),
-        # With room in gamma_max nothing is damped.
+        # A large gamma_max damps nothing.
         (SelectivelyDamped(gamma_max_rad=1e6), least),
     ):
         step = method.rates(chain, q, dx)

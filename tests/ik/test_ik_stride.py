@@ -90,7 +90,7 @@ def test_missing_frames():
     q[[4, 33]] = np.nan
     q[5:15] = np.nan
     found = find_stride(CHAIN, q, fps=100)
-    # Of the two stretches the longer one, over its short gap.
+    # The longer of the two stretches is used, and its short gap is bridged.
     assert found.start_s >= 0.15
     assert found.end_s - found.start_s == pytest.approx(0.2)
     assert np.isfinite(found.path_m).all()

@@ -82,7 +82,7 @@ def test_folder_holds_what_is_drawn(overlay, small_trajectory):
     motion = small_trajectory
     np.testing.assert_array_equal(overlay.frames, motion.frames)
     np.testing.assert_allclose(overlay.reprojected_px, motion.pictures[0].reprojected_px, atol=1e-6)
-    # Where there is no detection, both are NaN.
+    # Both are NaN without a detection.
     np.testing.assert_allclose(overlay.detected_px, motion.pictures[0].detected_px, atol=1e-5)
     np.testing.assert_array_equal(overlay.outliers, motion.pictures[0].outliers)
     assert [tuple(flags) for flags in overlay.flags] == list(motion.solution.flags)
