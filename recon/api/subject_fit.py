@@ -95,7 +95,7 @@ class SubjectFitSettings(Settings):
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
-    """Measure an animal and its detector in clips, and write the subject file, or the detector file without lengths.
+    """Measure an animal and its detector in clips, and write a subject file (without lengths: a detector file).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Spend less time on a process's memory: keep what it frees, and search rarely for objects that refer to each other."""
+"""Spend less time on memory: keep freed memory in the process, and run Python's garbage collector rarely."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ KEPT_BYTES = 1 << 28
 LARGEST_BYTES = 1 << 25
 """Size from which an array is returned to the system when it is freed; glibc accepts no larger setting."""
 NEW_OBJECTS = 200_000
-"""Number of new containers after which Python searches them for unused ones that refer to each other."""
+"""Number of new containers after which the garbage collector searches them for unused reference cycles."""
 
 
 def collect_rarely() -> None:
-    """Let Python search rarely for unused objects that refer to each other, for the whole life of this process.
+    """Run the garbage collector rarely, for the whole life of this process.
 
-    The libraries of a fit make 180,000 objects, which all stay. Python searches after every 700 new ones, which takes a
-    tenth of the time of a short fit or of a page. A command makes few such unused objects (7,000 in a fit).
+    The libraries of a fit make 180,000 objects, which all stay. By default the collector runs after every 700 new ones,
+    which takes a tenth of the time of a short fit or of a page. A command leaves few unused cycles (7,000 objects in a
+    fit).
     """
     gc.set_threshold(NEW_OBJECTS, *gc.get_threshold()[1:])
 

@@ -121,7 +121,7 @@ class Board:
         xy, ids, _, _ = cv2.aruco.CharucoDetector(self.charuco).detectBoard(image)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
-        # Limit the window to the nearest marker, whose corner would attract the corner that is refined.
+        # The window must end before the nearest marker, whose corner would attract the refined corner.
         reach = 0.45 * (1 - self.marker_m / self.square_m)
         xy = _refined_corners(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
         return np.ravel(ids).astype(np.intp), xy

@@ -275,7 +275,10 @@ def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float)
 
 
 def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
-    """Return the camera's level with each possible cause undone, by code, for causes of at least the given size."""
+    """Return the camera's level after each possible cause is undone, by the cause's code.
+
+    A rotation or delay below `least_rad` or `least_frames` is no possible cause.
+    """
     is_turned = least_rad <= comparison["turn_rad"] <= LARGEST_ROTATION_RAD
     is_late = abs(comparison["late_frames"]) >= least_frames
     levels = {"camera_late": comparison["level_late"]} if is_late else {}

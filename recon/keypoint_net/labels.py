@@ -557,9 +557,9 @@ def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, 
     Returns
     -------
     dict
-        `points`, the number of points; `expected_calibration_error`, the mean difference between likelihood and
-        fraction of correct points, NaN without any; and `bins`: for each bin with points, its ends, the number of
-        points, their mean likelihood and the fraction of correct points.
+        `points`, the number of points; `expected_calibration_error`, the mean absolute difference between
+        likelihood and fraction of correct points, NaN without any; and `bins`: for each bin with points, its ends, the
+        number of points, their mean likelihood and the fraction of correct points.
     """
     bin_of_point, rows = np.minimum((likelihood * bins).astype(int), bins - 1), []
     for b in np.unique(bin_of_point):
