@@ -312,7 +312,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         unit_missing = uses_calibration and calibration is not None and common.get("camera_unit") is None
         if unit_missing and isinstance(square, int | float) and square >= MAX_SQUARE_M:
             actual = f"{square:g}, so the calibration is not in metres"
-            problems.append(Problem(file or folder, SQUARE, actual, "its unit as well, as in --camera-unit mm"))
+            problems.append(Problem(file or folder, SQUARE, actual, "its unit as well, such as --camera-unit mm"))
         row = {"camera": str(calibration)} if uses_calibration else {}
         cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
         files, file_notes = _files_in(poses)
@@ -532,7 +532,7 @@ def _compiled_from_file(text: str, file: Path) -> re.Pattern[str]:
     """
     pattern = _compiled(text, file)
     if slow := slow_part(text):
-        expected = f"a simpler pattern, as in '-cam([A-Z])'; or {OPTION} with a pattern of your own"
+        expected = f"a simpler pattern, such as '-cam([A-Z])'; or {OPTION} with a pattern of your own"
         raise InputError(Problem(file, "cam_regex", f"{text[:100]!r}, with {slow}: it may never end", expected))
     return pattern
 
@@ -541,7 +541,7 @@ def _compiled(text: str, origin: Path | str) -> re.Pattern[str]:
     try:
         return re.compile(text)
     except re.error as error:
-        expected = "a regular expression that matches the camera's name in a file's name, as in '-cam([A-Z])'"
+        expected = "a regular expression that matches the camera's name in a file's name, such as '-cam([A-Z])'"
         raise InputError(Problem(origin, "pattern", f"{text!r} ({error})", expected)) from None
 
 

@@ -173,7 +173,7 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
     without_rate = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
     if without_rate:
         actual = f"nothing ({', '.join(without_rate)} {'does' if len(without_rate) == 1 else 'do'} not state it)"
-        raise InputError(Problem("--fps", "fps", actual, "frames per second above 0, as in 120"))
+        raise InputError(Problem("--fps", "fps", actual, "frames per second above 0, such as 120"))
     if len({file.fps for file in files}) > 1 and settings.camera_fps is None:
         actual = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
         expected = "one frame rate for all cameras of a clip, --fps, or --set camera-fps for each"

@@ -80,7 +80,7 @@ def read_plan(texts: Sequence[str]) -> Plan:
         values[name] = text
     raise_problems(problems)
     if "effect" not in values:
-        raise InputError(Problem(PLAN, "effect", "nothing", "the difference to find, as in effect=0.3 or effect=10%"))
+        raise InputError(Problem(PLAN, "effect", "nothing", "the difference to find, such as effect=0.3 or effect=10%"))
 
     def number(name: str, text: str, low: float = 0.0, high: float = float("inf"), expected: str = "") -> float:
         try:

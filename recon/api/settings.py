@@ -52,10 +52,10 @@ Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
 FrameRange = Annotated[str, AfterValidator(_frames)]
 """Range of frames A:B, which includes A and excludes B."""
 
-FPS = "Frame rate of the video in Hz, as in 120. (default: that of the file, if it states one)"
-INDIVIDUAL = "Which animal of a multi-animal file, as in animal1."
+FPS = "Frame rate of the video in Hz, such as 120. (default: that of the file, if it states one)"
+INDIVIDUAL = "Which animal of a multi-animal file, such as animal1."
 RENAME = Option(
-    "New names of keypoints: a CSV file of old and new ones, or a built-in map, as in superanimal-quadruped."
+    "New names of keypoints: a CSV file of old and new ones, or a built-in map, such as superanimal-quadruped."
 )
 
 
@@ -68,9 +68,9 @@ StrideTimes = Annotated[
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
 ANYWAY = Option('Also use clips whose verdict is "do not use".')
 STRIDE = Option(
-    "A stride, in seconds since frame 0, as in 0.31:0.62; its start moves to the nearest frame. "
+    "A stride, in seconds since frame 0, such as 0.31:0.62; its start moves to the nearest frame. "
     "(default: a stride of the clip)",
-    "START:END in seconds, as in 0.31:0.62",
+    "START:END in seconds, such as 0.31:0.62",
     metavar="START:END",
 )
 
@@ -120,7 +120,7 @@ class FitSettings(Settings):
     hfov_deg: Annotated[Number, Field(gt=0, lt=180)] | None = None
     """Horizontal field of view in degrees, if there is no calibration, such as 64, or 64+-6 with its uncertainty."""
     image_size_px: Annotated[
-        Size | None, Option(expected="width x height in pixels, as in 1920x1080", name="--image-size")
+        Size | None, Option(expected="width x height in pixels, such as 1920x1080", name="--image-size")
     ] = None
     """Size of the video in pixels, such as 1920x1080, if the camera file lacks it."""
     up: Annotated[str | None, _RARE] = None
@@ -136,7 +136,7 @@ class FitSettings(Settings):
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[
-        FrameRange | None, Option(expected="frame numbers A:B with A < B, from A to B - 1, as in 100:160")
+        FrameRange | None, Option(expected="frame numbers A:B with A < B, from A to B - 1, such as 100:160")
     ] = None
     """Use only these frame numbers, A:B from A up to but not including B, such as 100:160."""
     corrections: File | None = None
@@ -392,7 +392,7 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
         actual = f"{values['camera_unit']!r} without a camera file"
         yield Problem("settings", "camera_unit", actual, "--camera with it")
     if "camera" not in values and "hfov_deg" in values and "image_size_px" not in values:
-        expected = "the size of the video together with --hfov-deg, as in 1920x1080"
+        expected = "the size of the video, such as 1920x1080, together with --hfov-deg"
         yield Problem("settings", "image_size_px", "nothing", expected)
 
 

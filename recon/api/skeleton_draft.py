@@ -163,7 +163,7 @@ def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
         raise InputError(Problem("--camera", "poses", ", ".join(poses), "two or more cameras with poses"))
     if settings.up != FIRST_CAMERA and not all(camera.knows_up for camera, _ in cameras):
         actual = "poses that do not say which way is up"
-        raise InputError(Problem("--up", "up", actual, f"an axis of their world, as in z or -y, or {FIRST_CAMERA}"))
+        raise InputError(Problem("--up", "up", actual, f"an axis of their world, such as z or -y, or {FIRST_CAMERA}"))
     sources = [
         Source(camera, *clean(arrange(file, first.names), fit_settings.likelihood_min), file.names)
         for file, (camera, _) in zip(files, cameras, strict=True)

@@ -346,7 +346,7 @@ def _client(address: str) -> Client:
     except Exception as error:  # wrong addresses, network failures, missing certificates
         silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__
         message = " ".join(str(error).split())[:200] or silent
-        expected = "a running Dask scheduler, as in tcp://host:8786"
+        expected = "a running Dask scheduler, such as tcp://host:8786"
         if address.startswith("tls://"):
             expected += ", or tls:// with the certificates of Dask's configuration (distributed.comm.tls)"
         raise InputError(Problem("--scheduler", address, message, expected)) from None

@@ -5,7 +5,7 @@ adds what else the command line needs.
 
     class ViewSettings(Settings):
         folder: Annotated[Path, Option(argument="DIR")]
-        '''Folder of results, as in results/clip.'''
+        '''Folder of results, such as results/clip.'''
         speed: Positive = 1.0
         '''Speed of the playback, 1 is real time.'''
 """
@@ -96,7 +96,7 @@ class Option:
     metavar: str = ""
     """Name of the value in the help; if empty, made from the type."""
     name: str = ""
-    """Name on the command line, if it differs from the field's, as in --from."""
+    """Name on the command line, if it differs from the field's, such as --from."""
     panel: str | None = None
     """Heading of the help under which the option stands."""
     method: str | None = None

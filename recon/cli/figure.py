@@ -52,7 +52,7 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
     if out is not None:
         require_suffix(out, KINDS)
     elif settings.names:
-        raise InputError(Problem("--out", "file", "nothing", "a file for the figures, as in fig1.pdf"))
+        raise InputError(Problem("--out", "file", "nothing", "a file for the figures, such as fig1.pdf"))
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     progress("analysis", 0.1)

@@ -41,7 +41,7 @@ def fit(settings: FitRunSettings, options: _FitOptions, console: Console, progre
     from recon.io.formats import read_keypoints
 
     out, config = settings.out, settings.config
-    no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
+    no_out = [Problem("--out", "folder", "nothing", "a folder for the results, such as results/clip1")]
     try:
         fitted = read_settings(None, options) if config is None else read_config(config, options)
     except InputError as error:

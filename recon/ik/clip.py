@@ -91,7 +91,7 @@ class IkSettings(Settings):
     """Refit the parameters at every frame of the stride to the animal's recent joint rates."""
     cost: str | None = None
     """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
-    clip's mean pose), or a sum with weights, as in energy,differences=0.1."""
+    clip's mean pose), or a sum with weights, such as energy,differences=0.1."""
     costs: bool = False
     """Study the extended Jacobian method with each cost over ten turns of the stride: convergent, drifting, singular or
     chaotic.

@@ -172,7 +172,7 @@ def cost_of(limb: Limb, text: str) -> Cost:
             weights.append(float(weight or 1))
             costs.append(COSTS[name](limb))
         except (ValueError, KeyError):
-            expected = f"{', '.join(COSTS)}, or a sum with weights, as in energy,differences=0.1"
+            expected = f"{', '.join(COSTS)}, or a sum with weights, such as energy,differences=0.1"
             problems.append(Problem("--cost", "cost", repr(part), expected))
     raise_problems(problems)
     return weighted_sum(costs, weights)

@@ -138,7 +138,9 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     common.require_span(count, len(joints), path)
     _, motion, problems = common.number_rows(path, rows, channels)
     if len(motion) != count and not problems:
-        problems.append(Problem(path, "MOTION", f"{len(motion)} rows, and Frames: {count}", "as many"))
+        problems.append(
+            Problem(path, "MOTION", f"{len(motion)} rows, and Frames: {count}", "as many rows as Frames states")
+        )
     if not 0 < frame_time_s < float("inf"):
         problems.append(Problem(path, "Frame Time", f"{frame_time_s:g}", "seconds above 0"))
     raise_problems(common.first_problems(problems, path))

@@ -69,7 +69,7 @@ def refuse_several(path: Path) -> None:
             "one of its tables, such as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train "
             "and recon skeleton from-keypoints"
         )
-        raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
+        raise InputError(Problem(path, "file", "a DeepLabCut project", expected))
     if path.is_dir():
         openpose = [f" (for example {file.name})" for file in sorted(path.glob("*[0-9]*.json"))[:1]]
         expected = f"one of its files{''.join(openpose) or '; recon batch takes all of a folder'}"

@@ -510,7 +510,7 @@ def _series(path: Path, group: h5py.Group) -> _Series:
         raise InputError(Problem(path, _last(group), "no times", "timestamps, or starting_time with a rate"))
     if confidence.shape != (T,) or times_s.shape != (T,):
         detail = f"{T} positions, {len(confidence)} confidences and {len(times_s)} times"
-        raise InputError(Problem(path, _last(group), detail, "as many of each"))
+        raise InputError(Problem(path, _last(group), detail, "the same number of each"))
     return _Series(values, confidence, times_s, fps)
 
 

@@ -288,7 +288,9 @@ def read_alphapose(path: Path, individual: str | None = None) -> StoredPoints:
         seen.append(_Seen(f"[{i}]", frame, "" if track is None else str(track), xy, score))
     counts = sorted({len(detection.score) for detection in seen})
     if len(counts) != 1:
-        raise InputError(Problem(path, "keypoints", " and ".join(map(str, counts)) or "none", "as many in each frame"))
+        raise InputError(
+            Problem(path, "keypoints", " and ".join(map(str, counts)) or "none", "the same number in each frame")
+        )
     names = LISTS.get(counts[0]) or [f"point{k}" for k in range(1, counts[0] + 1)]
     if {detection.animal for detection in seen} == {"1"}:
         seen = [detection._replace(animal="") for detection in seen]

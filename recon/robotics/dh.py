@@ -166,7 +166,7 @@ def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> Rigi
 
 _split = BeforeValidator(lambda value: tuple(value.split(",")) if isinstance(value, str) else value)
 _Three = Annotated[tuple[Number, Number, Number], _split]
-_THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,Z")
+_THREE = Option(expected="3 numbers with commas, such as 0.1,-20,3", metavar="X,Y,Z")
 
 
 class PoseSettings(Settings):
@@ -176,11 +176,11 @@ class PoseSettings(Settings):
     """a1, go2, aibo, or a .toml, .urdf or .xml (MJCF) file."""
     move: Annotated[_Three | None, _THREE] = None
     """Shift of the body forwards, left and up from standing, metres, as in 0,0,-0.02. (default: 0,0,0)"""
-    roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    roll: Annotated[Number, Option(expected="degrees, such as 10")] = 0.0
     """Roll in degrees, right side down."""
-    pitch: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    pitch: Annotated[Number, Option(expected="degrees, such as 10")] = 0.0
     """Pitch in degrees, nose down."""
-    yaw: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
+    yaw: Annotated[Number, Option(expected="degrees, such as 10")] = 0.0
     """Yaw in degrees, to the left."""
 
 
@@ -194,7 +194,7 @@ class TableSettings(Settings):
     angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
     """Show the position of the end for these angles, in degrees (metres for sliding joints), as in 0,45,-90."""
     place: Annotated[_Three | None, _THREE] = None
-    """Show all angles that put the end at this position, in metres in base or body axes, as in 0.4,0.1,0.2."""
+    """Show all angles that put the end at this position, in metres in base or body axes, such as 0.4,0.1,0.2."""
     turned: Annotated[_Three | None, _THREE] = None
     """Roll, pitch and yaw of the end for --place, degrees, as in 0,90,0. (default: any)"""
 
@@ -267,7 +267,7 @@ def _numbers(option: str, text: str) -> list[float]:
     except ValueError:
         values = []
     if not values or not all(map(isfinite, values)):
-        raise InputError(Problem(option, "numbers", repr(text), "numbers with commas, as in 0.1,-20,3"))
+        raise InputError(Problem(option, "numbers", repr(text), "numbers with commas, such as 0.1,-20,3"))
     return values
 
 

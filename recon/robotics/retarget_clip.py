@@ -84,7 +84,7 @@ class RetargetSettings(Settings):
     samples: Annotated[
         Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
     ] = None
-    """Number of further motions to draw from the fit's posterior, as in 32."""
+    """Number of further motions to draw from the fit's posterior, such as 32."""
     check: bool = False
     """Check limits, torques, ground forces and colliding legs frame by frame with MuJoCo (the extra robots); write a
     table, a figure and advice.

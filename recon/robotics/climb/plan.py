@@ -519,7 +519,7 @@ class ClimbSettings(Settings):
     """found-50, published-50, highest-spatial or a .toml file."""
     out: Path
     """Folder for tables, figures and playback."""
-    height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, as in 0.045")] = None
+    height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, such as 0.045")] = None
     """Height of the step, metres; the footfalls' heights are scaled in proportion. (default: the recipe's)"""
     figures: bool = True
     """Write figures as PNG and SVG, too."""
