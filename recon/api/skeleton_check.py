@@ -106,6 +106,19 @@ def _remarks(body: Body) -> Iterator[str]:
         yield f"lengths: the animal is {length_text(length_m)} long. Lengths are metres, not mm or cm."
     if front[0] <= rear[0]:
         yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
+    yield from feet_remarks(body)
+    sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
+    if wrong_side := [m for m, side in sides.items() if (point_m[m][1] < 0 if side == "left" else point_m[m][1] > 0)]:
+        yield f"markers: on the wrong side of the middle (y points to the left): {', '.join(wrong_side)}."
+    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in point_m]
+    if uneven := [m for m, twin in pairs if not np.allclose(point_m[m], point_m[twin] * (1, -1, 1), atol=1e-6)]:
+        yield f"markers: not the mirror images of those on the other side: {', '.join(uneven)}."
+
+
+def feet_remarks(body: Body) -> Iterator[str]:
+    """Yield what is unusual about the feet of a skeleton: which they are, and where they are in the expected pose."""
+    point_m = dict(zip(body.markers, body.expected_points_m(), strict=True))
+    rear, front = (point_m[marker] for marker in body.forward)
     if not body.feet:
         yield "feet: none. Contacts with the ground and gait need them."
     heights_m = {foot: point_m[foot][2] for foot in body.feet}
@@ -123,9 +136,3 @@ def _remarks(body: Body) -> Iterator[str]:
         if is_ahead != (label[-1] == "F"):
             position, kind = ("ahead of", "hind") if is_ahead else ("behind", "fore")
             yield f"feet: in the expected pose {foot} lies {position} the middle of the trunk, but is a {kind} foot."
-    sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
-    if wrong_side := [m for m, side in sides.items() if (point_m[m][1] < 0 if side == "left" else point_m[m][1] > 0)]:
-        yield f"markers: on the wrong side of the middle (y points to the left): {', '.join(wrong_side)}."
-    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in point_m]
-    if uneven := [m for m, twin in pairs if not np.allclose(point_m[m], point_m[twin] * (1, -1, 1), atol=1e-6)]:
-        yield f"markers: not the mirror images of those on the other side: {', '.join(uneven)}."

@@ -12,7 +12,7 @@ from rich.table import Table
 from recon.animal.prior_fit import FRAMES_PER_COMPONENT
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.api.prior_fit import PriorFitSettings, run_prior_fit
-from recon.api.skeleton_check import REACH_SIGMAS, check_skeleton
+from recon.api.skeleton_check import REACH_SIGMAS, check_skeleton, feet_remarks
 from recon.api.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 from recon.api.subject_fit import SubjectFitSettings, run_subject_fit
 from recon.base.numbers import counted, length_text, quantity, rounded
@@ -123,9 +123,7 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
     lines += [f"Renamed to the quadruped's names: {', '.join(renamed_texts)}."] if renamed_texts else []
     lines += [f"Not on the skeleton: {', '.join(unplaced)}."] if unplaced else []
     look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
-    remarks = (
-        [remark for remark in check_skeleton(out)["remarks"] if remark.startswith("feet:")] if settings.camera else []
-    )
+    remarks = [*feet_remarks(load_skeleton(out))] if settings.camera else []
     content = {"out": out, "keypoints": markers, "without_place": unplaced}
     return Answer(content, [*lines, look], notes=remarks)
 

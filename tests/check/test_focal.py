@@ -8,23 +8,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from recon.animal.prior import load_prior
 from recon.check.focal import focal_finding
-from recon.check.likelihood import Baseline, baseline_of
-from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.motion import Motion
-from recon.fit.result import Finding, TrajectorySolution
-
-
-@pytest.fixture(scope="module")
-def solved(whole_results) -> tuple[Baseline, np.ndarray]:
-    """The sample, and the noise of its detections."""
-    motion = Motion.load(whole_results)
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
-    prior = load_prior(solution.prior, motion.body)
-    clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, TrajectoryOptions())
-    return baseline_of(clip, 0, solution.states, solution.size), solution.noise_px[0]
+from recon.check.likelihood import Baseline
+from recon.fit.result import Finding
 
 
 def number(item: Finding, name: str) -> float:
@@ -43,8 +29,8 @@ def with_focal_scale(baseline: Baseline, log_factor: float, focal_sigma: float |
 
 
 @pytest.mark.parametrize(("log_factor", "severity"), [(0.4, "warning"), (-0.4, "note"), (-0.2, None)])
-def test_the_focal_length_of_another_lens_is_named_with_its_factor(solved, log_factor, severity):
-    baseline, noise_px = solved
+def test_the_focal_length_of_another_lens_is_named_with_its_factor(sample_baseline, log_factor, severity):
+    baseline, noise_px = sample_baseline
     with threadpool_limits(1, user_api="blas"):
         item = focal_finding(with_focal_scale(baseline, log_factor), noise_px)
     assert (None if item is None else item.severity) == severity
@@ -55,7 +41,7 @@ def test_the_focal_length_of_another_lens_is_named_with_its_factor(solved, log_f
         assert pose_m < 0.05 < 1 < position_m
 
 
-def test_a_focal_length_within_the_stated_uncertainty_is_not_named(solved):
-    baseline, noise_px = solved
+def test_a_focal_length_within_the_stated_uncertainty_is_not_named(sample_baseline):
+    baseline, noise_px = sample_baseline
     with threadpool_limits(1, user_api="blas"):
         assert focal_finding(with_focal_scale(baseline, -0.4, focal_sigma=0.3), noise_px) is None

@@ -12,14 +12,10 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from recon import Camera, FitSettings, fit_clip, read_camera, samples_folder
-from recon.animal.prior import load_prior
 from recon.api.clip_cameras import possible_cameras
-from recon.check.likelihood import Baseline, baseline_of
+from recon.check.likelihood import Baseline
 from recon.check.other_camera import GAIN, gains_of, other_camera_finding
 from recon.clip import camera_poses
-from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.motion import Motion
-from recon.fit.result import TrajectorySolution
 from recon.io.camera_files import write_cameras
 
 
@@ -30,17 +26,6 @@ def rolled(camera: Camera, degrees: float, name: str) -> Camera:
     assert camera.rotation is not None
     assert camera.translation_m is not None
     return replace(camera, rotation=turn @ camera.rotation, translation_m=turn @ camera.translation_m, name=name)
-
-
-@pytest.fixture(scope="module")
-def solved(whole_results) -> tuple[Baseline, np.ndarray]:
-    """The sample, and the noise of its detections."""
-    motion = Motion.load(whole_results)
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
-    prior = load_prior(solution.prior, motion.body)
-    clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, TrajectoryOptions())
-    return baseline_of(clip, 0, solution.states, solution.size), solution.noise_px[0]
 
 
 def true_camera(baseline: Baseline) -> Camera:
@@ -54,8 +39,8 @@ def seen_by(baseline: Baseline, camera: Camera) -> Baseline:
     return Baseline(baseline.with_view(replace(baseline.view, camera=camera, T_camera_world=pose)), states)
 
 
-def test_a_camera_that_is_turned_otherwise_explains_the_clip_less_well(solved):
-    baseline, noise_px = solved
+def test_a_camera_that_is_turned_otherwise_explains_the_clip_less_well(sample_baseline):
+    baseline, noise_px = sample_baseline
     others = [rolled(true_camera(baseline), degrees, f"rolled {degrees}") for degrees in (8, -8)]
     with threadpool_limits(1, user_api="blas"):
         gains = gains_of(baseline, noise_px, others)
@@ -64,8 +49,8 @@ def test_a_camera_that_is_turned_otherwise_explains_the_clip_less_well(solved):
     assert max(gains.values()) < 0
 
 
-def test_a_clip_of_another_camera_is_recognised_and_that_camera_named(solved):
-    baseline, noise_px = solved
+def test_a_clip_of_another_camera_is_recognised_and_that_camera_named(sample_baseline):
+    baseline, noise_px = sample_baseline
     true = true_camera(baseline)
     given = seen_by(baseline, rolled(true, 8, "east"))
     with threadpool_limits(1, user_api="blas"):
@@ -75,9 +60,9 @@ def test_a_clip_of_another_camera_is_recognised_and_that_camera_named(solved):
     assert item.numbers["log_likelihood_ratio"] > GAIN
 
 
-def test_a_camera_in_another_direction_explains_the_same_pictures_equally_well(solved):
+def test_a_camera_in_another_direction_explains_the_same_pictures_equally_well(sample_baseline):
     """Its start is the solution turned in front of it, so that only gravity, the ground and the gait count."""
-    baseline, noise_px = solved
+    baseline, noise_px = sample_baseline
     true = true_camera(baseline)
     assert true.rotation is not None
     around = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -86,8 +71,8 @@ def test_a_camera_in_another_direction_explains_the_same_pictures_equally_well(s
         assert gains_of(baseline, noise_px, [south])["south"] == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_short_clip_and_one_without_a_pose_are_not_tested(solved):
-    baseline, noise_px = solved
+def test_a_short_clip_and_one_without_a_pose_are_not_tested(sample_baseline):
+    baseline, noise_px = sample_baseline
     unsolved = Baseline(baseline.clip, np.full_like(baseline.states, np.nan))
     assert gains_of(unsolved, noise_px, [true_camera(baseline)]) == {}
     short = Baseline(baseline.clip.part(slice(0, 2)), baseline.states[:2])
