@@ -4,8 +4,9 @@ The chain (`recon.animal.chain`) has links with two angles each, theta and phi. 
 
     [theta of every free link, phi of every free link, x0, y0, z0, xi, psi, zeta, base_length]
 
-The base length in metres scales all links. p0 = (x0, y0, z0) is the root joint in the local frame UVW, and c a joint
-relative to the root. The joint lies at R (p0 + c) in the camera frame, with R = Rx(xi) Ry(psi) Rz(zeta).
+The base length in metres scales all links. p0 = (x0, y0, z0) is the position of the root joint in the local frame UVW.
+A joint with the position c relative to the root lies at R (p0 + c) in the camera frame, where
+R = Rx(xi) Ry(psi) Rz(zeta). All positions are in metres, all angles in rad.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW
 
 @dataclass(frozen=True)
 class ChainPose:
-    """N states of D unknowns and the positions of their J joints in the camera frame.
+    """N states of D unknowns, with the positions of the J joints in the camera frame.
 
     The Jacobians are None unless they were requested.
     """
@@ -40,7 +41,7 @@ class ChainPose:
     rotation: Array
     """Rotations R_camera_local, shape (N, 3, 3)."""
     joints_m: Array
-    """Positions of the joints, shape (N, J, 3)."""
+    """Positions of the joints in the camera frame, shape (N, J, 3), metres."""
     joints_jacobian: Array | None = None
     """Derivatives of the positions with respect to the unknowns, shape (N, J, 3, D)."""
     rotation_jacobian: Array | None = None
@@ -51,8 +52,6 @@ class ChainPose:
 class UnknownsChain(Chain):
     """A chain with the unknowns of a frame, and their kinematics."""
 
-    # -- layout of the state -----------------------------------------------------------------------------------------
-
     @property
     def n_state(self) -> int:
         """Return the number of unknowns D = 2 A + 7, 21 for the 8U chain."""
@@ -60,22 +59,22 @@ class UnknownsChain(Chain):
 
     @cached_property
     def theta_slice(self) -> slice:
-        """Return the position of the thetas in the state."""
+        """Return the slice of the state that holds the thetas, rad."""
         return slice(0, self.n_angles)
 
     @cached_property
     def phi_slice(self) -> slice:
-        """Return the position of the phis in the state."""
+        """Return the slice of the state that holds the phis, rad."""
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property
     def position_slice(self) -> slice:
-        """Return the position of x0, y0, z0 in the state: the root in the local frame, metres."""
+        """Return the slice of the state that holds x0, y0, z0: the root in the local frame, metres."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
     @cached_property
     def euler_slice(self) -> slice:
-        """Return the position of xi, psi, zeta of R_camera_local in the state, rad."""
+        """Return the slice of the state that holds xi, psi, zeta of R_camera_local, rad."""
         return slice(2 * self.n_angles + 3, 2 * self.n_angles + 6)
 
     @property
@@ -85,13 +84,11 @@ class UnknownsChain(Chain):
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the unknowns with units, (D,): theta_6, x0_m, xi, base_length_m and so on."""
+        """Return the names of the D unknowns, such as theta_6, x0_m, xi and base_length_m; angles are in rad."""
         return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
 
-    # -- kinematics --------------------------------------------------------------------------------------------------
-
     def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:
-        """Return the states of the chain's body in the world, and factors on its lengths.
+        """Convert states of the chain to world states of its body, with factors that scale the body's lengths.
 
         Parameters
         ----------
@@ -103,7 +100,7 @@ class UnknownsChain(Chain):
         Returns
         -------
         tuple
-            States (N, D') of `body`, and factors (N,) on its lengths.
+            States (N, D') of `body` in the world, and factors (N,) that scale its lengths.
         """
         R_world_local = T_world_camera[..., :3, :3] @ euler_rotation(state[:, self.euler_slice])
         R = R_world_local @ UVW_BODY
@@ -117,7 +114,7 @@ class UnknownsChain(Chain):
         return body_state, state[:, self.base_index] / self.nominal_base_length_m
 
     def _local_state(self, state: Array) -> Array:
-        """Return the body's state with its root at the origin and aligned with the world."""
+        """Return the body's states (N, D') with the root at the origin and aligned with the world."""
         local_state = np.zeros((len(state), self.body.n_state))
         local_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return local_state
@@ -166,12 +163,12 @@ AnyChain = Annotated[UnknownsChain, BeforeValidator(with_unknowns)]
 
 
 def load_chain(name_or_path: str | Path) -> UnknownsChain:
-    """Return the chain of a skeleton, with its unknowns.
+    """Load the chain of a skeleton, with its unknowns.
 
     Raises
     ------
     InputError
-        If the file cannot be used, or the skeleton is one of a whole animal.
+        If the file cannot be used, or the skeleton describes a whole animal.
     """
     chain = with_unknowns(load_plain_chain(name_or_path))
     assert isinstance(chain, UnknownsChain)
@@ -188,7 +185,7 @@ def mean_pose(chain: UnknownsChain) -> Array:
 
 
 def euler_angles(rotation: npt.ArrayLike) -> Array:
-    """Return the angles (..., 3) xi, psi, zeta of rotations (..., 3, 3).
+    """Return the angles xi, psi, zeta (..., 3) of rotations (..., 3, 3), rad.
 
     This is the inverse of `recon.geometry.frames.euler_rotation`. psi is in [-pi/2, pi/2]. At psi = ±pi/2 only xi +
     zeta or xi - zeta is determined, and zeta is set to 0.
@@ -200,7 +197,7 @@ def euler_angles(rotation: npt.ArrayLike) -> Array:
     """
     matrices = np.asarray(rotation, dtype=float)
     if (np.linalg.det(matrices) <= 0).any():  # older versions of scipy accept such matrices as rotations
-        raise ValueError("a matrix without a positive determinant is not a rotation")
+        raise ValueError("a rotation matrix must have a positive determinant")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")

@@ -29,7 +29,7 @@ from recon.thesis.start import parse_start_angles
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     """Reconstruct one side of the animal as a chain, frame by frame.
 
-    Frames that cannot be solved are part of the result.
+    Frames that cannot be solved stay in the result, with a status that says so.
 
     Raises
     ------
@@ -53,10 +53,8 @@ def load_body(settings: FitSettings) -> Body:
     return load_chain(settings.skeleton_name).body
 
 
-# -- record of the optimisation ----------------------------------------------------------------------------------------
-
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
-"""Names of the folder, inside the results folder by default, and of files in it."""
+"""Names of the output folder, which is created in the results folder by default, and of two files in it."""
 FIGURES_BEGIN = 0.5
 """Progress, as a fraction of the whole, at which drawing begins."""
 
@@ -96,7 +94,7 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[d
     made_from = ReadResults.read(settings.folder)
     motion = Motion.load(settings.folder)
     inputs = input_paths(settings)
-    output = Output(out, "solver", settings.overwrite, inputs, made_from, content="what the optimiser did")
+    output = Output(out, "solver", settings.overwrite, inputs, made_from, content="optimiser tables")
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, JACOBIAN))
         progress("problem", 0.1)

@@ -31,7 +31,7 @@ def solver_search(record: SolverRecord) -> Figure:
     of the residuals, coloured by MINPACK's exit flag, and the limits that were exceeded.
     """
     status = record.solution.status
-    title = f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
+    title = f"{status.count('converged')} of {len(status)} frames converged"
     time_s = record.motion.time_s
     names = [_term_label(str(name)) + ("" if cost.sum() > 0 else ": 0") for name, cost in record.cost.items()]
     with style.drawing(170 + style.legend_shape(names)[1], title=title) as figure:
@@ -58,12 +58,12 @@ def solver_search(record: SolverRecord) -> Figure:
 
 
 def image_errors(record: SolverRecord) -> Figure:
-    """Draw the distances of detections from reprojections as an image, joints x frames; white: not detected."""
+    """Draw the reprojection errors as an image, joints x frames, with missing detections in white."""
     names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
     with style.drawing(min(4.0 * len(names) + 8, style.PAGE_MM - 20) + 14) as figure:
         axes = figure.subplots()
         largest = max(float(np.nanmax(values, initial=0.0)), 10.0)
-        image = _logarithmic_image(figure, axes, values, 0.5, largest, "error in the picture (px)")
+        image = _logarithmic_image(figure, axes, values, 0.5, largest, "reprojection error (px)")
         image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
         axes.set_yticks(range(len(names)), names)
         axes.tick_params(axis="y", length=0)
@@ -75,7 +75,7 @@ def image_errors(record: SolverRecord) -> Figure:
 def solver_unknowns(record: SolverRecord) -> Figure:
     """Draw the gradient and the norm of the Jacobian's column for every unknown, over the frames."""
     names = record.unknowns
-    title = "dots: median of the frames, lines: from the least to the most"
+    title = "dots: median over the frames, lines: minimum to maximum"
     with style.drawing(min(4.0 * len(names) + 20, style.PAGE_MM), title=title) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         shown = (np.abs(record.gradient), "|gradient|"), (record.column_norm, "norm of the Jacobian's column")
@@ -121,7 +121,7 @@ def solver_frame(record: SolverRecord) -> Figure:
 
 
 def solver_matrices(record: SolverRecord) -> Figure:
-    """Draw the Jacobian of one frame at its minimum, residuals x unknowns, and J'J; white is zero."""
+    """Draw the Jacobian J of one frame at its minimum, residuals x unknowns, and J'J, with zeros in white."""
     search, names = record.search, record.unknowns
     parts = search.problem.by_term(search.x)
     counts, J = np.array([len(r) for r, _ in parts.values()]), np.concatenate([J for _, J in parts.values()])
@@ -140,7 +140,7 @@ def solver_matrices(record: SolverRecord) -> Figure:
 
 
 def solver_rotation(record: SolverRecord) -> Figure:
-    """Compare a free and a fixed camera rotation: its angles, the base length, and the mean error in the picture."""
+    """Draw the camera's angles, the base length and the reprojection error for a free and a fixed camera rotation."""
     (view,) = record.other_solution.views
     labels, names = (*(f"{name} (°)" for name in CAMERA_ANGLES), "base length (m)", "error (px)"), []
     with style.drawing(24 * len(labels) + 20) as figure:
@@ -164,7 +164,7 @@ def solver_rotation(record: SolverRecord) -> Figure:
 
 
 def solver_gradient(record: SolverRecord) -> Figure:
-    """Draw the size of the gradient and of the Jacobian's columns over the clip, unknowns x frames; white is zero."""
+    """Draw the gradient and the norms of the Jacobian's columns, unknowns x frames, with zeros in white."""
     names, frames = record.unknowns, record.motion.frames
     with style.drawing(170) as figure:
         panels = figure.subplots(2, 1, sharex=True)
@@ -181,7 +181,7 @@ def solver_gradient(record: SolverRecord) -> Figure:
 
 
 def reference_path(record: SolverRecord) -> Figure:
-    """Draw the reference joint in the camera frame with the camera's rotation free and fixed."""
+    """Draw the path of the reference joint in the camera frame, for a free and a fixed camera rotation."""
     labels = ("x, to the right (m)", "y, down (m)", "z, depth (m)")
     names = [f"rotation {name}" for name in record.solutions]
     with style.drawing(110) as figure:
@@ -196,7 +196,7 @@ def reference_path(record: SolverRecord) -> Figure:
 
 
 def configurations(record: SolverRecord) -> Figure:
-    """Draw detected poses (grey) next to reprojected poses (coloured) in the picture, in up to twelve frames."""
+    """Draw detected (grey) and reprojected (coloured) poses over each other, in up to twelve frames."""
     motion, picture = record.motion, record.motion.pictures[0]
     solved = np.flatnonzero(motion.solved)
     rows = solved[np.unique(np.linspace(0, len(solved) - 1, min(len(solved), _CONFIGURATIONS)).astype(int))]
@@ -235,7 +235,7 @@ FIGURES = (
 
 
 def _term_label(term: str) -> str:
-    """Return the name of a term, after its published name if it is one of f1 to f5."""
+    """Return the label of a term: its name, preceded by f1 to f5 for a published term."""
     published = next((name for name, published_term in PUBLISHED.items() if published_term == term), None)
     return term if published is None else f"{published} {term}"
 
@@ -248,7 +248,7 @@ def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], acro
 
 
 def _logarithmic_image(figure: Figure, axes: Axes, values: Array, low: float, high: float, label: str) -> AxesImage:
-    """Draw rows of values as colours; white: no value."""
+    """Draw a matrix as colours on a logarithmic scale, with missing values in white."""
     image = axes.imshow(values, aspect="auto", norm=LogNorm(low, high), interpolation="none")
     bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
     style.plain_logarithm(bar.ax.yaxis)

@@ -1,6 +1,7 @@
 """Describe the frame method's optimisation in tables, for the command `recon solver`.
 
-The optimiser minimises half the squared norm of residuals r, divided by their standard deviations, with the Jacobian J.
+The optimiser minimises half the squared norm of the residuals r, each divided by its standard deviation. J is their
+Jacobian.
 Robust terms enter r and J with the solver's weights, so that J'r is the gradient and J'J the curvature. docs/solver.md
 explains the columns of the tables; `recon.thesis.figures` draws the figures.
 """
@@ -56,7 +57,7 @@ EXIT_FLAGS = {
 
 
 def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> SolverRecord:
-    """Set the problem up again and evaluate it at the solution.
+    """Rebuild the least-squares problem of a fit and evaluate it at the solution.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     Raises
     ------
     InputError
-        If the settings are missing, the results are of the other method, or the frame has no pose.
+        If the settings are missing, the results come from the other method, or the frame has no pose.
     """
     if not isinstance(motion.solution, FrameSolution):
         raise InputError(Problem(folder, "results", "a fit of all frames at once", "results of recon frame"))
@@ -114,12 +115,12 @@ class SolverRecord:
     terms: dict[int, dict[str, tuple[Array, Array]]]
     """Residuals (M,) and Jacobian (M, D) at the solution, by row of the clip and term.
 
-    The frame before is fixed.
+    The previous frame's pose is held fixed.
     """
     search: FrameSearch
     """The search in the frame that is shown."""
     other_solution: FrameSolution
-    """The clip with the other choice for the camera's rotation: fixed if the fit has it free, and vice versa."""
+    """Solution of the same clip with the camera's rotation fixed if it is free in the fit, and vice versa."""
     options: FrameOptions
     """Options of the fit."""
 
@@ -130,12 +131,12 @@ class SolverRecord:
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the chain's unknowns, (D,)."""
+        """Names of the chain's D unknowns."""
         return self.solution.chain.state_names
 
     @cached_property
     def cost(self) -> pd.DataFrame:
-        """Half the squared residuals by term."""
+        """Half the sum of squared residuals, frames x terms."""
         costs = {row: {term: 0.5 * np.sum(r**2) for term, (r, _) in terms.items()} for row, terms in self.terms.items()}
         return pd.DataFrame.from_dict(costs, orient="index").fillna(0.0).reindex(range(len(self.motion.frames)))
 
@@ -156,7 +157,7 @@ class SolverRecord:
         return np.concatenate([J for _, J in self.terms[row].values()])
 
     def _by_frame(self, values: dict[int, Array]) -> Array:
-        """Return values (D,) by row as (T, D), NaN in the other rows."""
+        """Return an array (T, D) with the given rows filled in and NaN in all others."""
         table = np.full((len(self.motion.frames), len(self.unknowns)), np.nan)
         table[[*values]] = np.array([*values.values()])
         return table
@@ -168,7 +169,7 @@ class SolverRecord:
 
     @cached_property
     def sizes(self) -> dict[str, Array]:
-        """(T,) by name: squared norm and mean size of the residuals, mean size and share of zeros of the Jacobian."""
+        """Squared norm and mean size of the residuals, mean size and fraction of zeros of the Jacobian, (T,) each."""
         table = np.full((4, len(self.motion.frames)), np.nan)
         for row, terms in self.terms.items():
             residual, jacobian = np.concatenate([r for r, _ in terms.values()]), self.jacobian(row)
@@ -184,12 +185,12 @@ class SolverRecord:
 
     @property
     def active(self) -> dict[str, Array]:
-        """Number of angles beyond their expected ranges and of rates beyond their limits, (T,) each, by name."""
+        """Numbers of angles beyond their expected ranges and of rates beyond their limits, (T,) each, by name."""
         return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
 
     @property
     def _is_beyond(self) -> dict[str, Bools]:
-        """Return whether an angle is beyond its expected range, and a rate beyond its limit, (T, 2 A) each, by name."""
+        """Return which angles exceed their expected ranges, and which rates their limits, (T, 2 A) each."""
         return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:
@@ -211,7 +212,7 @@ class SolverRecord:
         }
 
     def _median_and_range(self, count: str) -> dict[str, float]:
-        """Return the median, the least and the most of a count over the frames."""
+        """Return the median, the minimum and the maximum of a count over the solved frames."""
         counts = self.solution.reported(count)[self.motion.solved]
         return {"median": float(np.median(counts)), "min": float(counts.min()), "max": float(counts.max())}
 
@@ -229,7 +230,7 @@ class SolverRecord:
         return dict(zip(TABLES, map(pd.DataFrame, tables), strict=True))
 
     def _variables_table(self) -> dict[str, Any]:
-        """Return the table of the unknowns under their published names, with half the squares of f1 to f5."""
+        """Return the table of the unknowns under their published names, with the costs of f1 to f5."""
         columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
         columns |= dict(zip(self.solution.chain.unknown_names, self.solution.chain_states.T, strict=True))
         return columns | {name: self.cost.get(term, 0.0) for name, term in PUBLISHED.items()}
@@ -239,7 +240,7 @@ class SolverRecord:
         return columns | dict(zip(self.unknowns, self.gradient.T, strict=True))
 
     def _paths_table(self) -> dict[str, Any]:
-        """Return the table of R p0 in the camera frame, with the camera's rotation as fitted and the other way."""
+        """Return the table of R p0 in the camera frame, for a free and a fixed camera rotation."""
         columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
         for name, solution in self.solutions.items():
             points_m = solution.chain.pose(solution.chain_states).joints_m[:, 0]
@@ -248,7 +249,7 @@ class SolverRecord:
 
     @property
     def solutions(self) -> dict[str, FrameSolution]:
-        """Return the two solutions, "free" and "fixed" by the camera's rotation; that of the fit comes first."""
+        """Return the solutions with a "free" and a "fixed" camera rotation, starting with that of the fit."""
         first, second = ("fixed", "free") if self.options.camera_rotation == "fixed" else ("free", "fixed")
         return {first: self.solution, second: self.other_solution}
 
@@ -269,13 +270,13 @@ class SolverRecord:
         columns: dict[str, Any] = {"unknown": self.unknowns}
         columns |= {"gradient_median": np.median(gradient, 0), "gradient_max": gradient.max(0)}
         columns |= {f"column_norm_{f.__name__}": f(norm, axis=0) for f in (np.min, np.median, np.max)}
-        rest = len(self.unknowns) - 2 * self.solution.chain.n_angles  # unknowns without range and limit
+        rest = len(self.unknowns) - 2 * self.solution.chain.n_angles  # these unknowns have neither range nor limit
         return columns | {
             f"{limit}_passed": np.pad(is_beyond.sum(axis=0), (0, rest)) for limit, is_beyond in self._is_beyond.items()
         }
 
     def _errors_table(self) -> dict[str, Any]:
-        """Return the table of the errors in the picture: distances, then x and y of reprojection less detection."""
+        """Return the table of reprojection errors: distances, then x and y of reprojection minus detection, pixels."""
         picture, names = self.motion.pictures[0], self.motion.names
         columns: dict[str, Any] = {"camera": picture.name, "frame": self.motion.frames}
         columns |= {f"{name}_px": errors for name, errors in zip(names, self.image_error_px.T, strict=True)}
@@ -296,10 +297,10 @@ class SolverRecord:
         }
 
     def write_jacobian(self, path: Path) -> None:
-        """Write the Jacobian as NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D).
+        """Write the Jacobian as an NPZ file that `scipy.sparse.load_npz` reads as a matrix (M, T D).
 
-        Column t D + d is unknown d in row t of the clip. The file also has the unknowns (D,) and, for every row of the
-        matrix, its residual, its term, and its row of the clip.
+        Column t D + d is unknown d in row t of the clip. The file also holds the unknowns (D,) and, for every row of
+        the matrix, its residual, its term, and its row of the clip.
         """
         empty = np.zeros((0, len(self.unknowns)))
         rows = range(len(self.motion.frames))

@@ -1,9 +1,9 @@
-"""Minimise by Levenberg-Marquardt with a chosen damping: its first value, and the factor by which it changes.
+"""Minimise a sum of squares by Levenberg-Marquardt with a given initial damping and a fixed factor of change.
 
 MINPACK, which the frame method uses by default, has a trust region and finds its own damping. The publication's solver
-starts from a given damping, which is divided by a factor after each step that lowers the cost, and multiplied by the
-factor after every other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest squared norms that
-the columns of J have had, so the damping has no unit.
+starts from a given damping. It divides the damping by a factor after each step that lowers the cost, and multiplies it
+by this factor after every other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest squared norms
+that the columns of J have had, so the damping has no unit.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _LARGEST = 1e12
 
 
 class Minimum(NamedTuple):
-    """Result of a search, with the names of scipy's result."""
+    """Result of a search, with the field names of scipy's `OptimizeResult`."""
 
     x: Array
     cost: float
-    """Half the squared residuals."""
+    """Half the sum of squared residuals."""
     status: int
     """Status as in scipy: 0 evaluations used up, 1 gradient small, 2 cost settled, 3 step small."""
     nfev: int
@@ -40,10 +40,11 @@ def minimise(
     initial_damping: float,
     factor: float,
 ) -> Minimum:
-    """Minimise half the squared residuals from a start (n,).
+    """Minimise half the sum of squared residuals, from a start (n,).
 
-    The Jacobian is computed at accepted points only. `tolerance` limits the relative change of the cost and of the
-    step, and the largest component of the gradient relative to the norms of its column and of the residuals.
+    The Jacobian is computed at accepted points only. The search ends when the relative change of the cost, the relative
+    length of the step, or every component of the gradient relative to the norms of its column and of the residuals is
+    at most `tolerance`.
     """
     x, r, damping, scale = start.copy(), residual(start), initial_damping, np.zeros(len(start))
     nfev, njev, status = 1, 0, 0

@@ -1,13 +1,14 @@
-"""Define the objectives f1 to f5 and the priors: the terms of the least-squares problem of one frame.
+"""Define the terms of one frame's least-squares problem: the objectives f1 to f5 and the priors.
 
-Each term is one small class. A term reads the pose of one frame and, if it `ties` frames, the fixed pose of the frame
-before. It returns residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
-new term is one class here and one line in the list of `tests/thesis/test_objectives.py`.
+Each term is a small class. A term reads the pose of one frame and, if it `ties` frames, the fixed pose of the previous
+frame. It returns residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
+new term takes one class here and one line in the list of `tests/thesis/test_objectives.py`.
 
-f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty: "deadband",
-which was intended, penalises only values outside the range; "printed", as published, is two-sided and pulls values
-towards the edge of the range. The Gaussian priors are necessary as well, because the pixels of one frame do not
-determine the scale, a roll of the chain about its axis, one mode of depth, and depth flips of every link.
+f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty. "deadband"
+is what the publication intends: it penalises only values outside the range. "printed" is the published formula, which
+is two-sided and pulls values towards the edge of the range. The Gaussian priors are necessary as well, because the
+pixels of one frame do not determine the scale, the roll of the chain about its axis, one mode of depth, and the sign of
+each link's depth.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Form = Literal["deadband", "printed"]
 ResidualAndJacobian = tuple[Array, Array]
 
 PLAIN_C = 1e6
-"""Replaces `FrameOptions.robust_c` if f1 is as printed, so that no residual saturates."""
+"""Value that replaces `FrameOptions.robust_c` if f1 is as printed, so that no residual saturates."""
 
 
 @dataclass(frozen=True)
@@ -36,27 +37,27 @@ class FrameOptions:
     """Weights of the frame method's objectives, and limits of its search."""
 
     form: Form = "deadband"
-    """The form of f2 to f5."""
+    """Form of f2 to f5: penalised outside the range only, or as printed."""
     reprojection: Literal["robust", "printed"] = "robust"
-    """f1: robust and weighted by confidence, or as printed."""
+    """Form of f1: robust and weighted by confidence, or as printed."""
     angle_prior: Literal["gaussian", "none"] = "gaussian"
-    """Gaussian priors on angles, roll and heading, or none of them."""
+    """Gaussian priors on angles, roll and heading, or no such priors."""
     camera_rotation: Literal["free", "fixed"] = "free"
     """Rotation of the camera: free in every frame, or fixed to that of the first frame."""
     base_length_m: float | None = None
-    """Base length, metres; None for that of the skeleton."""
+    """Base length, metres; None for the skeleton's value."""
     base_sigma_m: float | None = None
-    """Standard deviation of the base length, metres; None for that of the skeleton."""
+    """Standard deviation of the base length, metres; None for the skeleton's value."""
     sigma_px: float = 3.0
-    """Standard deviation of the detector's noise."""
+    """Standard deviation of the detector's noise, pixels."""
     keypoint_sigma_m: float | None = None
-    """Distance of keypoints from the model's joints, metres; None for that of the skeleton."""
+    """Standard deviation of keypoints about the model's joints, metres; None for the skeleton's value."""
     keypoint_sigma_max_px: float = 12.0
-    """Largest value of `keypoint_sigma_m` in the picture, pixels."""
+    """Upper limit on `keypoint_sigma_m` after its projection into the picture, pixels."""
     robust_c: float = 4.5
-    """Number of standard deviations at which the robust penalty of a point is half the square."""
+    """Error, in standard deviations, at which the robust penalty of a point is half of its square."""
     path: Literal["smooth", "free"] = "smooth"
-    """Path of the reference joint: as smooth as an animal moves (`recon.thesis.path`), or free in every frame."""
+    """Path of the reference joint: smoothed over all frames (`recon.thesis.path`), or free in every frame."""
     path_sigma_m: float = 0.5
     """Standard deviation of the reference joint about a smooth path, metres.
 
@@ -64,9 +65,9 @@ class FrameOptions:
     value (`python benchmarks/thesis.py --only path-ties`).
     """
     start_angles: str | None = None
-    """Angles at the start of the first frame, measured by hand (`recon.thesis.start.parse_start_angles`)."""
+    """Start angles of the first frame, measured by hand (`recon.thesis.start.parse_start_angles`)."""
     initial_damping: float | None = None
-    """First damping of a search (`recon.thesis.levenberg`); None if MINPACK finds its own."""
+    """Initial damping of a search (`recon.thesis.levenberg`); None to let MINPACK choose."""
     damping_factor: float = 10.0
     """Factor by which the damping changes."""
     tolerance: float = 1e-8
@@ -76,17 +77,17 @@ class FrameOptions:
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> FrameOptions:
-        """Return the options among the settings of a fit, as a motion keeps them."""
+        """Return the options contained in the stored settings of a fit."""
         values = {field.name: settings.get(field.name) for field in fields(cls)}
         return cls(**{name: value for name, value in values.items() if value is not None})
 
 
 class Objective:
-    """One term of the problem."""
+    """One term of a frame's least-squares problem."""
 
     name: str
     ties: bool = False
-    """Whether the term reads the frame before."""
+    """Whether the term reads the previous frame."""
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         """Return residuals (M,) and their Jacobian (M, D) with respect to the state.
@@ -96,7 +97,7 @@ class Objective:
         pose
             One state with its Jacobians.
         previous
-            The pose of the frame before; None at the start.
+            The pose of the previous frame; None in the first frame.
         frame
             Row of the clip.
         dt_s
@@ -114,7 +115,7 @@ def _diagonal(values: Array, columns: slice, n_state: int) -> Array:
 
 @dataclass(frozen=True)
 class JointReprojection(Objective):
-    """Distance of projected from detected positions (f1), as a robust penalty.
+    """Robust penalty on the distance between projected and detected positions (f1).
 
     The two rows of a joint are u / sqrt(1 + |u|^2 / c^2), where u = sqrt(confidence) (projected - detected) / sigma_px
     (Geman-McClure as a squared residual). They saturate at c, which bounds the pull of a wrong point. Missing points
@@ -184,13 +185,13 @@ class AngleRange(_Limit):
 
 @dataclass(frozen=True)
 class RateLimit(_Limit):
-    """Limit on the speed of a link's tip (f4 for theta, f5 for phi): its length times max_rate.
+    """Limit on the speed of a link's tip (f4 for theta, f5 for phi): the link's length r times max_rate.
 
     If a relative angle changes by a within the interval dt, the tip moves along a chord of 2 r |sin(a / 2)|. "deadband"
-    is that chord over dt, penalised only beyond the limit; a link that turns over is noticed. "printed" is the rate of
-    change of the chord, r |cos(a / 2)| |a| / dt, two-sided, with the publication's missing da/dt and squared limit
-    corrected. The excess is weighted like an angle over the interval: it is divided by r softness / dt, so the length
-    cancels.
+    divides this chord by dt and penalises it only beyond the limit, so a link that flips is penalised. "printed" is the
+    rate of change of the chord, r |cos(a / 2)| |a| / dt, two-sided. Two errors of the publication are corrected: its
+    missing da/dt and its squared limit. The excess is weighted like an angle over the interval: it is divided by
+    r softness / dt, so the length cancels.
     """
 
     max_rate_rad_s: Array
@@ -227,10 +228,10 @@ class GaussianPrior(Objective):
 
 @dataclass(frozen=True)
 class DirectionPrior(Objective):
-    """Prior on the direction of one of the root's axes: components (axis - expected) / sigma.
+    """Prior on the direction of one axis of the root, with the residuals (axis - expected) / sigma.
 
-    The components refer to the vertical instead of the angles of R. The angles of R turn about the camera's axes, and
-    stand for roll only if the animal is seen from the side.
+    The residuals refer to the vertical, not to the angles of R. Those turn about the camera's axes, and xi, psi and
+    zeta measure roll only if the animal is seen from the side.
     """
 
     name: str
@@ -239,16 +240,16 @@ class DirectionPrior(Objective):
     components: Array
     """Rows (M, 3) onto which the difference is projected."""
     expected: Array | None
-    """Expected unit vectors (T, 3) in the camera frame, NaN for rows of zeros; None for the axis of the frame before.
+    """Expected unit vectors (T, 3) in the camera frame, NaN for rows of zeros; None for the axis of the previous frame.
 
-    In the latter case sigma is the standard deviation of a random walk, per root of a second.
+    In the latter case sigma is the standard deviation of a random walk, per square root of a second.
     """
     sigma: float
     euler: slice
 
     @property
     def ties(self) -> bool:  # type: ignore[override]
-        """Return whether the term reads the frame before."""
+        """Return whether the term reads the previous frame."""
         return self.expected is None
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -280,13 +281,13 @@ def frame_objectives(
     Parameters
     ----------
     camera, chain
-        The camera and the chain.
+        Camera of the clip, and the chain that is fitted.
     xy_px
         Detections (T, J, 2), pixels; NaN if missing.
     confidence
         Confidence (T, J) of the detections.
     travel
-        The direction of travel.
+        Direction of travel in each frame.
     options
         Options of the fit.
 

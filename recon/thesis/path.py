@@ -1,14 +1,14 @@
-"""Smooth the path of the reference joint, after the frames were solved one by one.
+"""Smooth the path of the reference joint once the frames have been solved one by one.
 
-A single frame of one camera hardly shows depth. The positions R p0 jitter along the line of sight by decimetres from
-frame to frame, and their derivatives are noise. The acceleration of an animal, however, is limited and lasts for some
-time. The path is therefore estimated from all frames at once: position, velocity and acceleration in three dimensions,
-with the acceleration as a random process of standard deviation `ACCELERATION_M_S2` and correlation time
-`ACCELERATION_LASTS_S`. The position in each frame has its posterior covariance. Neighbouring frames have similar poses
-and therefore similar errors; their positions count as one measurement for `ERRORS_LAST_S`. The estimate is that of a
-Kalman filter, smoothed backwards (Rauch, Tung and Striebel 1965).
+A single frame of one camera hardly determines depth. The positions R p0 jitter along the line of sight by decimetres
+from frame to frame, and their derivatives are noise. The acceleration of an animal, however, is limited and changes
+gradually. The path is therefore estimated from all frames at once. Its state is position, velocity and acceleration in
+three dimensions. The acceleration is a random process with the standard deviation `ACCELERATION_M_S2` and the
+correlation time `ACCELERATION_LASTS_S`. The measurement in each frame is the position with its posterior covariance.
+Neighbouring frames have similar poses and therefore similar errors, so all positions within `ERRORS_LAST_S` count as
+one measurement. A Kalman filter with a backward pass computes the estimate (Rauch, Tung and Striebel 1965).
 
-The frames are then solved again with the distance of R p0 from this path (`PathTie`) as one of their objectives.
+The frames are then solved again, with the distance between R p0 and this path (`PathTie`) as an additional objective.
 """
 
 from __future__ import annotations
@@ -29,39 +29,39 @@ ACCELERATION_LASTS_S = 0.05
 ERRORS_LAST_S = 0.06
 """Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
 LEAST_SIGMA_M = 0.02
-"""Smallest standard deviation of a frame's position, because the reference joint is no fixed point of the animal."""
+"""Smallest standard deviation of a frame's position: the reference joint is not a fixed point of the animal."""
 _FIRST_POSITION_M = 100.0
-"""Standard deviation of the position before the first frame, which leaves the position free."""
+"""Standard deviation of the position before the first frame, large enough to leave the position free."""
 _FIRST_SPEED_M_S = 30.0
 """Standard deviation of the velocity before the first frame, larger than any animal's speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Path of the reference joint in the camera frame over T frames, for the nominal base length."""
+    """Path of the reference joint in the camera frame over T frames, at the nominal base length."""
 
     position_m: Array
-    """Positions, shape (T, 3)."""
+    """Positions, shape (T, 3), metres."""
     velocity_m_s: Array
-    """Velocities, shape (T, 3)."""
+    """Velocities, shape (T, 3), m/s."""
     covariance: Array
     """Covariances of position, velocity and acceleration, shape (T, 9, 9), without the base length's uncertainty.
 
     In files of earlier versions the acceleration is missing, and the shape is (T, 6, 6).
     """
     acceleration_m_s2: Array | None = None
-    """Accelerations, shape (T, 3); None in files of earlier versions."""
+    """Accelerations, shape (T, 3), m/s²; None in files of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathTie(Objective):
     """Tie of the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
 
-    The factor leaves the scale open, as the pixels do: the whole scene can grow.
+    The ratio of the base lengths leaves the scale free, because the pixels do not determine the scale either.
     """
 
     position_m: Array
-    """The path, shape (T, 3); NaN for rows of zeros."""
+    """The path, shape (T, 3), metres; NaN for residuals of zero."""
     nominal_base_length_m: float
     base_index: int
     sigma_m: float
@@ -81,16 +81,16 @@ class PathTie(Objective):
 
 
 def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) -> Path | None:
-    """Return the path of the frames' solutions, or None if fewer than two frames have one.
+    """Estimate the path from the solutions of the frames; return None if fewer than two frames have one.
 
     Parameters
     ----------
     chain
-        The chain.
+        The fitted chain.
     states
         States (T, D); NaN without a pose.
     covariance
-        Covariances (T, D, D) of the states, given the frame before.
+        Covariances (T, D, D) of the states, given the previous frame.
     fps
         Frames per second.
     """
@@ -111,7 +111,7 @@ def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) 
 
 
 def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Path:
-    """Return the smoothed path of points (T, 3) with covariances (T, 3, 3), frames dt_s apart."""
+    """Return the smoothed path of points (T, 3), metres, with covariances (T, 3, 3) and dt_s between frames."""
     F, Q = _motion_model(dt_s)
     T = len(points_m)
     x = np.concatenate([points_m[np.flatnonzero(is_known)[0]], np.zeros(6)])

@@ -32,16 +32,15 @@ def skeleton(motion: Motion) -> dict[str, Any]:
 def assumptions(motion: Motion) -> dict[str, Any]:
     """Return the assumptions behind the result, in numbers and in sentences."""
     base = _base_length(motion)
-    scale = "It is not measured: distances, speeds and sizes scale with it."
+    scale = "The clip does not measure this length: distances, speeds and sizes are proportional to it."
     if base["measured"]:
-        scale = f"The pixels give {percent(base['data_share'])} of its precision."
+        scale = f"The pixels contribute {percent(base['data_share'])} of the precision of this length."
     sentences = [
-        f"The scale: the base length has a prior of {base['nominal_m']:g} m with a standard deviation of "
-        f"{base['sigma_m']:g} m. {scale}",
+        f"The scale comes from a prior on the base length: {base['nominal_m']:g} ± {base['sigma_m']:g} m. {scale}",
         *assumption_sentences(motion),
     ]
     if motion.settings.get("angle_prior") == "none":
-        sentences.append("Without the Gaussian priors the pixels leave the depth of the limbs undetermined.")
+        sentences.append("The Gaussian priors are off: the pixels alone do not determine the depth of the limbs.")
     return {"base_length": base, **upright_data(motion), "sentences": sentences}
 
 
@@ -53,7 +52,7 @@ def _base_length(motion: Motion) -> dict[str, Any]:
 
 
 def summary(motion: Motion) -> dict[str, Any]:
-    """Return the numbers of frames, the uncertainty of the joints, and the effort of the solver."""
+    """Return counts of frames, the uncertainty of the joints, and the effort of the solver."""
     solution = frame_solution(motion)
     R = solution.views[0].rotation
     variance = np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3)  # along the camera's x, y, z
@@ -72,20 +71,20 @@ def summary(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the lines of the summary on frames, uncertainty and effort."""
+    """Yield the summary's lines on frames, uncertainty and effort."""
     yield (
         "frames",
         f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
         f"{data['frames_no_data']} without data",
     )
     across, depth = (number(data[f"joint_sigma_{direction}_m"], ".2f") for direction in ("across", "depth"))
-    size = "size and distance included (one sigma)"
-    yield "uncertainty", f"{across} m across the picture, {depth} m in depth, {size}"
-    text, timing = f"{number(data['iterations_median'], '.0f')} iterations a frame (median)", motion.timing_s
+    size = "including size and distance (one sigma)"
+    yield "uncertainty", f"±{across} m across the view, ±{depth} m in depth, {size}"
+    text, timing = f"{number(data['iterations_median'], '.0f')} iterations per frame (median)", motion.timing_s
     if "solve_s" in timing:
         times = median(frame_solution(motion).reported("solve_s"))
-        per_frame = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
-        text += f"{per_frame}; {timing['solve_s']:.1f} s in all"
+        per_frame = f", {1000 * times:.0f} ms per frame (median)" if np.isfinite(times) else ""
+        text += f"{per_frame}; {timing['solve_s']:.1f} s in total"
     yield "effort", text
 
 
@@ -102,7 +101,7 @@ def travel(motion: Motion) -> dict[str, Any]:
 
 
 def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the lines of the summary on speed, path and heading."""
+    """Yield the summary's lines on speed, path and heading."""
     run_m_s = data["median_speed_m_s"]
     if (reason := motion.derived(ClipAnalysis).why_no_speed) is None:
         path = motion.derived(ClipAnalysis).reference_motion
@@ -111,13 +110,13 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     elif run_m_s is None:
         yield "speed", f"unknown from this camera: {reason}"
     else:
-        run = f"about {number(run_m_s, '.0f')} m/s, if the animal ran straight on"
-        yield "speed", f"{run}; no more is known from this camera: {reason}"
+        run = f"about {number(run_m_s, '.0f')} m/s if the animal ran straight"
+        yield "speed", f"{run}; this camera shows no more: {reason}"
     yield "heading", heading_text(data["heading_to_picture_rad"])
 
 
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the line of the summary on the base length."""
+    """Yield the summary's line on the base length."""
     base = _base_length(motion)
     share = number(100 * base["data_share"], ".0f").lstrip("-")
     expected = f"expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m"

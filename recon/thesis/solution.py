@@ -1,4 +1,4 @@
-"""Result of the frame method: states and reports of the frames, and the solution in the world."""
+"""Hold the result of the frame method: states and reports of the frames, and the solution in the world."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from recon.thesis.start import Travel
 Status = Literal["converged", "not_converged", "no_data"]
 
 FEW_POINTS_SHARE = 0.75
-"""Share of detected joints below which a frame is flagged "few points"."""
+"""Fraction of detected joints below which a frame is flagged "few points"."""
 GOOD_SHARE = 1 / 3
-"""Share of detected and trusted joints below which a frame is flagged "data poor"."""
+"""Fraction of joints, weighted by the mean weight of the detections, below which a frame is flagged "data poor"."""
 WARN_LIMITS = 0.25
-"""Share of solved frames with angles beyond their ranges above which there is a finding."""
+"""Fraction of solved frames with angles beyond their ranges above which a finding is reported."""
 FRAME_BY_FRAME = 1.87
 """Factor by which the frame method understates the uncertainty of poses for the verdict.
 
-The verdict's formula comes from the trajectory method. With this factor the median of 28 views' errors is the expected
-one (1.85 to 1.99 with one of the five runs left out; `python benchmarks/thesis.py --only frame`).
+The verdict's formula comes from the trajectory method. This factor makes the median error of 28 views equal to the
+expected error (1.85 to 1.99 with one of the five runs left out; `python benchmarks/thesis.py --only frame`).
 """
 POSE_PRIORS = ("theta prior", "phi prior", "roll prior")
 USUAL_PRIOR_COST = 2.4
-"""Squared norm of the Gaussian priors' residuals in a frame: median of 28 views of five runs.
+"""Squared norm of the Gaussian priors' residuals in a frame: the median over 28 views of five runs.
 
-If the norm is twice as large, the error of poses is more than twice the posterior's
+In views with twice this value, the error of the poses is more than twice the posterior standard deviation
 (`python benchmarks/thesis.py --only frame`).
 """
 UNUSUAL_PRIOR_COST = 2.0
-"""Multiple of the usual cost from which the angles are a finding."""
+"""Multiple of `USUAL_PRIOR_COST` above which unusual angles are reported."""
 _DIFFERENCE_RAD = 1e-6
 """Step of the numerical derivative of the root's rotation with respect to the Euler angles."""
 
@@ -52,7 +52,7 @@ class _FrameReport:
 
     status: Status
     starts: int
-    """Number of starts that were solved."""
+    """Number of starting points that were tried."""
     iterations: int
     """Levenberg-Marquardt iterations from the best start, counted by their Jacobian evaluations.
 
@@ -63,25 +63,24 @@ class _FrameReport:
     """Status of scipy's least_squares."""
     squared_norm: float
     cost_shares: dict[str, float]
-    """Share of each term in the squared norm."""
+    """Fraction of the squared norm that each term contributes."""
     step_norm: float
     """Length of the last step."""
     sigma_px: float
-    """Standard deviation of a detection."""
+    """Standard deviation of a detection, pixels."""
     data_share: Array
-    """Share of the pixels in the posterior precision of each unknown, shape (D,), 0 to 1.
+    """Fraction of the posterior precision of each unknown that comes from the pixels, shape (D,), 0 to 1.
 
     It is NaN if data and priors together do not determine an unknown.
     """
     mean_weight: float
     """Mean weight of the detections, 0 to 1."""
     solve_s: float
-    """Time spent on the frame, for all starts."""
+    """Time spent on all starts of the frame, seconds."""
     in_view: bool
     """Whether the camera can see the pose, and the pose has the size of an animal.
 
-    A pose that diverged counts as not converged, is left out of the solution, and has no shares and no covariance
-    (NaN).
+    A pose that diverged counts as not converged and is left out of the solution. Its fractions and covariance are NaN.
     """
     first_evaluations: int = 0
     """Function evaluations of the first solution, if all frames are solved a second time."""
@@ -91,7 +90,7 @@ class _FrameReport:
 class FrameSolution(Solution):
     """A solution of the frame method, with D unknowns of the chain.
 
-    Covariances assume that the frame before is known.
+    Covariances assume that the previous frame is known exactly.
     """
 
     chain: AnyChain
@@ -104,11 +103,11 @@ class FrameSolution(Solution):
     objectives: tuple[str, ...]
     fps: float
     size_sigma: float | None = None
-    """Posterior standard deviation of the size; None without a pose."""
+    """Posterior standard deviation of the size factor; None if no frame has a pose."""
     path: Path | None = None
     """Path to which the reference joint is tied; None if every frame was solved on its own."""
     path_sigma_m: float = 0.01
-    """Standard deviation of the reference joint about the path; 0.01 in files of earlier versions."""
+    """Standard deviation of the reference joint about the path, metres; 0.01 in files of earlier versions."""
     start_states: Array | None = None
     """First solutions (T, D), from which the path was estimated; None without a path."""
 
@@ -118,12 +117,12 @@ class FrameSolution(Solution):
 
     @property
     def constant_velocity_m_s(self) -> Array:
-        """Speed of the straight run from which the search started, shape (T,)."""
+        """Speed of the straight run from which the search started, shape (T,), m/s."""
         return self.travel.speed_m_s
 
     @property
     def position_error_time_s(self) -> float | None:
-        """Correlation time of an error of the path; None without a path."""
+        """Correlation time of the path's error, seconds; None without a path."""
         if self.path is None:
             return None
         variance = np.diagonal(self.path.covariance, axis1=1, axis2=2)
@@ -132,7 +131,7 @@ class FrameSolution(Solution):
 
     @property
     def reference_path(self) -> ReferencePath | None:
-        """Return the path to which the reference joint is tied, in the world and at the animal's size."""
+        """Return the path of the reference joint in the world, scaled to the animal's size."""
         path = self.path
         if path is None:
             return None
@@ -169,15 +168,15 @@ class FrameSolution(Solution):
 
     @property
     def posterior_factor(self) -> float:
-        """Factor on the stated uncertainty of the poses, which grows with the misfit of the priors."""
+        """Factor by which the stated uncertainty of the poses grows with the misfit of the priors."""
         return FRAME_BY_FRAME * max(1.0, self.prior_misfit)
 
     def reported(self, field: str) -> Array:
-        """Return a field of each frame's report, shape (T,); NaN without data."""
+        """Return one field of all frames' reports, shape (T,); NaN without data."""
         return np.array([np.nan if report is None else getattr(report, field) for report in self.reports], dtype=float)
 
     def unknown(self, name: str) -> Array:
-        """Return one unknown of the chain, shape (T,); NaN without a pose."""
+        """Return one unknown of the chain in all frames, shape (T,); NaN without a pose."""
         return self.chain_states[:, self.chain.state_names.index(name)]
 
     @cached_property
@@ -186,7 +185,7 @@ class FrameSolution(Solution):
         return tuple("no_data" if report is None else report.status for report in self.reports)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the findings on frames that were not solved well."""
+        """Return findings on frames that did not converge or have unusual angles."""
         total, failed = len(self.flags), self.status.count("not_converged")
         solved, findings = total - self.status.count("no_data"), []
         if failed:
@@ -205,7 +204,7 @@ class FrameSolution(Solution):
         return SECTIONS
 
     def _expected(self, field: str) -> Array:
-        """Return the skeleton's expectations of theta and phi, shape (2 A,)."""
+        """Return one field of the skeleton's expectations of theta and phi, shape (2 A,)."""
         return np.concatenate([getattr(ranges, field) for ranges in (self.chain.theta, self.chain.phi)])
 
     @property
@@ -215,12 +214,12 @@ class FrameSolution(Solution):
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """Distance of angles beyond their expected ranges, shape (T, 2 A); negative inside, NaN without a pose."""
+        """Excess of angles over their expected ranges, shape (T, 2 A); negative inside, NaN without a pose."""
         return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """Excess of the chord rate over its limit since the solved frame before, shape (T, 2 A).
+        """Excess over its limit of the chord rate since the previous solved frame, shape (T, 2 A).
 
         It is NaN for the first frame and without a pose.
         """
@@ -244,9 +243,9 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
     Parameters
     ----------
     view
-        The camera's view.
+        Detections of the camera.
     chain
-        The chain.
+        The fitted chain.
     states
         States (T, D) of the chain.
     covariance
@@ -265,7 +264,8 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
     )
     path: Path | None = fields.get("path")
-    # The frames were solved for a fixed path. Its error moves all joints together, by the share that the tie passes on.
+    # The frames were solved with the path held fixed. The path's error moves all joints together, by the fraction that
+    # the tie passes on.
     if path is not None:
         R = T_world_camera[:3, :3]
         share = absolute[:, 0] / fields["path_sigma_m"] ** 2
@@ -292,7 +292,7 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
         weight=np.where(view.present, trust[:, None], np.nan)[None],
         flags=(),
-        alternative_m=np.full(T, np.nan),  # only the best result of all starts is kept
+        alternative_m=np.full(T, np.nan),  # results of other starts are not kept
         contact=np.zeros((T, len(chain.body.feet))),
         segments=(MotionSegment(slice(0, T), None),),
         stage_s={},
@@ -307,11 +307,11 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
 def _body_angles(
     chain: UnknownsChain, states: Array, covariance: Array, shares: Array, T_world_camera: Array
 ) -> tuple[Array, Array]:
-    """Return standard deviations, and shares of the pixels (T, D' - 3), of the body's angles.
+    """Return the body angles' standard deviations and the fractions of precision from the pixels, (T, D' - 3) each.
 
-    `states` (T, D), `covariance` (T, D, D) and `shares` (T, D) are those of the chain. The rotation of the root depends
-    on the Euler angles, so its share is the mean of the Euler angles' shares, weighted by their contributions to its
-    variance.
+    `states` (T, D), `covariance` (T, D, D) and the fractions `shares` (T, D) are those of the chain. The rotation of
+    the root depends on the Euler angles, so its fraction is the mean of the Euler angles' fractions, weighted by their
+    contributions to its variance.
     """
     angles = np.arange(2 * chain.n_angles)
     by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))

@@ -1,7 +1,7 @@
-"""Solve the published problem: 21 unknowns, one frame after the other, by Levenberg-Marquardt.
+"""Solve the published problem of 21 unknowns frame by frame, by Levenberg-Marquardt.
 
 scipy's `least_squares(method="lm")` (MINPACK) minimises the stacked residuals of all objectives. A frame starts from
-the solution of the frame before, with its position extrapolated along the path. The first frame starts from geometry
+the solution of the previous frame, with its position extrapolated along the path. The first frame starts from geometry
 alone (`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the lowest cost
 wins.
 
@@ -35,15 +35,15 @@ from recon.thesis.start import estimate_travel, geometric_start, parse_start_ang
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares after which a tolerance was met."""
 MOST_SIZE = 10.0
-"""Factor between the base length and the expected one beyond which the result is no animal."""
+"""Ratio of the base length to the expected length, or its inverse, beyond which a result is not an animal."""
 _WIDE_MAX = 50.0
-"""Largest factor on the noise during the approach from a start that is far off."""
+"""Largest factor by which the noise is raised during the approach from a distant start."""
 _WIDE_UNSEEN = 10.0
-"""Factor on the noise if the start has joints that cannot be projected."""
+"""Factor by which the noise is raised if the start has joints that cannot be projected."""
 _WIDE_TOLERANCE = 1e-3
-"""Tolerance of the approach with a larger noise."""
+"""Tolerance of the approach with raised noise."""
 _FIRST_TOLERANCE = 1e-3
-"""Tolerance of the first solution of all frames, which is only a start of the second."""
+"""Tolerance of the first solution of all frames, which only serves to start the second."""
 _SECOND_TOLERANCE = 1e-5
 """Tolerance of the second solution of all frames; a smaller one moves no joint by a tenth of a millimetre."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
@@ -59,21 +59,21 @@ def solve_frames(
 ) -> FrameSolution:
     """Fit the chain frame by frame to the view of a camera that does not move.
 
-    A frame that cannot be solved raises nothing: its report says so. Detections outside the camera's picture are left
-    out (`Camera.sees`).
+    A frame that cannot be solved raises no error; its report states the failure. Detections outside the camera's
+    picture are left out (`Camera.sees`).
 
     Parameters
     ----------
     view
         Keypoints in the order of the chain's joints.
     chain
-        The chain.
+        The chain to fit.
     fps
         Frames per second.
     options
         Options of the fit.
     progress
-        Called with the number of frames, including the present one.
+        Called before each frame with its number, counted from 1.
     """
     view = view.mask_outside_image()
     passes = 2 if options.path == "smooth" else 1
@@ -99,9 +99,9 @@ def with_tolerance(options: FrameOptions, least: float = _SECOND_TOLERANCE) -> F
 def _solve_all(
     solver: FrameSolver, progress: Callable[[int], None], first: Sequence[_FrameReport | None] | None = None
 ) -> tuple[Array, list[_FrameReport | None]]:
-    """Solve every frame into the solver's states; return their covariances (T, D, D) and reports.
+    """Solve every frame, store the states in the solver, and return covariances (T, D, D) and reports.
 
-    In the second round, `first` has the reports of the first solutions. Frames without a first pose stay without one.
+    In the second round, `first` holds the reports of the first solutions. Frames without a first pose are not solved.
     """
     covariance = np.full((*solver.states.shape, solver.chain.n_state), np.nan)
     reports: list[_FrameReport | None] = []
@@ -140,7 +140,7 @@ class FrameProblem:
     frame: int
     """The row of the clip."""
     previous: ChainPose | None
-    """The fixed frame before, dt_s earlier; None if the terms read this frame only."""
+    """Pose of the previous frame, dt_s earlier, held fixed; None if the terms read this frame only."""
     dt_s: float
 
     def by_term(self, x: Array) -> dict[str, tuple[Array, Array]]:
@@ -161,11 +161,11 @@ class FrameProblem:
         return first
 
     def with_noise(self, sigma_px: float) -> FrameProblem:
-        """Return the problem with another standard deviation of the detections."""
+        """Return the same problem with another standard deviation of the detections."""
         return replace(self, terms=(replace(self.pixels, sigma_px=sigma_px), *self.terms[1:]))
 
     def sigmas_off(self, x: Array) -> Array:
-        """Return the distances (n,) of detections from reprojections in standard deviations.
+        """Return the distances (n,) between detections and reprojections, in standard deviations.
 
         They are infinite for joints that cannot be projected.
         """
@@ -186,21 +186,21 @@ class FrameProblem:
 
 @dataclass(frozen=True, eq=False)
 class FrameSearch:
-    """Search of one frame from its start to its minimum: the K accepted points, including those with a wide loss."""
+    """Accepted points of one frame's search, from its start to its minimum, including those with a wide loss."""
 
     problem: FrameProblem
     cost: float
-    """Half the squared residuals at the minimum."""
+    """Half the sum of squared residuals at the minimum."""
     status: int
     """The status of scipy's least_squares."""
     evaluations: int
     iterations: int
     points: Array
-    """Accepted points, shape (K, D), the start first."""
+    """Accepted points, shape (K, D), beginning with the start."""
     evaluations_at: Index
     """Number of evaluations of the residuals when each point was accepted, shape (K,)."""
     sigma_px: Array
-    """Noise in the loss of the step from each point, shape (K,); the last is that of the detections."""
+    """Noise assumed for the step from each point, shape (K,), pixels; the last value is that of the detections."""
 
     @property
     def x(self) -> Array:
@@ -232,7 +232,7 @@ class FrameSearch:
 
     @cached_property
     def costs(self) -> Array:
-        """Half the squared residuals at each point under the last loss, shape (K,)."""
+        """Half the sum of squared residuals at each point under the last loss, shape (K,)."""
         return np.array([0.5 * float(np.sum(self.problem.at(x)[0] ** 2)) for x in self.points])
 
     @cached_property
@@ -259,7 +259,7 @@ class FrameSolver:
     view
         Detections, in the order of the chain's joints.
     chain
-        The chain.
+        The chain to fit.
     fps
         Frames per second.
     options
@@ -269,7 +269,7 @@ class FrameSolver:
     path
         Path to which the reference joint is tied; None if there is none.
     starts
-        First solutions (T, D) from which the frames start, NaN if there are none; None to start from the frame before.
+        First solutions (T, D) from which the frames start, NaN where missing; None to start from the previous frame.
     """
 
     def __init__(
@@ -297,13 +297,13 @@ class FrameSolver:
             self.objectives += (PathTie(path.position_m, nominal, self.chain.base_index, self.options.path_sigma_m),)
 
     def solved_before(self, frame: int) -> list[int]:
-        """Return the last two solved frames before this one, newest last."""
+        """Return the last two solved frames before a frame, the newest last."""
         return np.flatnonzero(np.isfinite(self.states[:frame, 0]))[-2:].tolist()
 
     def problem(self, frame: int, sigma_px: float) -> FrameProblem:
-        """Return the problem of a frame with its noise.
+        """Return the least-squares problem of a frame with a noise of `sigma_px` pixels.
 
-        The first frame has no terms that tie frames.
+        Terms that tie frames are left out of the first frame.
         """
         if earlier := self.solved_before(frame):
             previous, dt_s = self.chain.pose(self.states[earlier[-1]][None]), (frame - earlier[-1]) / self.fps
@@ -313,7 +313,7 @@ class FrameSolver:
         return FrameProblem(self.chain, terms, frame, previous, dt_s).with_noise(sigma_px)
 
     def solve(self, frame: int) -> tuple[Array, Array, _FrameReport]:
-        """Return the state (D,), its covariance (D, D) given the frame before, and the report."""
+        """Return a frame's state (D,), its covariance (D, D) given the previous frame, and its report."""
         began = time.perf_counter()
         best, starts = self.search(frame)
         problem, parts = best.problem, best.problem.by_term(best.x)
@@ -341,7 +341,7 @@ class FrameSolver:
         return best.x, C, report
 
     def search(self, frame: int) -> tuple[FrameSearch, int]:
-        """Return the best minimum and the number of starts."""
+        """Return the best search of a frame and the number of starts."""
         rays, heading, earlier = self.rays[frame], self.travel.heading[frame], self.solved_before(frame)
         if self.path is not None and self.starts is not None and np.isfinite(self.starts[frame, 0]):
             starts = [self._on_path(frame)]
@@ -349,7 +349,7 @@ class FrameSolver:
             starts = [self._extrapolated(frame, earlier)] if earlier else self._first_starts(rays, heading)
         problem = self.problem(frame, self._noise_px(starts[0]))
         searches = [self._solve_from(start, problem) for start in starts]
-        # Converged, and no detection further off than c sigma, so no point is unexplained.
+        # Detections further off than c sigma are unexplained, and the frame needs more starts.
         is_explained = problem.sigmas_off(searches[0].x) < self.options.robust_c
         if earlier and not (searches[0].status in CONVERGED and is_explained.all()):
             more_starts = self._more_starts(rays, heading, self.states[earlier[-1]])
@@ -358,10 +358,8 @@ class FrameSolver:
         best = min(searches, key=lambda search: (not search.problem.in_view(search.x), search.cost))
         return best, len(searches)
 
-    # -- starts ------------------------------------------------------------------------------------------------------
-
     def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
-        """Return the mean pose along the direction of travel and turned to either side, or the pose set by hand."""
+        """Return the mean pose facing the direction of travel and turned to either side, or the pose set by hand."""
         if self.options.start_angles is not None:
             angles = parse_start_angles(self.options.start_angles, self.chain)
             return [geometric_start(self.camera, self.chain, rays, heading, angles)]
@@ -380,7 +378,7 @@ class FrameSolver:
         return self._moved_to(state, size * self.path.position_m[frame])
 
     def _extrapolated(self, frame: int, earlier: Sequence[int]) -> Array:
-        """Return the state before with its root extrapolated along its path.
+        """Return the previous state with its root extrapolated along its path.
 
         The point R p0 is moved instead of p0, because R turns p0 with a long lever arm.
         """
@@ -392,7 +390,7 @@ class FrameSolver:
         return self._moved_to(self.states[earlier[-1]], position if position[2] > 0 else poses.joints_m[-1, 0])
 
     def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
-        """Return the mean pose along the direction of travel, and the last pose at the same position."""
+        """Return the mean pose facing the direction of travel, and the last pose moved to the same position."""
         mean = geometric_start(self.camera, self.chain, rays, heading)
         if self.options.camera_rotation == "fixed":
             mean[self.chain.euler_slice] = last[self.chain.euler_slice]
@@ -406,9 +404,9 @@ class FrameSolver:
         return moved
 
     def _noise_px(self, start: Array) -> float:
-        """Return the standard deviation of a detection.
+        """Return the standard deviation of a detection, pixels.
 
-        It combines the detector's noise and, at the start's distance, that of the keypoints.
+        The detector's noise is combined with the keypoints' deviation, projected at the start's distance.
         """
         options = self.options
         depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
@@ -416,12 +414,10 @@ class FrameSolver:
         keypoint_px = min(keypoint_m * _focal_px(self.camera) / depth, options.keypoint_sigma_max_px)
         return float(np.hypot(options.sigma_px, keypoint_px))
 
-    # -- one optimisation --------------------------------------------------------------------------------------------
-
     def _solve_from(self, start: Array, problem: FrameProblem) -> FrameSearch:
-        """Return the search from one start, approached with a wide loss if the start is far off relative to the noise.
+        """Search from one start, with a wide loss at first if the start is far off relative to the noise.
 
-        Geman-McClure residuals beyond c sigma hardly pull, and the search would not leave such a start.
+        Geman-McClure residuals beyond c sigma hardly pull, so the search would not leave a distant start.
         """
         distance = float(np.nanmedian(problem.sigmas_off(start)))
         if distance <= self.options.robust_c / 2:
@@ -432,7 +428,7 @@ class FrameSolver:
         return self._minimise(approach.x, problem, self.options.tolerance).after(approach)
 
     def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
-        """Return the search from one start, without the rotation among the unknowns if it is fixed."""
+        """Search from one start, and exclude the camera's rotation from the unknowns if it is fixed."""
         free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and (problem.previous is not None or self.starts is not None):
             free[self.chain.euler_slice] = False
@@ -487,7 +483,7 @@ def _focal_px(camera: Camera) -> float:
 
 
 def posterior_covariance(J: Array) -> Array:
-    """Return C = (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals, all NaN if J'J is singular."""
+    """Return C = (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals, or all NaN if J'J is singular."""
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     values, vectors = eigh((J / scale).T @ (J / scale))
     if values[0] < 1e-10 * values[-1]:
@@ -496,10 +492,10 @@ def posterior_covariance(J: Array) -> Array:
 
 
 def precision_shares(C: Array, J_data: Array) -> Array:
-    """Return the share (D,) of the pixels in the precision of the unknowns.
+    """Return the fraction (D,) of each unknown's precision that comes from the pixels.
 
     Since C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
-    not negative. The share is that of the first part, and NaN where C is NaN.
+    not negative. The result is the fraction of the first part, and NaN where C is NaN.
 
     Parameters
     ----------

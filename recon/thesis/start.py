@@ -1,4 +1,4 @@
-"""Start the search: the direction of travel and a rough pose from geometry, without measured angles.
+"""Estimate the direction of travel and a rough first pose from geometry, without measured angles.
 
 The mean pose is placed on the rays of the detections (`recon.fit.starts`), for many headings and all frames of a
 stretch. The chosen heading is the one whose poses fit best and agree with the path that they imply.
@@ -24,11 +24,11 @@ from recon.thesis.chain import UnknownsChain, euler_angles, mean_pose
 _HEADINGS = 36
 """Number of headings that are tried."""
 _STRETCH_S = 1.0
-"""Length of the parts of a clip on which the path counts as straight."""
+"""Length of the stretches of a clip in which the path counts as straight."""
 _MIN_SPEED_M_S = 1.0
 """Speed below which a path does not show the heading."""
 _MIN_STRETCH_S = 0.15
-"""Duration below which a path does not show the heading: half a stride."""
+"""Duration below which a path does not show the heading, about half a stride."""
 
 
 @dataclass(frozen=True)
@@ -36,20 +36,20 @@ class Travel:
     """Direction of travel and speed of every frame."""
 
     heading: Array
-    """Level unit vectors in the camera frame in which the animal faces, shape (T, 3)."""
+    """Horizontal unit vectors in which the animal faces, in the camera frame, shape (T, 3)."""
     speed_m_s: Array
-    """Speed along the path, shape (T,); 0 if the animal is too slow or too rarely seen."""
+    """Speed along the path, shape (T,), m/s; 0 if the animal is too slow or too rarely seen."""
 
 
 def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: float) -> Travel:
-    """Return the heading and the speed over the clip, for about one second of straight path at a time.
+    """Return the heading and the speed in every frame, from stretches of about one second with a straight path.
 
     Stretches without five joints in at least five frames get the heading of the nearest stretch that has them.
 
     Parameters
     ----------
     camera, chain
-        The camera and the chain.
+        Camera of the clip, and the chain whose mean pose is placed on the rays.
     xy_px
         Detections (T, J, 2), pixels; NaN if missing.
     fps
@@ -81,14 +81,14 @@ def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: flo
 def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
     """Return the heading and speed (4,) of one stretch; the speed is NaN if the path is too short or too slow.
 
-    For every heading the mean pose runs straight ahead, with a constant acceleration and on a sloping ground. The
-    heading whose run fits all rays best is taken, so the foreshortening of the shape and the path both count.
+    For every heading, the mean pose runs straight ahead, with constant acceleration and on sloping ground. The heading
+    whose run fits all rays best is taken, so both the foreshortening of the body and the path count.
     """
     time_s = time_s - time_s.mean()
     misfit, runs = constant_velocity(headings, shapes, up, rays, time_s)
     speeds = np.abs(runs[:, 3])
     best = int(np.argmin(misfit))
-    # Take the minimum between grid points, from a parabola through the best three.
+    # Refine the minimum between grid points with a parabola through the best heading and its neighbours.
     left, middle, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
     bend = left - 2 * middle + right
     turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
@@ -98,14 +98,14 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
 
 
 def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
-    """Return angles in rad, by their index in the state, from text such as "th6=55,th7=97,xi=-3" in degrees.
+    """Parse text such as "th6=55,th7=97,xi=-3" (degrees) to angles in rad, by their index in the state.
 
     Names are those of `variables.csv` (th6, ph6, xi, psi, zeta) or of `angles.csv` (theta_6).
 
     Raises
     ------
     InputError
-        If the chain lacks a name, or a value is not a number.
+        If the chain has no angle of a name, or a value is not a number.
     """
     angle_columns = [*range(2 * chain.n_angles), *range(chain.n_state)[chain.euler_slice]]
     index = {name: k for names in (chain.unknown_names, chain.state_names) for k, name in enumerate(names)}
