@@ -137,9 +137,6 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
     return WrittenAnalysis(analysis, summary, [out / name for name in sorted(names)])
 
 
-# -- summary ---------------------------------------------------------------------------------------------------------
-
-
 def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
     """Return the summary of a clip, as docs/gait.md describes it; `results` is the name of its folder."""
     reference = analysis.reference_motion
@@ -260,9 +257,6 @@ def quantity_fields(quantity: GaitQuantity) -> dict[str, Any]:
     fields = picked(quantity, "value", "sigma") | {"interval": quantity.interval}
     fields |= {"between_strides": quantity.between_sigma, "n": quantity.count, "source": quantity.source}
     return fields | ({"why_unknown": quantity.why_unknown} if quantity.why_unknown else {})
-
-
-# -- figures ---------------------------------------------------------------------------------------------------------
 
 
 DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")

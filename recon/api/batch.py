@@ -145,9 +145,6 @@ def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
     return {sha256 for role, sha256 in made_from["inputs"].items() if role.split()[0] == "keypoints" and sha256}
 
 
-# -- problems of the inputs --------------------------------------------------------------------------------------------
-
-
 def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
     """Return all the problems of each clip that its fit would raise before it solves.
 
@@ -180,9 +177,6 @@ def distinct_problems(problems_by_clip: Sequence[Problems]) -> list[tuple[Proble
         named = f"{file} and {counted(len(more_files), 'more file')}" if more_files else file
         merged.append((replace(occurrences[0][1], file=named), tuple(dict.fromkeys(index for index, _ in occurrences))))
     return merged
-
-
-# -- the work ---------------------------------------------------------------------------------------------------------
 
 
 def run_batch(
@@ -285,9 +279,6 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     status = "unsolved" if is_unsolved(report) else "done"
     inputs = {"identity": made_from, "inputs_hash": _hash(made_from["inputs"])}
     return {"status": status, **results_of(report), "files": files, **inputs}
-
-
-# -- outcomes of the clips ---------------------------------------------------------------------------------------------
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:

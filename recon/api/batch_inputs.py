@@ -165,9 +165,6 @@ def find_clips(
     return clips, [*notes, *join_notes, *missing]
 
 
-# -- inputs -------------------------------------------------------------------------------------------------------
-
-
 def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
     path = Path(text)
     if os.path.exists(path) and (project := find_project(path)):  # a name that is too long makes Path raise OSError
@@ -270,9 +267,6 @@ def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
     return kept
 
 
-# -- Anipose sessions: at any depth, with 2D poses, and a calibration in the session or above it ----------------------
-
-
 def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
     """Return the sessions of a project, each with its folder of keypoint files.
 
@@ -345,9 +339,6 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return table if isinstance(table, dict) else {}
 
 
-# -- manifests ----------------------------------------------------------------------------------------------------
-
-
 def is_manifest(path: Path) -> bool:
     """Return whether a file is a CSV table with a `keypoints` column, or with a `camera` column if that is misspelt.
 
@@ -400,9 +391,6 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
         problems.append(Problem(path, "rows", "none", "one row for each clip below the header"))
     raise_problems(problems)
     return drafts
-
-
-# -- joining the files of one clip that several cameras filmed -----------------------------------------------------
 
 
 def _joined(
@@ -586,9 +574,6 @@ def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str
     return [f"Fitted with fewer cameras than other clips: {names_text(incomplete)}"] if incomplete else []
 
 
-# -- settings -----------------------------------------------------------------------------------------------------
-
-
 def _with_settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> list[tuple[_Draft, FitSettings]]:
     """Return a draft with all its settings, or one draft per animal in its file."""
     settings = _settings(draft, common, config)
@@ -631,9 +616,6 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
         return read_settings(config, {"keypoints": draft.paths, **options, **row})
     except InputError as error:
         raise InputError(map(located, error.problems)) from None
-
-
-# -- names --------------------------------------------------------------------------------------------------------
 
 
 def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:

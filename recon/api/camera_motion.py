@@ -133,9 +133,6 @@ def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: 
     return report
 
 
-# -- checks of the inputs ----------------------------------------------------------------------------------------------
-
-
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     """Return a note if the rotation of the background suggests a focal length other than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEAR_SIGMAS * motion.focal[1]:
@@ -191,9 +188,6 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
 
 
-# -- the upward direction ----------------------------------------------------------------------------------------------
-
-
 def _up(
     s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
@@ -209,9 +203,6 @@ def _up(
     by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
     up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
     return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
-
-
-# -- results -----------------------------------------------------------------------------------------------------------
 
 
 def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:

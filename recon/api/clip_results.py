@@ -162,9 +162,6 @@ def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> d
     return write_clip(motion, settings, out, solve_s, sha256)
 
 
-# -- inputs that results were made from -------------------------------------------------------------------------------
-
-
 def input_files(settings: FitSettings) -> dict[str, Path]:
     """Return the input files by the setting that names them; built-in skeletons and priors are not files."""
     first, *more_paths = settings.keypoints
@@ -338,8 +335,6 @@ def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[s
         names += [name.split()[0] for name in sorted({*old, *new}) if old.get(name) != new.get(name)]
     return list(dict.fromkeys(names)) + (["version of recon"] if theirs["version"] != mine["version"] else [])
 
-
-# -- config.toml ------------------------------------------------------------------------------------------------------
 
 _REPLACED_BY = {
     "camera": ("hfov_deg", "image_size_px", "camera_name", "camera_unit", "tilt_deg"),

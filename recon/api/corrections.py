@@ -102,8 +102,6 @@ class CorrectionSession:
         """Return the settings of the fit, without a corrections file."""
         return replace(read_config(self.folder / CONFIG, {}), corrections=None)
 
-    # -- data for the editor ------------------------------------------------------------------------------------------
-
     def state(self) -> dict[str, object]:
         """Return the latest fit in JSON types: player data, suggested corrections, and errors before and after."""
         motion = self.motion
@@ -147,8 +145,6 @@ class CorrectionSession:
         }
         lines = epipolar_lines_px(motion, camera, row, joint, marks_px)
         return {name: np.round(line, 1).tolist() for name, line in lines.items()}
-
-    # -- changes by the editor ----------------------------------------------------------------------------------------
 
     def save(self, rows: object) -> int:
         """Save all corrections sent by the editor, start a fit with them, and return their number.

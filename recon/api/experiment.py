@@ -44,9 +44,6 @@ _LEAST_SIGMA = 1e-9
 _FIELD = re.compile(r"\{(\w*)\}")
 
 
-# -- the design ---------------------------------------------------------------------------------------------------
-
-
 def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Sequence[str]) -> pd.DataFrame:
     """Return the camera, run, animal, group and covariates of each clip, from a CSV table.
 
@@ -163,9 +160,6 @@ def _design(
         ]
     raise_problems(problems)
     return design
-
-
-# -- the cameras of one run ---------------------------------------------------------------------------------------
 
 
 def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.DataFrame:
@@ -293,9 +287,6 @@ def joint_posterior(
     scale = max(1.0, chi_squared / max(len(values) - 1, 1))
     sigma = float(np.sqrt(scale * np.sum(weights**2 * independent) + (weights @ in_run) ** 2))
     return mean, sigma, float(np.linalg.norm(shared @ weights)) / max(abs(usual), _LEAST_SIGMA)
-
-
-# -- the mixed model ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

@@ -189,8 +189,6 @@ class LabelSession:
         info = probe(self.video)
         self._size_px, self._digits = info.size_px, max(4, len(str(info.stated_frames or 0)))
 
-    # -- data for the page -
-
     def state(self) -> dict[str, object]:
         """Return the content of the page in JSON types."""
         return {
@@ -206,8 +204,6 @@ class LabelSession:
         """Return the file of a frame's picture, or None for another frame."""
         path = self.output.folder / self._labels().picture(frame)
         return path if frame in self.frames and path.is_file() else None
-
-    # -- changes by the page -
 
     def save(self, rows: object) -> int:
         """Save all labels sent by the page, each with frame, index of the keypoint, x and y, and return their number.

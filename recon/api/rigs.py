@@ -121,9 +121,6 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
 
-# -- the upward direction --------------------------------------------------------------------------------------------
-
-
 def cameras_with_z_up(cameras: _Cameras, up: str) -> _Cameras:
     """Return cameras turned into a world with z up, given the upward direction in their present world."""
     if up == FIRST_CAMERA:

@@ -59,8 +59,6 @@ RENAME = Option(
 )
 
 
-# -- options that several commands share ------------------------------------------------------------------------------
-
 StrideTimes = Annotated[
     tuple[Number, Number], BeforeValidator(lambda value: value.split(":") if isinstance(value, str) else value)
 ]

@@ -260,9 +260,6 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
     return known | suggestions([name for name in names if name not in known], lacking)
 
 
-# -- drafts from the positions of keypoints ---------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Part:
     """A segment: its number, the point where it begins, its parent, its points, and the line along it."""
@@ -572,9 +569,6 @@ def _segment(
 def _rounded(position_m: Array) -> list[float]:
     """Return a position to 10 micrometres, for a skeleton file."""
     return [round(float(x), 5) for x in position_m]
-
-
-# -- writing a skeleton file --------------------------------------------------------------------------------------
 
 
 def head_text(comments: Iterable[str], title: str, origin: str, **values: Any) -> str:

@@ -28,8 +28,6 @@ from recon.cli.answers import Answer, say, table_of
 from recon.cli.commands import OptionsOf
 from recon.geometry.camera import Camera
 
-# -- calibration of a lens ---------------------------------------------------------------------------------------------
-
 
 def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
     """Calibrate a camera from pictures or a video of a board; write a camera file and a picture of the coverage.
@@ -77,8 +75,6 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
     if written is not None:
         yield f"Written: {written}, and a picture of the board's coverage: {report['picture']}"
 
-
-# -- poses of cameras -----------------------------------------------------------------------------------------------
 
 _SETTINGS = (
     *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
@@ -150,9 +146,6 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
         yield "The search stopped before it had converged: add clips in which the animal crosses the view elsewhere."
 
 
-# -- a camera that turns -----------------------------------------------------------------------------------------------
-
-
 def camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -> Answer:
     """Find how a camera turned (and zoomed) from the background of its video, and write a camera track.
 
@@ -175,9 +168,6 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
     lines += [f"Note: {note}." for note in notes]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
     return Answer(report, [*lines, "Written: " + ", ".join(map(str, paths))], files=paths, notes=notes)
-
-
-# -- where to put a camera ---------------------------------------------------------------------------------------------
 
 
 def camera_advice(settings: CameraAdviceSettings, progress: Progress) -> Answer:

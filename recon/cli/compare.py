@@ -136,9 +136,6 @@ def _cells(mean: float, low: float, high: float, spread: float) -> tuple[str, ..
     return text, ends or "-", _short(spread)
 
 
-# -- plans --------------------------------------------------------------------------------------------------------
-
-
 def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
     """Return the variances of an earlier comparison if its folder is the only one."""
     if not settings.plan or len(settings.folders) != 1:

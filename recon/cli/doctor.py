@@ -87,9 +87,6 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
     return tuple(checks)
 
 
-# -- installed packages -------------------------------------------------------------------------------------------
-
-
 def versions() -> Iterator[_Check]:
     """Check the versions of recon and of Python."""
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
@@ -150,9 +147,6 @@ def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
     return (
         "" if specifier.contains(installed_version, prereleases=True) else f"{installed_version}, not {specifier}"
     ), installed_version
-
-
-# -- the machine --------------------------------------------------------------------------------------------------
 
 
 def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator[_Check]:

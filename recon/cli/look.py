@@ -103,9 +103,6 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
     raise InputError(Problem("--camera-name", "camera", actual, f"the camera of the video, one of {', '.join(names)}"))
 
 
-# -- overlay on the video ---------------------------------------------------------------------------------------------
-
-
 def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     """Write the video of a result with its overlay."""
     video, out = settings.video, settings.out
@@ -233,9 +230,6 @@ def bars_note(video: Path | None) -> str | None:
     )
 
 
-# -- page -------------------------------------------------------------------------------------------------------------
-
-
 def make_page(settings: PageSettings, progress: Progress = silent) -> Answer:
     """Make the page of a result, or the pages of a batch and its summary page."""
     folder, video = settings.folder, settings.video
@@ -358,9 +352,6 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
 def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
     _page_of_clip(PageSettings(folder=folder), progress, whole_batch=True)
     return {"status": "done"}
-
-
-# -- viewer -----------------------------------------------------------------------------------------------------------
 
 
 def show_playback(settings: ViewSettings, console: Console) -> Answer:

@@ -20,8 +20,6 @@ from recon.base.outputs import Output
 from recon.base.settings import Option, Settings, input_paths
 from recon.cli.answers import Answer, table_of
 
-# -- skeletons ---------------------------------------------------------------------------------------------------------
-
 STEMS = ("skeleton", "angles")
 """Names of the pictures (.png and .svg): the expected pose with names; every angle at both ends of its range."""
 
@@ -126,9 +124,6 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
     remarks = [*feet_remarks(load_skeleton(out))] if settings.camera else []
     content = {"out": out, "keypoints": markers, "without_place": unplaced}
     return Answer(content, [*lines, look], notes=remarks)
-
-
-# -- measured animals and priors ---------------------------------------------------------------------------------------
 
 
 def prior_fit(settings: PriorFitSettings) -> Answer:

@@ -233,9 +233,6 @@ def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> 
         yield Problem("--camera-motion", "motion", "a camera track together with it", "only one of the two")
 
 
-# -- the work ---------------------------------------------------------------------------------------------------------
-
-
 def run_video(
     job: _Job, progress: Progress = silent, ended: Callable[[_StageOutcome], None] = lambda outcome: None
 ) -> tuple[list[_StageOutcome], dict[str, Any]]:
@@ -398,9 +395,6 @@ def _record(settings: ViewSettings, progress: Progress) -> Answer:
     command = f"recon view {settings.folder} --video {settings.video}"
     text = f"the recording of {frames} frames does not have the video; to see both: {command}"
     return replace(answer, notes=[text])
-
-
-# -- a folder of videos -----------------------------------------------------------------------------------------------
 
 
 def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job]:

@@ -98,8 +98,6 @@ def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
     return R.as_matrix()
 
 
-# -- BVH --------------------------------------------------------------------------------------------------------------
-
 AXES = "XYZ"
 _CHANNEL = {"yaw": "Yrotation", "pitch": "Zrotation", "roll": "Xrotation"}
 
@@ -250,8 +248,6 @@ def _numbers(values: Array | Sequence[float]) -> str:
     return " ".join(map(repr, (np.asarray(values) + 0).tolist()))  # -0 becomes 0
 
 
-# -- OpenSim ----------------------------------------------------------------------------------------------------------
-
 OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"
 ROOT_AXES = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 """Coordinates of the root's origin, and their axes."""
@@ -344,8 +340,6 @@ def _add(parent: Element, kind: str, called: str | None = None, **elements: str)
         SubElement(element, name).text = text
     return element
 
-
-# -- glTF -------------------------------------------------------------------------------------------------------------
 
 COLOURS: dict[Side | None, tuple[float, float, float]] = {
     "left": (0.09, 0.46, 0.81),

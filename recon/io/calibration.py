@@ -190,9 +190,6 @@ def read_calibration(path: Path) -> str:
     return read_text(path, "a calibration", MAX_BYTES)
 
 
-# -- recon's own files ------------------------------------------------------------------------------------------------
-
-
 def recognises_own(path: Path) -> bool:
     """Return whether a file is one of recon's own camera files."""
     return path.suffix.lower() == ".toml" and re.search(r"(?m)^\s*format\s*=", read_calibration(path)) is not None
@@ -215,9 +212,6 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
     )
     defaults = {"world_z_up": True}
     return [CameraRecord(table.get("name"), location, defaults | table, {}) for location, table in tables.items()]
-
-
-# -- from records to cameras ------------------------------------------------------------------------------------------
 
 
 def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None) -> Camera:

@@ -212,9 +212,6 @@ def transposed(value: object) -> object:
     return array.reshape(3, 3).T.tolist() if array.dtype.kind in "iuf" and array.size == 9 else value
 
 
-# -- Anipose, Pose2Sim -------------------------------------------------------------------------------------------------
-
-
 def recognises_anipose(path: Path) -> bool:
     """Return whether a file is TOML that recon's own reader did not recognise."""
     return _is(path, (".toml",))
@@ -251,9 +248,6 @@ def has_camera_key(table: Mapping[str, Any]) -> bool:
     return has_matrix(table) or any(key_in(table, keys) is not None for keys in ALIASES.values())
 
 
-# -- AcinoSet ----------------------------------------------------------------------------------------------------------
-
-
 def recognises_acinoset(path: Path) -> bool:
     """Return whether a file is JSON of cameras with AcinoSet's keys, and no other keys for the same values."""
     if not _is(path, (".json",), r'"(cameras|k)"\s*:') or _is(path, (".json",), '"opencv-matrix"'):
@@ -283,8 +277,6 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
         record_of(e.get("name"), location, shared | e, **fixed) for e, location in zip(entries, locations, strict=True)
     ]
 
-
-# -- OpenDroneMap, OpenSfM, COLMAP -------------------------------------------------------------------------------------
 
 OPENSFM_LENSES = {
     "perspective": ("radtan", ("k1", "k2")),
@@ -361,9 +353,6 @@ def _record_values(model: str, n: dict[str, float]) -> dict[str, Any]:
     matrix = [[n["fx"], 0.0, n["cx"]], [0.0, n["fy"], n["cy"]], [0.0, 0.0, 1.0]]
     distortion = [n.get(name, 0.0) for name in lens.coefficients[:count]]
     return {"model": model, "image_size_px": [n["w"], n["h"]], "matrix": matrix, "distortion": distortion}
-
-
-# -- OpenCV, ROS -------------------------------------------------------------------------------------------------------
 
 
 def recognises_opencv(path: Path) -> bool:
@@ -509,9 +498,6 @@ def _plain_node(node: cv2.FileNode) -> Json:
     if node.isString():
         return node.string()
     return node.real() if node.isInt() or node.isReal() else None
-
-
-# -- writing recon's own files -----------------------------------------------------------------------------------------
 
 
 def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:

@@ -115,9 +115,6 @@ def _between(a: Array, b: Array, share: Array) -> Array:
     return rigid(rotation, -(rotation @ centre[..., None])[..., 0])
 
 
-# -- reading --------------------------------------------------------------------------------------------------------
-
-
 def track_files(path: Path) -> tuple[Path, ...]:
     """Return the files that a track consists of."""
     images = path / IMAGES if path.is_dir() else path
@@ -213,9 +210,6 @@ def _some(items: Sequence[object]) -> str:
     return ", ".join(map(str, items[:3])) + rest
 
 
-# -- CSV ------------------------------------------------------------------------------------------------------------
-
-
 def _read_csv(path: Path) -> CameraTrack:
     require_file(path, EXPECTED)
     rows = text_rows(path)
@@ -246,9 +240,6 @@ def _read_csv(path: Path) -> CameraTrack:
     return _checked_track(path, locations, columns, problems)
 
 
-# -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------
-
-
 def _read_shots(path: Path) -> CameraTrack:
     """Return the poses of one video, without its lens; raise InputError for an invalid file."""
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
@@ -277,9 +268,6 @@ def _read_shots(path: Path) -> CameraTrack:
         x, y, z, w = rotation.as_quat().tolist()
         rows[f"shots.{name}"] = [frame, w, x, y, z, *translation]
     return _checked_track(path, [*rows], _columns(rows), problems)
-
-
-# -- COLMAP ---------------------------------------------------------------------------------------------------------
 
 
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:

@@ -170,9 +170,6 @@ def _by_map(columns: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
     return meaning
 
 
-# -- reading ----------------------------------------------------------------------------------------------------------
-
-
 def recognises_long(path: Path) -> bool:
     """Return whether a file is a text table, long or wide, 2D or 3D, whose columns are recognised by name."""
     with path.open("rb") as file:
@@ -410,9 +407,6 @@ def _points_of_rows(cells: _Cells, column: str) -> tuple[dict[str, int], np.ndar
     return index, np.array([index[point] for point in points], dtype=int)
 
 
-# -- writing ---------------------------------------------------------------------------------------------------------
-
-
 def write_long(keypoints: Keypoints, path: Path) -> None:
     """Write one row per frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
     start = {} if keypoints.individual is None else {"individual": keypoints.individual}
@@ -443,8 +437,6 @@ def write_parquet(pose: Pose3D, path: Path) -> None:
     pq.write_table(pa.table(columns).replace_schema_metadata({METADATA: json.dumps(metadata)}), buffer)
     write_bytes(path, buffer.getvalue())
 
-
-# -- in memory ---------------------------------------------------------------------------------------------------------
 
 BODYPARTS = ("bodyparts", "keypoints", "bodypart", "keypoint")
 INDIVIDUALS = ("individuals", "individual")

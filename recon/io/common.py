@@ -100,8 +100,6 @@ class StoredPoints:
         return self.values.shape[-1] == 3
 
 
-# -- reading -----------------------------------------------------------------------------------------------------------
-
 # Names that programs give to the only animal of a file.
 UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
@@ -392,8 +390,6 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
         expected = f"at most {POINTS_MAX // points} of {points} points: each takes memory in every frame"
         raise InputError(Problem(source, "frames", detail, expected))
 
-
-# -- tables of text ----------------------------------------------------------------------------------------------------
 
 SEPARATORS = (",", ";", "\t", "|")
 Rows = Iterable[tuple[int, list[str]]]

@@ -104,9 +104,6 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
     return records
 
 
-# -- MATLAB's files ----------------------------------------------------------------------------------------------------
-
-
 def _variables(path: Path) -> dict[str, Any]:
     """Return a file's variables by name.
 

@@ -456,9 +456,6 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
     )
 
 
-# -- writing ---------------------------------------------------------------------------------------------------------
-
-
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
     """Write keypoints as x, y and likelihood, or 3D points as x, y and z in metres with z up."""
     from recon.io.writing import deeplabcut_layout, write_table

@@ -355,9 +355,6 @@ def _reading(kind: Kind | None) -> list[Format]:
     return [f for f in FORMATS if kinds & {*f.reads}]
 
 
-# -- reading -----------------------------------------------------------------------------------------------------------
-
-
 def read_keypoints(path: str | Path, individual: str | None = None, fps: float | None = None) -> Keypoints:
     """Return the keypoints of one animal as stored in a file of any known format.
 

@@ -100,9 +100,6 @@ def outline(path: Path) -> frozenset[str]:
         return frozenset((*names(file), *(name for name in file.attrs if isinstance(name, str))))
 
 
-# -- finding objects ----------------------------------------------------------------------------------------------
-
-
 def names(group: h5py.Group) -> tuple[str, ...]:
     """Return the names in a group."""
     return tuple(name for name in group if isinstance(name, str))
@@ -174,9 +171,6 @@ def scale_of(scale: h5py.Dataset, dataset: h5py.Dataset) -> list[int]:
         return []
     listed = np.asarray(scale.attrs["REFERENCE_LIST"]).ravel().tolist()
     return [int(axis) for reference, axis in listed if reference and scale.file[reference] == dataset]
-
-
-# -- reading ------------------------------------------------------------------------------------------------------
 
 
 def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:

@@ -45,7 +45,6 @@ from recon.io.times import frames_of_numbers, with_times
 if TYPE_CHECKING:
     import xarray as xr
 
-# -- DeepLabCut --------------------------------------------------------------------------------------------------------
 
 PANDAS_KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"
@@ -87,9 +86,6 @@ def _keys(path: Path) -> list[str]:
     """Return where pandas stored data in an HDF5 file; raise InputError if it cannot be opened."""
     with opened(path, names_only=True) as file:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
-
-
-# -- fixed layout: the axes and the blocks of columns of one type, each an array ---------------------------------------
 
 
 def _fixed_frame(group: h5py.Group) -> _Table:
@@ -145,9 +141,6 @@ def _is_empty(dataset: h5py.Dataset) -> bool:
     return 0 in (_attribute_value(dataset, "shape") or ())
 
 
-# -- table layout: one array of records, with pickled column labels ----------------------------------------------------
-
-
 def _table_frame(group: h5py.Group) -> _Table:
     ((_, stored_columns),) = _attribute_value(group, "non_index_axes")
     columns = [_label(label) for label in stored_columns]
@@ -195,8 +188,6 @@ def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
         content = store._handle.get_file_image()
     write_bytes(path, content)
 
-
-# -- SLEAP -------------------------------------------------------------------------------------------------------------
 
 SLEAP_AXES = {
     "tracks": ("track", "xy", "node", "frame"),
@@ -267,8 +258,6 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
     stored = StoredPoints(tuple(nodes), values, frames, fps=common.rate(fps))
     return common.one_animal(path, individual, stored, tracks)
 
-
-# -- movement ----------------------------------------------------------------------------------------------------------
 
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
 ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
@@ -408,8 +397,6 @@ def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
     }
     return xarray.Dataset(variables, attrs=attributes)
 
-
-# -- NWB ---------------------------------------------------------------------------------------------------------------
 
 NWB = "ndx-pose NWB"
 IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"

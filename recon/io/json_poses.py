@@ -93,9 +93,6 @@ def _points(
     return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **extra), animal_names)
 
 
-# -- COCO -------------------------------------------------------------------------------------------------------------
-
-
 def recognises_coco(path: Path) -> bool:
     """Return whether a file is COCO's JSON."""
     return _mentions(path, b"images") and _mentions(path, b"annotations", b"categories")
@@ -157,9 +154,6 @@ def _size(images: list[Table]) -> tuple[int, int] | None:
     return (width, height) if isinstance(width, int) and isinstance(height, int) and width > 0 < height else None
 
 
-# -- MMPose -----------------------------------------------------------------------------------------------------------
-
-
 def recognises_mmpose(path: Path) -> bool:
     """Return whether a file is MMPose's JSON."""
     return _mentions(path, b"instance_info")
@@ -180,8 +174,6 @@ def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
     names = [str(names[str(k)]) for k in range(len(names))]
     return _points(path, individual, names, [number - first for number in instances], seen)
 
-
-# -- OpenPose ---------------------------------------------------------------------------------------------------------
 
 KEY = "pose_keypoints_2d"
 _COCO = "Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle RAnkle"
@@ -255,9 +247,6 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     return _points(path, individual, LISTS[counts[0] if counts else 25], files.values(), seen)
 
 
-# -- AlphaPose ---------------------------------------------------------------------------------------------------------
-
-
 def recognises_alphapose(path: Path) -> bool:
     """Return whether a file is AlphaPose's JSON or COCO's results JSON: a list with the points of each detection."""
     if not common.starts_with_text(path, b"["):
@@ -296,8 +285,6 @@ def read_alphapose(path: Path, individual: str | None = None) -> StoredPoints:
         seen = [detection._replace(animal="") for detection in seen]
     return _points(path, individual, names, {detection.frame for detection in seen}, seen)
 
-
-# -- FMPose3D ---------------------------------------------------------------------------------------------------------
 
 _BY_DEEPLABCUT = (
     "left_eye right_eye nose neck root_of_tail left_shoulder left_elbow left_front_paw right_shoulder right_elbow "

@@ -43,9 +43,6 @@ _STEREO_MATRIX = r"(?:K|M|cameraMatrix|camera_matrix|intrinsic_matrix|mtx)_?"
 _STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficients", "distortion")
 
 
-# -- a table for each camera ---------------------------------------------------------------------------------------
-
-
 def recognises_tables(path: Path) -> bool:
     """Return whether a file is JSON or YAML with a table for each camera."""
     if path.suffix.lower() not in (".json", ".yml", ".yaml"):
@@ -90,9 +87,6 @@ def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
     ]
 
 
-# -- EasyMocap -----------------------------------------------------------------------------------------------------
-
-
 def recognises_easymocap(path: Path) -> bool:
     """Return whether a file is an EasyMocap file of lenses or poses."""
     if path.suffix.lower() not in (".yml", ".yaml"):
@@ -128,9 +122,6 @@ def read_easymocap(path: Path, individual: str | None = None) -> list[CameraReco
         record = record_of(str(name), "", {key: value for key, value in table.items() if value is not None})
         records.append(CameraRecord(record.name, "", record.values, called, keys=tuple(document)))
     return records
-
-
-# -- OpenCV's stereo files -----------------------------------------------------------------------------------------
 
 
 def recognises_stereo(path: Path) -> bool:

@@ -25,8 +25,6 @@ from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.positions import PER_METRE, UNIT_NAMES
 
-# -- TRC ---------------------------------------------------------------------------------------------------------------
-
 UP_TEXT = "y up: x forwards, y up, z right"
 """End of the first line of our own files."""
 HEADER_LINES = 5
@@ -86,8 +84,6 @@ def write_trc(pose: Pose3D, path: Path) -> None:
     text = "".join("\t".join(map(str, line)) + "\n" for line in lines)
     path.write_text(text, encoding="utf-8", newline="")
 
-
-# -- C3D ---------------------------------------------------------------------------------------------------------------
 
 UNIT = "mm"
 """Unit of our own files."""
