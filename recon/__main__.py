@@ -1,4 +1,4 @@
-"""Start and end `recon` and `python -m recon`."""
+"""Entry point of `recon` and `python -m recon`."""
 
 import io
 import os
@@ -8,7 +8,7 @@ from recon.base.interrupts import Interrupts
 from recon.base.memory import collect_rarely
 
 LEAST_MB = 640
-"""Memory limit, in MB, below which OpenBLAS waits for ever, and rerun cannot be loaded."""
+"""Memory limit, in MB, below which OpenBLAS hangs and rerun cannot be loaded."""
 
 
 def main() -> None:
@@ -34,10 +34,10 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """Give the process all three standard streams, which accept every character.
+    """Open missing standard streams, and let all three accept every character.
 
-    A closed stream becomes the null device: otherwise the next file that is opened would get its number, and with it
-    the output of libraries. An ASCII terminal shows escape codes for other characters.
+    A closed stream becomes the null device. Otherwise the next file that is opened would get its descriptor, and
+    libraries would print into that file. An ASCII terminal shows escape codes for other characters.
     """
     for number in range(3):
         try:
@@ -68,7 +68,7 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Report that standard output cannot be written, before Python does so at exit."""
+    """Flush standard output, and report a failure before Python does so at exit."""
     try:
         sys.stdout.flush()
     except OSError as error:

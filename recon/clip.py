@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX = 1.0
-"""Largest distance from the picture's corner of an exact position that stands for missing points."""
+"""Largest x and y, in pixels, of a constant position that a file may store for missing points."""
 CONSTANT_SHARE = 0.005
-"""Smallest fraction of all points that have this position."""
+"""Smallest fraction of a file's points at one position for it to count as the constant for missing points."""
 CONSTANT_KEYPOINTS = 3
-"""Smallest number of keypoints that have this position; a single keypoint may be stuck there."""
+"""Smallest number of keypoints at that constant position; a single keypoint may be stuck there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,7 +136,7 @@ COUNTS = (
 )
 """Counts of frames of a keypoint; used + missing + rejected = frames.
 
-A point is missing if it was stored as (0, 0) without a likelihood, as NaN with a likelihood, as nothing, or as a
+A point is missing if it was stored as (0, 0) without a likelihood, as NaN with a likelihood, as an empty cell, or as a
 constant for missing points (`CleaningReport.constant_px`), or if the file lacks its frame. `likelihood_unknown` counts
 used points without a likelihood.
 """
@@ -166,7 +166,7 @@ class LeftOut(Brief):
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
     def with_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return these detections and further ones, given by the mask `points` (T, K).
+        """Return these detections together with those in the mask `points` (T, K).
 
         `later_frames` is the clip's frame number minus that of the file.
         """
@@ -189,7 +189,7 @@ class LeftOut(Brief):
 class CleaningReport(Brief):
     """Result of `clean`.
 
-    Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not.
+    Frame ranges are half-open pairs (A, B) of original frame numbers: A is included, B is not.
     """
 
     likelihood_min: float
@@ -216,8 +216,8 @@ class CleaningReport(Brief):
 def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     """Parse the frame range "A:B" into (A, B).
 
-    Either side may be empty (None). B is not included, as in a Python slice. The numbers are those of the file, not row
-    indices. Raises InputError if the text is no such range.
+    Either side may be empty (None). B is not included, as in a Python slice. A and B are the file's frame numbers, not
+    row indices. Raises InputError if the text is not such a range.
     """
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
@@ -234,7 +234,7 @@ UNLIKELY = "low likelihood"
 def clean(
     keypoints: Keypoints, likelihood_min: float, frames: tuple[int | None, int | None] | None = None
 ) -> tuple[Keypoints, CleaningReport]:
-    """Mark unreliable points of a file as missing (NaN with confidence 0), and make time regular.
+    """Mark unreliable points of a file as missing (NaN with confidence 0), and insert the frames that it lacks.
 
     Parameters
     ----------
@@ -244,6 +244,13 @@ def clean(
         Points with a lower likelihood are rejected.
     frames : (int or None, int or None), optional
         Half-open range of original frame numbers.
+
+    Returns
+    -------
+    keypoints : Keypoints
+        Keypoints in consecutive frames.
+    report : CleaningReport
+        Counts of missing and rejected points, and the detections that were left out.
 
     Raises
     ------
@@ -310,7 +317,7 @@ def leave_out(
 
 
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
-    """Return the rows with frame numbers in the half-open range (A, B); None is no limit.
+    """Return the rows with frame numbers in the half-open range (A, B); None means no limit.
 
     Raises InputError if no row is left.
     """
@@ -331,7 +338,7 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
 def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
     """Set missing points to NaN with confidence 0, and count how they were stored.
 
-    The counts are (K,) by their names in `COUNTS`. Some programs store a missing point as (0, 0). A point at (0, 0)
+    The counts have shape (K,) and names from `COUNTS`. Some programs store a missing point as (0, 0). A point at (0, 0)
     counts as missing only if its likelihood is 0 or unknown, because the corner of the image can be a detection.
     """
     has_likelihood = keypoints.confidence > 0
@@ -348,10 +355,10 @@ def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]
 
 
 def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
-    """Return the constant that a file stores for missing points, if any.
+    """Return the constant position, in pixels, that a file stores for missing points, if any.
 
-    Several keypoints have exactly this position, in the picture's corner or outside the picture, which no detector
-    produces.
+    Several keypoints at exactly the same position, in the picture's corner or outside the picture, cannot come from a
+    detector.
     """
     points, names = keypoints.xy_px[keypoints.present], np.nonzero(keypoints.present)[1]
     corner = (points <= CORNER_PX).all(axis=1) & (keypoints.confidence[keypoints.present] != 0)
@@ -364,9 +371,9 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
 
 
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
-    """Insert all-missing rows for absent frame numbers, so that time is regular.
+    """Insert rows of missing points for absent frame numbers, so that frames are equally spaced in time.
 
-    Also returns the half-open ranges that were inserted. Raises InputError if the gaps are far too long.
+    Also returns the half-open ranges of inserted frames. Raises InputError if the gaps are far too long.
     """
     frames, (t, k) = keypoints.frames, keypoints.confidence.shape
     span = int(frames[-1]) - int(frames[0]) + 1
@@ -385,7 +392,7 @@ def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], .
 
 
 def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """Return increasing frame numbers (T,) as half-open ranges (A, B) of consecutive ones."""
+    """Group increasing frame numbers (T,) into half-open ranges (A, B) of consecutive numbers."""
     if not len(frames):
         return ()
     runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
@@ -408,9 +415,6 @@ def _without_points(keypoints: Keypoints, points: np.ndarray) -> Keypoints:
 
 def _source(keypoints: Keypoints) -> str:
     return keypoints.source or "keypoints"
-
-
-# -- views and sources -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -478,16 +482,16 @@ class View(Brief):
 
     @property
     def turn_px(self) -> Array | float:
-        """Standard deviation of the picture's middle, px, due to that of each pose's rotation: (T,), or 0."""
+        """Standard deviation (T,) of the picture's centre, px, due to errors of the poses' rotations; 0 if unknown."""
         return 0.0 if self.rotation_sigma_rad is None else self.focal_px * self.rotation_sigma_rad
 
     @property
     def seen(self) -> Bools:
-        """Mask (T, J) of keypoints that can have been detected in the picture (`Camera.sees`)."""
+        """Mask (T, J) of keypoints that are not too far outside the picture to be detections (`Camera.sees`)."""
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """Return the view with an extrinsic correction (6,): three Euler angles, rad, and a shift, m.
+        """Return the view after an extrinsic correction (6,) by three Euler angles, rad, and a shift, m.
 
         Points in the camera frame become X_new = R(angles) X + shift.
         """
@@ -497,11 +501,11 @@ class View(Brief):
         return replace(self, T_camera_world=T_correction @ self.T_camera_world)
 
     def with_focal_scale(self, log_scale: float) -> View:
-        """Return the view with focal lengths times exp(log_scale); not for a camera that zooms."""
+        """Return the view with focal lengths multiplied by exp(log_scale); not for a camera that zooms."""
         return replace(self, camera=self.camera.with_focal_scale(log_scale)) if log_scale else self
 
     def mask_outside_image(self) -> View:
-        """Return the view without keypoints outside the picture, which no detector can have found (`Camera.sees`)."""
+        """Return the view without keypoints that are too far outside the picture to be detections (`Camera.sees`)."""
         return replace(self, xy_px=np.where(self.seen[..., None], self.xy_px, np.nan))
 
     def shift_to_exposure(self, points_m: Array) -> Array:
@@ -514,8 +518,6 @@ class View(Brief):
         steps = np.diff(points_m, axis=0)
         previous, following = (np.concatenate(pair) for pair in ((steps[:1], steps), (steps, steps[-1:])))
         return points_m + self.offset_frames * np.where(np.isnan(following), previous, following)
-
-    # -- projection of points in all T frames -----------------------------------------------------------------------
 
     def to_camera(self, points_m: Array) -> Array:
         """Transform points (T, J, 3) from the world frame to the camera frame."""
@@ -531,7 +533,7 @@ class View(Brief):
         return self._zoomed(pixels), valid
 
     def project_with_jacobian(self, points_m: Array) -> tuple[Array, Array, Bools]:
-        """Return pixels, exact derivatives (T, J, 2, 3) by the points, and validity."""
+        """Return pixels (T, J, 2), their derivatives (T, J, 2, 3) with respect to the points, and validity (T, J)."""
         pixels, by_point, valid = self.camera.project_with_jacobian(self.to_camera(points_m))
         if self.intrinsics_px is not None:
             by_point = self._zoom[:, None, :, :2] @ by_point
@@ -548,7 +550,7 @@ class View(Brief):
 
     @cached_property
     def _zoom(self) -> Array:
-        """Affine map (T, 2, 3) from pixels of the camera's own matrix to those of each frame; the lens acts first."""
+        """Affine map (T, 2, 3) from distorted pixels of the camera's own matrix to those of each frame."""
         assert self.intrinsics_px is not None
         matrices = np.tile(np.eye(3), (len(self.intrinsics_px), 1, 1))
         matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = self.intrinsics_px.T
@@ -570,7 +572,7 @@ class View(Brief):
 
 
 def world_from_reference(first: Camera) -> Array:
-    """Return T_world_reference (4, 4) of `recon.geometry.frames` for a clip whose first camera stands still."""
+    """Return T_world_reference (4, 4) of `recon.geometry.frames` for a clip whose first camera does not move."""
     return np.eye(4) if first.knows_up else rigid(level_from_camera(first.up), np.zeros(3)) @ _pose(first)
 
 
@@ -625,7 +627,7 @@ class Source(Brief):
 
     camera: Camera
     keypoints: Keypoints
-    """Cleaned keypoints to fit, in order, on the clip's frames, with the first camera's frame numbers."""
+    """Cleaned keypoints to fit, in the body's order, on the clip's frames, with the first camera's frame numbers."""
     cleaning: CleaningReport
     file_names: tuple[str, ...]
     """All keypoint names of the file."""
@@ -672,7 +674,7 @@ def fill_from_nearest(values: Array) -> Array:
 
 
 def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
-    """Return sources on common frames: all frames near a detection of any camera.
+    """Put all cameras on common frames: every frame near a detection by any camera.
 
     `later_frames` is the delay, in frames, of each camera's frame 0 relative to the first camera's.
     """
@@ -688,9 +690,9 @@ def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> t
 
 
 def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
-    """Return a mask of consecutive frames near a detection, (T,), which includes the first and last frames.
+    """Return a mask (T,) of the consecutive frames near a detection, and of the first and last frames.
 
-    A long gap stays long enough not to be bridged.
+    What remains of a long gap is still too long to be bridged.
     """
     seen = np.zeros(len(frames), dtype=bool)
     for source, start in zip(sources, starts, strict=True):
@@ -704,9 +706,9 @@ def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: I
 
 
 def _on_frames(source: Source, start: int, frames: Integers) -> Source:
-    """Return a source, whose consecutive frames begin at `start`, on the given frames.
+    """Put a source, whose consecutive frames begin at `start`, on the given frames.
 
-    Frames that the source lacks are missing.
+    Points are missing in frames that the source lacks.
     """
     keypoints = source.keypoints
     rows = np.arange(start, start + len(keypoints.frames))

@@ -1,1 +1,1 @@
-"""Provide what all of recon uses: errors, files written whole or not at all, documents, interrupts, progress."""
+"""Tools for all of recon: errors, files written whole or not at all, documents, interrupts, progress."""

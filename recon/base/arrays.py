@@ -1,4 +1,4 @@
-"""Name the types of arrays, show objects in one line, and compute with arrays that have missing values.
+"""Array types, objects shown in one line, and statistics of arrays with missing values.
 
 The types name the content of an array; docstrings give its shape.
 """
@@ -29,7 +29,7 @@ SMALL = 12
 
 
 class Brief:
-    """Base class that gives a dataclass with large parts (`repr=False`) a representation of one line."""
+    """Base class of dataclasses with large parts (`repr=False`), which shows them in one line."""
 
     def __repr__(self) -> str:
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
@@ -80,20 +80,21 @@ def finite(values: Array | Sequence[float]) -> Array:
 
 
 def mean(values: Array | Sequence[float]) -> float:
-    """Return the mean of the known values, or NaN if there are none."""
+    """Return the mean of the finite values, or NaN if there are none."""
     known = finite(values)
     return float(known.mean()) if len(known) else np.nan
 
 
 def median(values: Array | Sequence[float]) -> float:
-    """Return the median of the known values, or NaN if there are none."""
+    """Return the median of the finite values, or NaN if there are none."""
     known = finite(values)
     return float(np.median(known)) if len(known) else np.nan
 
 
 def running_median(values: Array, count: int) -> Array:
-    """Return the median over `count` rows, an odd number, around each row of values (N, ...); the end rows repeat.
+    """Return the running median of values (N, ...) over `count` rows, an odd number.
 
+    Beyond the first and the last row these rows are repeated.
     scipy.ndimage.median_filter gives the same values, but its import takes longer than the medians.
     """
     rows = np.arange(len(values))[:, None] + np.arange(count) - count // 2
@@ -101,7 +102,7 @@ def running_median(values: Array, count: int) -> Array:
 
 
 def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """Return the mean of the known values along one or more axes, NaN if there are none."""
+    """Return the mean of the values that are not NaN along one or more axes, NaN if there are none."""
     known = ~np.isnan(values)
     count = known.sum(axis=axis)
     total = np.sum(values, axis=axis, where=known)

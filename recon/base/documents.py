@@ -1,4 +1,4 @@
-"""Read files of unknown origin: JSON, TOML, NumPy's archives of arrays, and the files of the package.
+"""Read JSON, TOML and NumPy archives of unknown origin, and the package's own files.
 
 Sizes are checked before anything is unpacked. Readers return a table or arrays, or raise InputError.
 """
@@ -32,7 +32,7 @@ Json: TypeAlias = Any
 """The content of a JSON text: dictionaries, lists, strings, numbers, booleans and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
-"""Largest TOML file, because the parser is slow; a skeleton has some ten thousand bytes."""
+"""Largest TOML file, in bytes, because the parser is slow; a skeleton has about 10 kB."""
 
 
 @contextmanager
@@ -104,7 +104,7 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = ANY_FILE) -> None:
-    """Raise InputError for anything but a file, such as a pipe, which would block while reading."""
+    """Raise InputError unless a path is a file; reading a pipe, for example, could block for ever."""
     with damage_as_input_error(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))
@@ -164,8 +164,6 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
         raise InputError(problems_of(error, source, adapter.json_schema(), table=table)) from None
 
 
-# -- arrays ---------------------------------------------------------------------------------------------------------
-
 MAX_UNPACKED = 1 << 30
 """Largest size of an unpacked archive, bytes; a larger one could fill the memory."""
 MAX_ARRAYS = 1 << 16
@@ -194,7 +192,8 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
     infos = archive.infolist()
     size = sum(info.file_size for info in infos)
     if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
-        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB, which are too many")
+        limits = f"at most {MAX_ARRAYS} arrays of {MAX_UNPACKED >> 20} MB are read"
+        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB; {limits}")
     if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in infos):
         raise ValueError("compressed in a way that NumPy does not use")  # zipfile would unpack these without a limit
 
@@ -219,8 +218,6 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
     return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
 
 
-# -- tables of files ---------------------------------------------------------------------------------------------------
-
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
 """A standard deviation; values outside these limits indicate damage."""
@@ -240,16 +237,14 @@ def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str],
             yield Problem(source, field, repr(name), f"{prefix or 'one of '}{', '.join(known)}")
 
 
-# -- files that come with the package --------------------------------------------------------------------------------
-
-
 def named_file(
     name: str | Path, folder: str, ending: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[bytes, str]:
-    """Return the content of a file by its name, and its name for messages.
+    """Return the content of a built-in file or of a user's file, and its name for messages.
 
-    The file is in a folder of the package, or is a file of the user. `kind` describes the file, and `names` are the
-    allowed names if only some files of the folder are allowed. Raises InputError for an unknown name.
+    `name` is the name of a file in the package's `folder`, or the path of any other file. `kind` describes the file,
+    and `names` are the allowed names if only some files of the folder are allowed. Raises InputError for an unknown
+    name.
     """
     known = builtin_names(folder, ending)
     if str(name) in known:
@@ -265,7 +260,7 @@ def named_file(
 def named_table(
     name: str | Path, folder: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[dict[str, Any], str]:
-    """Return the table of a TOML file by its name, found as `named_file` does."""
+    """Return the table of a built-in TOML file or of a user's, and its name for messages (see `named_file`)."""
     content, source = named_file(name, folder, ".toml", option, kind, names)
     return parse_toml(text_of(content, source, f"a {kind} file"), source), source
 

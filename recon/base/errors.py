@@ -10,7 +10,7 @@ from typing import Any, TypeVar, overload
 from recon.base.file_names import encodable
 
 NO_FILE, ANY_FILE = "no such file", "a file that can be read"
-"""Words of messages on a missing file."""
+"""Words of messages about a missing file."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class InputError(ValueError):
 
     @property
     def merged(self) -> tuple[Problem, ...]:
-        """Return the problems, those that differ only in the file as one.
+        """Return the problems, with those that differ only in the file merged into one.
 
         The files of a clip's cameras have the same names of keypoints, and the message would repeat all of them.
         """

@@ -26,7 +26,7 @@ _EXPECTED = {
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "a number {message}"),
     "literal_error": "{expected}",
 }
-"""The expected value for each type of pydantic's errors; the error's context fills the gaps."""
+"""Expected value for each type of pydantic error; the error's context fills the braces."""
 _Table = Mapping[str, Any] | None
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
@@ -37,8 +37,8 @@ def problems_of(
     """Yield the problems of a table, each with its field, such as legs[0].hip_m.
 
     `schema` is the JSON schema of the table, which gives the known fields and the types of missing fields. `skipped` is
-    the number of leading parts of a field's name that the message leaves out. A file about something else, without any
-    field of the schema, is one problem.
+    the number of leading parts of a field's name that the message leaves out. A table without any field of the schema
+    yields a single problem.
     """
     fields = (schema or {}).get("properties", {})
     if isinstance(table, Mapping) and fields and not fields.keys() & table.keys():
@@ -77,7 +77,7 @@ def _table_at(schema: Mapping[str, Any], location: Iterable[str | int]) -> Mappi
 
 
 def _table_in(part: object, schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the first table with fields in part of a JSON schema, or an empty one."""
+    """Return the first table with fields in part of a JSON schema, or an empty table."""
     if isinstance(part, Mapping):
         table: Mapping[str, Any] = schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
         if "properties" in table:

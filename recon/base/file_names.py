@@ -1,6 +1,7 @@
-"""Write file names in text files: names are bytes, not always UTF-8, but JSON, TOML, CSV and HTML files are UTF-8.
+"""Write any file name into a text file in UTF-8, and find the file of a name that was written so.
 
-Python reads a byte that is not UTF-8 as a lone surrogate, which no text file can hold.
+A file name on Linux is a sequence of bytes that need not be UTF-8. Python reads a byte that is not UTF-8 as a lone
+surrogate, which no UTF-8 file can hold.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
 
 
 def encodable(text: str) -> str:
-    r"""Return a string that UTF-8 can encode: other bytes of a file name become codes, as in caf\xe9.csv."""
+    r"""Return a string that UTF-8 can encode, with codes for other bytes of a file name, as in caf\xe9.csv."""
     return _SURROGATE.sub(_code, text) if not text.isascii() else text
 
 
@@ -41,9 +42,9 @@ def _code(match: re.Match[str]) -> str:
 
 
 def existing_path(path: str) -> str:
-    r"""Return the path of a file whose name `encodable` wrote: the name with the original bytes, if only that exists.
+    r"""Return the path of the existing file whose name `encodable` wrote, or the path unchanged if there is none.
 
-    A name may contain both such bytes and literal text like \xe9; the names in each folder decide which is meant.
+    A name may contain both codes of bytes and literal text like \xe9; the names in each folder decide which is meant.
     """
     if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
         return path

@@ -31,15 +31,12 @@ _LOCK, NEW, _OLD = "lock", "new", "old"
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
-# -- whole or not at all ---------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def staged_folder(folder: str | Path) -> Iterator[Path]:
-    """Yield a folder to write files to, which move into `folder` when the block ends without an exception.
+    """Yield a staging folder, whose files move into `folder` when the block ends without an exception.
 
     Each file replaces the file of the same name in one step; other files in `folder` stay. After an exception nothing
-    is left, not even a folder that was made for the purpose. After a kill only a hidden staging folder is left, which
+    is left, not even a folder that was created for them. After a kill only a hidden staging folder is left, which
     the next run removes. Any number of processes may write into one folder at the same time. An OSError names the file
     that was to be written, or the folder. Commands write through `recon.base.outputs.Output`, which never replaces a
     user's files.
@@ -71,9 +68,9 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write bytes made in memory, since many libraries hang, crash or report nothing if the disk is full.
+    """Write bytes to a file; raise OSError that names the path.
 
-    Raises OSError, naming the path.
+    Callers make the bytes in memory, since many libraries hang, crash or report nothing if the disk is full.
     """
     try:
         path.write_bytes(content)
@@ -171,7 +168,7 @@ def require_no_folders(folder: Path, names: Iterable[str]) -> None:
 
 
 class FileState(NamedTuple):
-    """Version of a file at the time when it was examined."""
+    """Size, time and inode of a file, which show whether it has changed since."""
 
     size: int
     modified_ns: int
@@ -179,15 +176,15 @@ class FileState(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> FileState:
-        """Return the state of a file; for a link, that of the link itself."""
+        """Return the state of a file, or of a link itself instead of its target."""
         state = os.lstat(path)
         return cls(state.st_size, state.st_mtime_ns, state.st_ino)
 
 
 def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> None:
-    """Move new files into the folder, with the manifest last, and old files out, with the manifest first.
+    """Move old files out of a folder and new files in.
 
-    After an exception the folder is unchanged.
+    The manifest moves out first and in last. After an exception the folder is unchanged.
 
     Parameters
     ----------
@@ -240,9 +237,10 @@ def _move_in(source: Path, target: Path) -> None:
 
 
 def relative_path(folder: Path, path: str | Path) -> str:
-    """Return a path relative to a folder, for a file in that folder.
+    """Return a path relative to a folder, to be written into a file in that folder.
 
-    Both files can then be moved together, and neither reveals its location. A path on another drive stays absolute.
+    The two files can then be moved together, and the text does not reveal where they were. A path on another drive
+    stays absolute.
     """
     try:
         return encodable(Path(os.path.relpath(path, folder.absolute())).as_posix())
@@ -251,7 +249,7 @@ def relative_path(folder: Path, path: str | Path) -> str:
 
 
 def relative_name(folder: Path, name: str) -> str:
-    """Return `relative_path` for the name of a file, and any built-in name unchanged."""
+    """Return the path of a file relative to a folder, or a built-in name unchanged."""
     return relative_path(folder, name) if Path(name).suffix else name
 
 
@@ -259,8 +257,6 @@ def is_plain_name(name: str) -> bool:
     """Return whether a name belongs to a file in the folder itself and does not lead out of it."""
     return name not in ("", ".", "..") and "\0" not in name and name == os.path.basename(name)
 
-
-# -- manifests: files that belong together ----------------------------------------------------------------------------
 
 # The manifest is removed before the first file of a run is replaced, and added after the last (`exchange`). A killed
 # run therefore leaves no manifest, and files of two runs are not taken for one run.

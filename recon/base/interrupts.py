@@ -1,4 +1,4 @@
-"""Answer Ctrl-C on the command line, and SIGTERM, with one line on stderr and exit code 130, at any moment.
+"""End a command at Ctrl-C or SIGTERM, at any moment, with one line on stderr and exit code 130.
 
 This module is imported before anything else, so it imports almost nothing.
 """
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 EXIT_INTERRUPTED = 130
 MESSAGE = "Stopped."
 STUCK_S = 3.0
-"""Time to wait for a library that does not return."""
+"""Time to wait for a library that does not return, in seconds."""
 CLEAN_UP_S = 10.0
-"""Time for removing half-written files, and for a batch to stop its workers."""
+"""Time for removing half-written files, and for a batch to stop its workers, in seconds."""
 TICK_S = 0.05
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Signals handled like Ctrl-C: clusters and systems send them before they end a process."""
@@ -30,10 +30,10 @@ STOPPING = (signal.SIGINT, signal.SIGTERM)
 class Interrupts:
     """Handler of the signals of `STOPPING` in a process that runs one command.
 
-    While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. During an import
-    the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions during imports into others,
-    or print them. The process ends at once at any other time, at a second Ctrl-C, and if the command does not end in
-    time.
+    While the command runs, the first Ctrl-C raises KeyboardInterrupt, so that the command can clean up. During an
+    import the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions during imports into
+    others, or print them. The process ends at once at any other time, at a second Ctrl-C, and if the command does not
+    end in time.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Interrupts:
         os._exit(EXIT_INTERRUPTED)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal, as Python calls a handler."""
+        """Handle a signal; Python calls this."""
         if self._leaving:
             return
         if not self.in_command or self.received or (_is_importing(frame) and not self._watched):
@@ -98,7 +98,7 @@ class Interrupts:
         raise KeyboardInterrupt
 
     def _on_swallowed(self, unraisable: UnraisableHookArgs) -> None:
-        """Handle an exception that Python drops, such as one in a destructor."""
+        """Note that Python has dropped a KeyboardInterrupt, as in a destructor, so that it is raised again."""
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._raised = False
 

@@ -1,4 +1,4 @@
-"""Spend less time on memory: keep freed memory in the process, and run Python's garbage collector rarely."""
+"""Save time in memory management: keep freed memory in the process, and run the garbage collector rarely."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def collect_rarely() -> None:
 
 
 def keep_freed_memory() -> None:
-    """Let this process keep freed memory, for its whole life; only where the C library is glibc.
+    """Let this process keep freed memory until it ends, where the C library is glibc.
 
-    A fit allocates arrays of some megabytes again and again. The system has to clear each page of them, which takes
+    A fit allocates arrays of some megabytes repeatedly. The system has to clear each page of them, which takes
     3 % of the processor time of clips of 2000 and 4000 frames (`python benchmarks/parts/long_clips.py 4000x1 --against`
     a checkout without this function).
     """

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 SHORT_M = 0.1
-"""Length below which lengths are given in millimetres; the lengths of a mouse would be 0.00 m."""
+"""Length, in metres, below which lengths are given in millimetres; some bones of a mouse would be 0.00 m long."""
 NORMAL_90 = 1.645
 """Number of standard deviations on either side that contain 90 % of a normal distribution."""
 _ONE_DIGIT = 1.95
@@ -19,7 +19,10 @@ _ONE_DIGIT_OF_INTERVAL = 3.55
 
 
 def decimals(value: float) -> str:
-    """Return the format of a number without uncertainty: one decimal, two below 1, or one digit that is not 0."""
+    """Return the format of a number without uncertainty.
+
+    It has one decimal, two decimals below 1, and one significant digit below 0.01.
+    """
     if 0 < abs(value) < 0.01:
         return f".{-math.floor(math.log10(abs(value)))}f"
     return ".1f" if abs(value) >= 1 else ".2f"
@@ -37,7 +40,7 @@ def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
 
 
 def rounded(value: float, digits: int, sign: str = "") -> str:
-    """Return a value with a number of decimals; a negative number rounds to tens, hundreds and so on."""
+    """Return a value as text with `digits` decimals; negative `digits` round to tens, hundreds and so on."""
     text = f"{round(value, digits):{sign}.{max(digits, 0)}f}"
     is_minus_zero = text.startswith("-") and not any(digit in "123456789" for digit in text)
     return text[1:] if is_minus_zero else text
@@ -56,7 +59,7 @@ def plus_minus(value: float, sigma: float | None, unit: str = "", sign: str = ""
 
 
 def quantity(value: float, digits: int, unit: str) -> str:
-    """Return a value whose uncertainty is not stated, with a number of decimals and its unit, such as "1.1 px"."""
+    """Return a value without its uncertainty, with `digits` decimals and its unit, such as "1.1 px"."""
     return f"{rounded(value, digits)}{_unit(unit)}"
 
 
@@ -73,9 +76,9 @@ def interval(
 ) -> str:
     """Return a value with the ends of its interval, such as "72 mm (48 to 106)".
 
-    `level` is the level of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". `least` is the smallest possible value;
-    an interval that begins there is written as "at most" its upper end. `remark` follows the ends within the brackets.
-    Without an interval only the value is returned.
+    `level` is the interval's confidence level, as in "16.2 m/s (90 %: 14.2 to 18.1)". `least` is the smallest possible
+    value; an interval that begins there is written as "at most" its upper end. `remark` follows the ends within the
+    brackets. Without an interval only the value is returned.
     """
     digits = places((high - low) / 2, _ONE_DIGIT_OF_INTERVAL)
     if digits is None:

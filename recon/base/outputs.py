@@ -45,15 +45,12 @@ NAMED = 3
 """Largest number of files that a message names."""
 
 
-# -- files that recon wrote --------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class WrittenFile:
     """A file as a run wrote it."""
 
     kind: str
-    """The command that wrote it, such as analyse."""
+    """The command that wrote the file, such as analyse."""
     size: int
     """Size in bytes."""
     sha256: str
@@ -67,11 +64,11 @@ class WrittenFile:
 
 
 _Written = dict[str, tuple[WrittenFile, ...]]
-"""Contents that recon may have left, by file name."""
+"""Versions of files that recon may have left in a folder, by file name."""
 
 
 def read_record(folder: Path) -> _Written:
-    """Return the files that recon wrote into a folder, from its `RECORD`, or nothing without one.
+    """Return the files that recon wrote into a folder, as its `RECORD` lists them; none if there is no record.
 
     Raises InputError if a file of that name is not such a record.
     """
@@ -122,9 +119,6 @@ def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
         return bool(known) and sha256_of(path) in known
     except OSError:
         return False
-
-
-# -- results from which files are made ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -181,7 +175,7 @@ def is_current(path: Path, results: Path) -> bool:
 
 
 def _is_made_from(entry: WrittenFile, folder: Path, results: Path) -> bool:
-    """Return whether a file in a folder was made from the present results in another folder."""
+    """Return whether a file in a folder was made from present or earlier results in another folder."""
     if entry.results is None:
         return False
     return os.path.realpath(folder / entry.results) == os.path.realpath(results)
@@ -192,16 +186,13 @@ def _is_removed_with(entry: WrittenFile, folder: Path, results: Path) -> bool:
     return _is_made_from(entry, folder, results) and not entry.is_named
 
 
-# -- files that may be written -----------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Output:
     """A folder that a command writes to."""
 
     folder: Path
     kind: str
-    """Command to which its files belong, such as analyse."""
+    """Command to which the files belong, such as analyse."""
     overwrite: bool = False
     """Whether earlier files of the same command may be replaced, if they were not changed."""
     inputs: Sequence[Path] = ()
@@ -209,7 +200,7 @@ class Output:
     made_from: ReadResults | None = None
     """The results that the run reads."""
     exact: str | None = None
-    """Name of the single file that the user named, if it was not a folder."""
+    """Name of the file, if the user named a single file instead of a folder."""
     has_manifest: bool = False
     """Whether a manifest lists the files as belonging together; files made from earlier results are then removed with
     them.
@@ -219,10 +210,10 @@ class Output:
     content: str = "results"
     """Name of the files in messages."""
     option: str = "--out"
-    """Name of the folder or file in messages, or "" if no option names another one."""
+    """Option that names the folder or file, for messages; "" if there is no such option."""
 
     def require(self, names: Iterable[str] = ()) -> None:
-        """Raise InputError if the folder cannot be written to, or a file of these names may not be replaced.
+        """Raise InputError if the folder cannot be written to, or if one of the named files may not be replaced.
 
         Call this before any work is done; `staged` checks again.
         """
@@ -231,7 +222,7 @@ class Output:
 
     @contextmanager
     def staged(self, adds: bool = False) -> Iterator[Path]:
-        """Yield a folder to write files in, which all move into the output's folder at the end of the block, or none.
+        """Yield a staging folder, whose files move into the output folder at the end of the block, all or none.
 
         With `adds`, earlier files of the same kind are kept unless they are replaced; otherwise they are removed.
         Raises InputError as `require` does, and if the results that the files were made from have been replaced.
@@ -277,10 +268,8 @@ class Output:
                 path.unlink()
                 _write_record(self.folder, written | {name: ()})
 
-    # -- existing files
-
     def _written(self) -> _Written:
-        """Return the content of the folder's record and manifest."""
+        """Return the files that the folder's record and manifest list."""
         written = read_record(self.folder)
         with suppress(InputError, OSError):
             manifest = read_manifest(self.folder)
@@ -308,7 +297,7 @@ class Output:
     def _require_replaceable(self, names: Iterable[str], written: _Written, adds: bool) -> None:
         """Raise InputError unless each name is free, or its file may be replaced.
 
-        Without --overwrite there may be no earlier results of the same command either, unless this run adds to them.
+        Without --overwrite, earlier results of the same command are refused too, unless this run adds to them.
         """
         names = [name for name in names if os.path.lexists(self.folder / name)]
         links = [name for name in names if (self.folder / name).is_symlink()]
@@ -345,8 +334,6 @@ class Output:
             expected = f"{way_out}the file moved away: recon would have to replace it"
             yield Problem(self.folder / names[0], "file", description + rest, expected)
 
-    # -- moving files into the folder
-
     def _commit(self, staging: Path, adds: bool) -> None:
         """Move the new files into the folder, and the replaced files out of it."""
         folder, names = self.folder, names_in(staging / NEW)
@@ -372,9 +359,9 @@ class Output:
             _remove_made_from(folder)
 
     def _is_removable(self, name: str, written: _Written) -> bool:
-        """Return whether a file that is not written again is removed.
+        """Return whether to remove an existing file that this run does not write.
 
-        Earlier files of this kind are removed, and files that were made from them.
+        Earlier files of this kind are removed, and so are files that were made from them.
         """
         entries = written[name]
         if self._is_input(name) or not os.path.lexists(self.folder / name):
@@ -414,7 +401,7 @@ def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -
 
 
 def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
-    """Record files that another of recon's records lists as written by a command of this kind, by their SHA-256."""
+    """Record files as written by a command of this kind; `digests` are their SHA-256 by name, from another record."""
     with committing(folder):
         written = read_record(folder)
         for name, sha256 in digests.items():

@@ -52,7 +52,7 @@ ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "
 }
 KILLED = 128 + signal.SIGTERM
 STOP_S = 3.0
-"""Time that a process has to clean up before it is killed."""
+"""Time that a process has to clean up before it is killed, in seconds."""
 TICK_S = 0.1
 LOG_BYTES = 20_000
 
@@ -100,8 +100,8 @@ def run_tasks(
 ) -> None:
     """Run tasks in processes on this machine with one thread each, and report their events to `on_event`.
 
-    After an exception, such as Ctrl-C, the processes are stopped, which takes seconds, and tasks that ended before are
-    reported.
+    After an exception, such as Ctrl-C, the processes are stopped, which takes seconds, and tasks that have already
+    ended are reported.
 
     Parameters
     ----------
@@ -112,10 +112,10 @@ def run_tasks(
     on_event
         Called with each event.
     jobs
-        Tasks at the same time, by default one for each core.
+        Number of tasks at the same time, by default one for each core.
     retries
-        Further attempts at a task whose process died, or that raised an exception other than InputError and OSError.
-        After the last attempt the outcome is a failure, with the end of the process's output as "log".
+        Number of further attempts at a task whose process died, or that raised an exception other than InputError and
+        OSError. After the last attempt the outcome is a failure, with the end of the process's output as "log".
 
     Raises
     ------
@@ -192,7 +192,7 @@ class _Process:
             self.channel.send((work, task))
 
     def receive(self) -> tuple[str, float] | dict[str, Any]:
-        """Return the task's next progress, or its outcome, also if the process died."""
+        """Return the task's next progress report or its outcome, even if the process died."""
         with suppress(EOFError, OSError):
             return self.channel.recv()
         self._process.join()
@@ -243,9 +243,6 @@ def _isolated_start() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, signal_mask)
 
 
-# -- in the process ---------------------------------------------------------------------------------------------------
-
-
 def _take_tasks(channel: Connection, log: Path) -> None:
     """Run one task after the other, until the parent closes the channel.
 
@@ -279,11 +276,9 @@ def _end_with_parent() -> None:
         os._exit(0)
 
 
-# -- on a cluster -----------------------------------------------------------------------------------------------------
-
 CONNECT_S = 10.0
 _STOPPED: set[str] = set()
-"""On a Dask worker, the batches that have ended."""
+"""Batches that have ended, in the process of a Dask worker."""
 
 
 class _StoppedError(Exception):

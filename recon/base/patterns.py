@@ -17,7 +17,7 @@ _REPEATS = (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT)
 
 
 def slow_part(pattern: str) -> str | None:
-    """Return what may make a search with a pattern take practically for ever, or None.
+    """Describe the part of a pattern that could make a search take practically for ever; None without such a part.
 
     Raises
     ------

@@ -33,7 +33,7 @@ from recon.base.field_problems import problems_of
 
 RECORD = "record"
 SMALL = 64
-"""Largest array that is stored in the text, because an archive of thousands of tiny files is slow to read."""
+"""Largest number of elements of an array that is stored in the text; an archive of many tiny files is slow to read."""
 CLASS = "class"
 """The key of a subclass's tag."""
 Classes = Mapping[str, Callable[[], type]]
@@ -101,7 +101,7 @@ def load_record(
 
 @dataclasses.dataclass(frozen=True)
 class _Layout:
-    """How an array of floats is stored: as planes (itemsize, N) of the bytes of its values.
+    """Layout of a stored array of floats: planes (itemsize, N) of the bytes of its values.
 
     The planes of slowly changing values compress well. The longest axis runs fastest.
     """
@@ -112,7 +112,7 @@ class _Layout:
     stored: str
     """Type of the stored values: single precision if that changes no bit."""
     symmetric: bool
-    """Whether the last two axes are those of symmetric matrices, of which the upper triangle is stored."""
+    """Whether the last two axes are those of symmetric matrices; only their upper triangles are then stored."""
 
     @classmethod
     def of_array(cls, array: np.ndarray) -> _Layout:
@@ -172,8 +172,8 @@ def _plain(
 ) -> object:
     """Return a value as JSON types, with larger arrays replaced by their names.
 
-    `field` has the fields that lead to the value. `name_of` has the names by the content of the array, so that an array
-    with several names is written once.
+    `field` is the path of fields to the value. `name_of` has the name of each array by its content, so that equal
+    arrays are written once.
     """
 
     def inside(name: str | int, item: object) -> object:

@@ -30,8 +30,6 @@ from recon.base.errors import Problem, raise_problems
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
 """Suffixes of files; a string with one of them is not the name of a built-in item."""
 
-# -- types of values, in addition to bool, str, Path and Literal --------------------------------------------------
-
 
 def _no_bool(value: object) -> object:
     if isinstance(value, bool):
@@ -74,9 +72,6 @@ NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
 """The name of something built in, or a file as its absolute path."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
 """One value or a list of values, as a tuple; its option may be repeated."""
-
-
-# -- descriptions of settings for users -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -320,6 +315,6 @@ def _parts(kind: object) -> Iterator[object]:
 
 
 def on_command_line(problem: Problem, infos: Mapping[str, SettingInfo]) -> Problem:
-    """Return the problem of a setting, with its option in place of the class."""
+    """Return the problem of a setting, named as the user gives it on the command line."""
     known = problem.file == "settings" and problem.field in infos
     return replace(problem, file=infos[problem.field].on_command_line) if known else problem

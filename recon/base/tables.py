@@ -50,7 +50,8 @@ def _is_number(text: str) -> bool:
 def write_frame(table: pd.DataFrame, path: Path, index: bool = False, digits: int | None = None) -> None:
     """Write a table as CSV with every text guarded.
 
-    If `index` is true, it has the names of the rows. `digits`: significant digits of numbers, by default all.
+    `index` states whether the row names are written. `digits` is the number of significant digits of numbers, by
+    default all.
     """
     texts = table.select_dtypes(exclude=["number", "bool"]).columns
     table = table.assign(**{name: table[name].map(guarded) for name in texts}).rename(columns=guarded)
