@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 MOTION = "motion.npz"
 SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 4}, (2, 3)
-"""Name and version of the format.
+"""Name and version of the format, and the older versions that can be read.
 
-Version 2 named classes by their modules (`_CLASSES_BY_PATH`). Versions 2 and 3 stored arrays as they are.
+Version 2 named classes by their modules (`_CLASSES_BY_PATH`). Versions 2 and 3 stored arrays unchanged.
 """
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to the motion in a results folder of `recon fit`."""
 _FIT_FILES = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
-"""Files of a fit; if one exists without the manifest, the run was interrupted."""
+"""Files of a fit; if one of them exists without the manifest, the run was interrupted."""
 
 
 def _chain() -> type:
@@ -48,7 +48,7 @@ def _trajectory_solution() -> type:
 
 
 def _frame_solution() -> type:
-    # An optional part: its results are motions, too, and can be read if it is installed.
+    # The frame method is optional; its results can be read if it is installed.
     from recon.thesis.solution import FrameSolution
 
     return FrameSolution
@@ -83,7 +83,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
         faults = _misfits(motion)
         _ = motion.limbs, motion.foot_names, motion.forward_names  # a missing joint raises KeyError
     except (KeyError, ValueError, IndexError) as error:
-        raise InputError(Problem(path, "solution.body", f"a joint {error}", EXPECTED)) from None
+        raise InputError(Problem(path, "solution.body", f"a missing joint ({error})", EXPECTED)) from None
     if faults:
         raise InputError(Problem(path, name, value, expected) for name, value, expected in faults)
     return motion
@@ -127,7 +127,7 @@ def _no_motion(folder: Path) -> Problem:
     return Problem(folder, "folder", content, f"the folder of one clip, as in {clips[0]}" if clips else expected)
 
 
-# -- for other programs and people -------------------------------------------------------------------------------------
+# For other programs and people
 
 
 def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
@@ -190,7 +190,7 @@ def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
 
 
 def figure_of(motion: Motion) -> Figure:
-    """Return the animal from the side at even steps of the clip."""
+    """Return a figure of the animal from the side at even steps of the clip."""
     from recon.show.plots.side_view import side_view
 
     sides = motion.limb_sides

@@ -14,17 +14,17 @@ MIN_MARKERS = 8
 """Smallest number of known markers with which a frame is solved."""
 
 _BLOCK = 512
-"""Number of frames that are solved together, which limits the memory of the Jacobians."""
+"""Number of frames that are solved together; it bounds the memory of the Jacobians."""
 _ITERATIONS = 300
-"""Largest number of steps."""
+"""Largest number of steps of a frame."""
 _TOLERANCE = 1e-10
 """A frame has converged when a step changes no angle (rad) and no length (m) by more than this."""
 _SIZE_ROUNDS = 20
-"""Largest number of rounds of poses and size."""
+"""Largest number of rounds that estimate the poses and then the size."""
 _RETRIES = 2
-"""Number of times that frames with a large error start again from their neighbours."""
+"""Number of times that frames with a large error are solved again, starting from their neighbours."""
 _DAMPING = (1e-12, 1e12)
-"""Smallest and largest damping; beyond the largest, no step helps."""
+"""Smallest and largest damping; if the largest is reached, the frame is not improved further."""
 
 
 def solve_points(
@@ -41,8 +41,8 @@ def solve_points(
     size
         Factor on the body's lengths for all frames; None to estimate it.
     pull_m_per_rad
-        Weight of the angles' deviations from the body's expectations. The pull is weak: it only keeps undetermined
-        angles from drifting, such as a rotation about an axis along the segment.
+        Weight of the angles' deviations from the body's expected angles, metres per radian. The default is small, and
+        only keeps undetermined angles from drifting, such as a rotation about an axis along the segment.
 
     Returns
     -------
@@ -60,14 +60,14 @@ def solve_points(
     """
     points_m = np.asarray(points_m, dtype=float)
     if points_m.ndim != 3 or points_m.shape[1:] != (len(body.markers), 3):
-        raise ValueError(f"points {points_m.shape} for a body of {len(body.markers)} markers")
+        raise ValueError(f"points of shape {points_m.shape}, but a body of {len(body.markers)} markers needs (T, J, 3)")
     known = np.asarray(np.isfinite(points_m).all(axis=2))
     enough = np.asarray(known.sum(axis=1) >= MIN_MARKERS)
     states = np.full((len(points_m), body.n_state), np.nan)
     rms_m = np.full(len(points_m), np.nan)
     if not enough.any():
         if size is None:
-            raise ValueError("no frame to estimate the size from")
+            raise ValueError(f"no frame has the {MIN_MARKERS} markers that an estimate of the size needs")
         return states, rms_m, size
     targets, weight = np.where(known[..., None], points_m, 0.0)[enough], known[enough].astype(float)
     factor = 1.0 if size is None else size
@@ -89,7 +89,7 @@ def solve_points(
 
 
 def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
-    """Return the expected pose, turned about the vertical and moved onto the markers."""
+    """Return states of the expected pose, turned about the vertical and moved onto the points."""
     states = np.zeros((len(targets), body.n_state))
     states[:, PITCH:] = body.mean_rad
     share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
@@ -113,8 +113,8 @@ def _nearest_turns(body: Body, states: Array) -> Array:
 def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
     """Solve frames with an unusual pose or a large misfit again, starting from the poses of neighbouring frames.
 
-    A segment that turns about two axes points in the same direction at (yaw + pi, pi - pitch): a second minimum, from
-    which no small step leads back. The solution with the lower cost is kept.
+    A segment that turns about two axes points in the same direction at (yaw + pi, pi - pitch). This is a second
+    minimum, from which no small step leads back. The solution with the lower cost is kept.
     """
     cost = _cost(body, targets, weight, size, pull, states)
     odd = (np.abs(states[:, PITCH:] - body.mean_rad) > np.pi / 2).any(axis=1) | (cost > 4 * np.median(cost))
@@ -132,16 +132,16 @@ def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float
 
 
 class _NormalEquations(NamedTuple):
-    """Normal equations of N frames, each with D states of its own, and with the size that they share."""
+    """Normal equations of N frames, each with D unknowns of its own, and of the size that they share."""
 
     hessian: Array
-    """(N, D, D): curvature of the cost in the states."""
+    """(N, D, D): curvature of the cost with respect to the states."""
     gradient: Array
-    """(N, D): gradient of the cost in the states."""
+    """(N, D): gradient of the cost with respect to the states."""
     size_hessian: Array
-    """(N, D + 1): mixed curvature of the cost in the logarithm of the size and each state; last, in the size alone."""
+    """(N, D + 1): mixed curvature with respect to the size's logarithm and each state; the last is that of the size."""
     size_gradient: Array
-    """(N,): gradient of each frame's cost in the size's logarithm."""
+    """(N,): gradient of each frame's cost with respect to the size's logarithm."""
 
 
 def _normal_equations(
@@ -164,7 +164,7 @@ def _normal_equations(
 
 
 def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
-    """Return half the squared distances plus the pull towards the expected angles, (N,)."""
+    """Return half the sum of the squared distances and of the pull towards the expected angles, (N,)."""
     residual = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
     pulled = pull * (states[:, PITCH:] - body.mean_rad)
     return 0.5 * ((residual**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))
@@ -194,7 +194,7 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
 
 
 def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:
-    """Return the Gauss-Newton step of the size's logarithm with all states eliminated, at their minimum."""
+    """Return the Gauss-Newton step of the size's logarithm with the states, which are at their minimum, eliminated."""
     curvature = gradient = 0.0
     for first in range(0, len(states), _BLOCK):
         block = slice(first, first + _BLOCK)

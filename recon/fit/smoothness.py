@@ -1,13 +1,13 @@
 """Estimate how smoothly an animal moves, from the detections of several cameras.
 
-A skeleton without recorded motions says little about accelerations: the same numbers have to serve a galloping cheetah
-and a mouse that walks. Several cameras show the motion well enough to estimate the standard deviation of every state's
-acceleration (`likely_scale`), as the value with the largest evidence.
+Without recorded motions, little is known about an animal's accelerations: the same defaults have to serve a galloping
+cheetah and a walking mouse. Several cameras show the motion well enough to estimate the standard deviation of every
+state's acceleration (`likely_scale`), as the value with the largest evidence.
 
 **Method.** The cost of a solution, without its acceleration terms, is replaced by its quadratic expansion. The evidence
 for the standard deviation s of an acceleration is largest where s^2 = sum(a^2) / g. Here a is the acceleration at the
-minimum for this s, and g the number of frames less their posterior variance relative to s^2, which is the number of
-accelerations that the detections determine. The solution is found by iteration.
+minimum for this s, and g the number of frames minus the sum of their posterior variances relative to s^2, which is the
+number of accelerations that the detections determine. The equation is solved by iteration.
 
 References
 ----------
@@ -30,7 +30,7 @@ from recon.geometry.kinematics import ROOT
 SCALES = 0.01, 3.0
 """Least and largest factor on an expected standard deviation."""
 _DIFFERENCE = (1.0, -2.0, 1.0)
-"""Factors of three frames in their second difference."""
+"""Coefficients of three frames in their second difference."""
 _ROUNDS = 20
 """Largest number of rounds."""
 _CLOSE = 0.03
@@ -89,7 +89,7 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
 
 
 def _middle_piece(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> tuple[Normal, Array]:
-    """Return the normal equations without acceleration terms, and the states (n, D), of a clip's middle."""
+    """Return the normal equations without acceleration terms, and the states (n, D), of the middle piece of a clip."""
     rest = [term for term in problem.linear if term.name not in ACCELERATION_TERMS]
     start = 0
     for piece in replace(problem, linear=rest, shared=(), nuisance=()).normals(states, shared)():
@@ -97,7 +97,7 @@ def _middle_piece(problem: LeastSquares, states: Array, shared: Mapping[str, Arr
         if stop > len(states) // 2:
             return piece, states[start:stop]
         start = stop
-    raise AssertionError("a clip has a middle")
+    raise AssertionError("the pieces do not reach the middle of the clip")
 
 
 def _second_difference(states: Array) -> Array:

@@ -1,22 +1,25 @@
-"""Triangulate keypoints seen by several cameras, without a skeleton: robust, with covariances and gaps.
+"""Triangulate keypoints seen by several cameras, without a skeleton.
+
+The method is robust to outliers, gives covariances, and leaves gaps where a point is not determined.
 
 **Start.** Every pair of cameras that saw a keypoint in a frame gives a point, the middle of the shortest line between
 the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at `OUTLIER`
 standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. All V (V - 1) / 2 pairs of V cameras
-are tried, so that nothing is left to chance.
+are tried, so the result does not depend on random numbers.
 
 **Minimum.** Gauss-Newton steps minimise the reprojection errors in the distorted pictures, with Cauchy's weights at
-first. Detections that are then further off than `OUTLIER` standard deviations are left out, and the others get their
-full weight. If fewer than two detections remain, or the rays hardly cross, the point is a gap (NaN).
+first. Detections with errors above `OUTLIER` standard deviations are then left out, and the others get their full
+weight. If fewer than two detections remain, or the rays are nearly parallel, the point is a gap (NaN).
 
 **Noise.** The detector's noise is estimated for each keypoint from the remaining errors, divided by their degrees of
 freedom, and all steps are repeated with it.
 
-**Covariance.** J' J / sigma^2 of the remaining detections, inverted, times the mean squared error where it is above 1.
+**Covariance.** The covariance of a point is the inverse of J' J / sigma^2 of the remaining detections. It is multiplied
+by their mean squared error in standard deviations if that is above 1.
 
-**Smoothing.** Optional: cubic smoothing splines over time, one for each coordinate, weighted by the points' standard
-deviations; the smoothness is chosen by generalised cross-validation (Craven and Wahba 1979). Points far off the spline
-lose their weight, and short gaps are filled.
+**Smoothing.** Optionally, cubic smoothing splines are fitted over time, one for each coordinate, weighted by the
+points' standard deviations. The smoothness is chosen by generalised cross-validation (Craven and Wahba 1979). Points
+far off the spline lose their weight, and short gaps are filled.
 """
 
 from __future__ import annotations
@@ -33,23 +36,23 @@ from recon.clip import View
 OUTLIER = 3.5
 """Number of standard deviations from the point's reprojection at which a detection is an outlier."""
 SIGMAS_PX = (0.3, 12.0)
-"""Least and largest noise that is estimated."""
+"""Smallest and largest noise that is estimated, pixels."""
 LEAST_CROSSING_RAD = np.radians(1.0)
-"""Angle between two rays below which their crossing is not determined."""
+"""Angle between two rays, rad, below which they do not determine a point."""
 BRIDGED_S = 0.2
-"""Longest gap that a spline fills."""
+"""Longest gap that a spline fills, s."""
 _CAUCHY_ROUNDS = 4
-"""Rounds of steps with Cauchy's weights, with which outliers hardly count."""
+"""Number of steps with Cauchy's weights, with which outliers hardly count."""
 _FINAL_ROUNDS = 3
-"""Rounds of steps with full weights, without outliers."""
+"""Number of steps with full weights, without outliers."""
 _NOISE_ROUNDS = 2
-"""Rounds of the noise's estimate."""
+"""Number of rounds that estimate the noise."""
 _SPLINE_ROUNDS = 3
-"""Rounds of a spline's weights."""
+"""Number of rounds that adapt the weights of a spline."""
 _MEDIAN_OF_CHI_SQUARE = 1.3863
-"""Median of a detection's squared error relative to its expectation, for several rays: that of two normal numbers."""
+"""Median of a detection's squared error over its variance for several rays: chi square with two degrees of freedom."""
 _MEDIAN_OF_TWO_RAYS = 0.9099
-"""Median of this squared error for two rays, whose errors are a single number."""
+"""Median of this squared error for two rays, whose errors have one degree of freedom."""
 _LEAST_OF_KEYPOINT = 20
 """Smallest number of detections from which a keypoint's own noise is estimated."""
 _LEAST_KNOTS = 6
@@ -97,7 +100,7 @@ def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangula
     P. H. S. Torr and A. Zisserman, "MLESAC", Computer Vision and Image Understanding 78, 2000.
     """
     if len(views) < 2:
-        raise ValueError("one view, but two or more are needed")
+        raise ValueError("there is one view, but triangulation needs two or more")
     views = [_at_frame_times(view.mask_outside_image()) for view in views]
     sigma = np.full(views[0].xy_px.shape[1], float(sigma_px))
     result = _triangulated(views, sigma)
@@ -119,7 +122,7 @@ def _at_frame_times(view: View) -> View:
 
 
 def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
-    """Return the points for a noise (J,) of the keypoints."""
+    """Return the points for a given noise (J,) of the keypoints, pixels."""
     present = np.array([view.present for view in views])
     points = _best_of_pairs(views, present, sigma)
     for _ in range(_CAUCHY_ROUNDS):
@@ -145,7 +148,7 @@ def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
 
 
 def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array:
-    """Return for each frame and keypoint the point of the camera pair that fits all cameras best, (T, J, 3)."""
+    """Return for each frame and keypoint the point (T, J, 3), from one pair of cameras, that fits all cameras best."""
     rays = [view.rays() for view in views]
     centres = [view.centre_m[:, None] for view in views]
     best_points, best_cost = np.full((*present.shape[1:], 3), np.nan), np.full(present.shape[1:], np.inf)
@@ -163,7 +166,7 @@ def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array
 
 
 def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) -> Array:
-    """Return the middles (T, J, 3) of the shortest lines between rays; NaN if rays hardly cross, or behind a camera."""
+    """Return the middles (T, J, 3) of the shortest lines between rays; NaN if nearly parallel, or behind a camera."""
     line = centre_b - centre_a
     cosine = np.sum(ray_a * ray_b, axis=-1)
     along_a, along_b = np.sum(ray_a * line, axis=-1), np.sum(ray_b * line, axis=-1)
@@ -177,7 +180,7 @@ def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) 
 
 
 def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: bool = True) -> tuple[Array, Array, Bools]:
-    """Return errors in standard deviations, their derivatives with respect to the points, and which can be projected.
+    """Return errors in standard deviations, their derivatives for the points, and which points can be projected.
 
     The shapes are (V, T, J, 2), (V, T, J, 2, 3) and (V, T, J). Missing detections have an error of 0.
     """
@@ -238,7 +241,7 @@ def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> 
     median = np.where(count > 2, _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS)
     with np.errstate(invalid="ignore"):
         square = result.error_px**2 / freedom / median
-    is_counted = np.isfinite(square) & (count > 2)  # with two rays, errors are visible only across one direction
+    is_counted = np.isfinite(square) & (count > 2)  # two rays show errors along one direction only
     if not is_counted.any():
         is_counted = np.isfinite(square)
     everything = square[is_counted]
@@ -265,8 +268,8 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
     Returns
     -------
     Triangulation
-        Covariances remain those of single frames, which overestimates those of the splines; in filled gaps they are
-        those of the neighbouring frames.
+        Covariances remain those of single frames, and overestimate those of the splines. In filled gaps, they are those
+        of the nearest known frame.
 
     References
     ----------
@@ -288,7 +291,7 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
 
 
 def _spline(frames: Index, values: Array, sigma: Array, every: Index) -> Array:
-    """Return values (m, 3) of a robust smoothing spline through values (n, 3) at frames (n,), at other frames."""
+    """Fit a robust smoothing spline to values (n, 3) at frames (n,), and return its values (m, 3) at other frames."""
     from scipy.interpolate import make_smoothing_spline  # slow to import
 
     result = np.empty((len(every), 3))
