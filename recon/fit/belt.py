@@ -40,7 +40,7 @@ def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
 
 
 def views_from_belt(views: Sequence[View], path_m: Array) -> tuple[View, ...]:
-    """Return views whose cameras move along a path (T, 3), as they do in the frame of the belt."""
+    """Return views whose cameras move along a path (T, 3), metres, as they do in the frame of the belt."""
     T_world_belt = np.tile(np.eye(4), (len(path_m), 1, 1))
     T_world_belt[:, :3, 3] = -path_m
     return tuple(replace(view, T_camera_world=view.T_camera_world @ T_world_belt) for view in views)
@@ -49,8 +49,8 @@ def views_from_belt(views: Sequence[View], path_m: Array) -> tuple[View, ...]:
 def relative_to_belt(solution: _Solution, path_m: Array) -> _Solution:
     """Return a solution in the belt's frame, in which the body and cameras move along a path (T, 3).
 
-    Ground planes keep their height below the middle of the path. The solution must have been found without assuming
-    that standing feet do not move.
+    The heights and slopes of ground planes stay as they are. The solution must have been found without assuming that
+    standing feet do not move.
     """
     states = solution.states.copy()
     states[:, :3] += path_m

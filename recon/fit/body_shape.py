@@ -1,6 +1,6 @@
 """Define the unknown shape of a body: lengths of its segments, and offsets of its keypoints.
 
-`Shape` serves the fit of a subject, in which the right side follows the left. `FreeShape` serves the fit of a clip of
+`Shape` serves the fit of a subject, in which the right side mirrors the left. `FreeShape` serves the fit of a clip of
 several cameras, in which lengths and offsets are unknowns that all frames share (`recon.fit.least_squares`).
 """
 
@@ -19,10 +19,10 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
 LENGTH_SIGMA = 0.05
 """Relative standard deviation of each length of an animal about the skeleton's length times the animal's size."""
 OFFSET_SIGMA_M = 0.01
-"""Expected offset of a keypoint from its marker along each axis.
+"""Standard deviation of a keypoint's offset from its marker along each axis, m.
 
-Keypoints are further off, but the body is fitted to them and adapts. In runs that were left out, single cameras
-estimate the published poses best with this value (docs/benchmarks.md).
+Real offsets are larger, but the body's lengths are fitted as well and absorb a part of them. In runs that were left
+out, single cameras estimate the published poses best with this value (docs/benchmarks.md).
 """
 
 
@@ -83,7 +83,7 @@ class Shape:
     def jacobian(self, body: Body, states: Array, rotations: Array | None = None) -> Array:
         """Return the derivatives (N, J, 3, K) of a body's detected markers with respect to the shape, at nominal size.
 
-        `rotations` (N, S, 3, 3) are those of the segments, if they are known.
+        `rotations` (N, S, 3, 3) are the rotations of the segments, if they have been computed already.
         """
         tree, n, markers, offsets = body.tree, len(self.lengths), self._markers_of_lengths, self._markers_of_offsets
         R = tree.orientations(states) if rotations is None else rotations
@@ -101,7 +101,8 @@ class Shape:
     def _markers_of_lengths(self) -> dict[tuple[str, int, int], list[int]]:
         """Return the markers that move with the offset of each segment or marker.
 
-        The keys are its name, the index of the segment that carries it, and the column of its length.
+        Each key holds the name of that segment or marker, the index of the segment that carries it, and the column of
+        its length.
         """
         tree, columns = self.body.tree, {name: i for i, name in enumerate(self.lengths)}
         indices = {segment.name: i for i, segment in enumerate(tree.segments)}
@@ -125,7 +126,7 @@ class Shape:
         ]
 
     def leader(self, name: str) -> str:
-        """Return the name whose unknowns are used for a name: its counterpart on the left, or the name itself."""
+        """Return the segment or marker whose unknowns also apply to this one: its left counterpart, or itself."""
         return other_side(name) if name in self._followers else name
 
     @cached_property
@@ -139,7 +140,7 @@ class Shape:
 
 
 def follows(name: str, body: Body) -> bool:
-    """Return whether a name is on the right side and has a counterpart on the left."""
+    """Return whether a segment or marker is on the right side and has a counterpart on the left."""
     names = {*body.markers, *(segment.name for segment in body.tree.segments)}
     return side_of(name) == "right" and other_side(name) in names
 
@@ -148,15 +149,15 @@ def follows(name: str, body: Body) -> bool:
 class FreeShape:
     """Lengths and keypoint offsets of a body as unknowns that all frames share.
 
-    The L values `LENGTHS` are logarithms of factors on the lengths of segments and markers, left equal to right. The 3J
-    values `COMMON_KEYPOINT_BIAS` are distances of keypoints from their markers in the markers' segments, metres.
+    The L values `LENGTHS` are logarithms of factors on the lengths of segments and markers, the same on both sides. The
+    3J values `COMMON_KEYPOINT_BIAS` are distances of keypoints from their markers in the markers' segments, metres.
     """
 
     body: Body
     """The body whose shape values are all 0."""
     lengths: Shape
     _shaped: dict[bytes, Body] = field(default_factory=dict, repr=False)
-    """The body that was requested last, by its values."""
+    """Cache of the body that was built last, by the values of its shape."""
 
     @classmethod
     def of_body(cls, body: Body) -> FreeShape:
@@ -164,7 +165,7 @@ class FreeShape:
         return cls(body, Shape.of_body(body))
 
     def applied(self, shared: Mapping[str, Array]) -> Body:
-        """Return the body with the shape given among the shared unknowns."""
+        """Return the body with the lengths and offsets given among the shared unknowns."""
         lengths = np.asarray(shared.get(LENGTHS, np.zeros(len(self.lengths))))
         offsets_m = np.asarray(shared.get(COMMON_KEYPOINT_BIAS, np.zeros(3 * len(self.body.markers)))).reshape(-1, 3)
         key = lengths.tobytes() + offsets_m.tobytes()

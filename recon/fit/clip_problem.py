@@ -1,4 +1,4 @@
-"""State the problem of one clip: its views, a body, the expected motion, and the options."""
+"""Define the problem of one clip: its views, a body, the expected motion, and the options."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from recon.geometry.kinematics import ROOT, YAW
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
-"""Least distance of any point from a camera."""
+"""Smallest distance of a point from a camera, m, for which the scale of the image is computed."""
 _SAME_CENTRE_M = 1e-6
-"""Distance below which a camera counts as being at the origin."""
+"""Distance from the origin, m, below which a camera counts as being at the origin."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class TrajectoryOptions:
     fast: bool = False
     """Whether to try fewer starts, solve only one of them to the end, and use looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
-    """auto: standing feet do not move and are on one plane; none: no assumption about the feet."""
+    """auto assumes that standing feet do not move and are on one plane; none assumes nothing about the feet."""
     sigma_px: float = 3.0
-    """Standard deviation of the detector's noise."""
+    """Standard deviation of the detector's noise, pixels."""
     keypoint_sigma_m: float | None = None
     """Standard deviation of keypoints about the markers, metres; None for that of the body."""
     size_sigma: float | None = None
@@ -92,7 +92,7 @@ class ClipProblem:
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
     time_offset_frames: float
-    """Standard deviation of the pictures' time offset, if it is not estimated."""
+    """Standard deviation of the pictures' time offset, in frames, if the offset is not estimated."""
     prior_weight: float = 1.0
     """Weight of the prior, as in `MotionSegment.prior_weight`."""
     known_states: Array | None = None
@@ -104,10 +104,10 @@ class ClipProblem:
     shape_scale: tuple[float, float] = (1.0, 1.0)
     """Factors on the expected standard deviations of lengths and of keypoint offsets.
 
-    They make the expected spread as wide as that of the animal.
+    The factors adapt the expected spread to that of the animal.
     """
     pose_means: Array | None = None
-    """Means (2, 6) of the priors of two refined cameras' errors; None for 0."""
+    """Means (2, 6) of the priors for the errors of two refined cameras' poses; None for 0."""
     acceleration_scale: Array | None = None
     """Factors on the expected standard deviations of the states' accelerations, (D,); None for 1."""
 
@@ -140,7 +140,7 @@ class ClipProblem:
     def with_free_shape(self) -> ClipProblem:
         """Return the problem with the body's shape unknown, if several cameras can estimate it.
 
-        One camera cannot. Lengths that were measured on other animals then only add to the uncertainty.
+        With one camera, unknown lengths only add to the uncertainty, and only if they were measured on other animals.
         """
         if self.options.lengths_known or self.known_states is not None:
             return self
@@ -178,7 +178,7 @@ class ClipProblem:
         return replace(self, shape_scale=(scales[terms.LENGTHS], scales[terms.COMMON_KEYPOINT_BIAS]))
 
     def thinned(self, step: int) -> ClipProblem:
-        """Return the problem of every step-th frame, weighted for the frames left out."""
+        """Return the problem of every step-th frame, with weights that replace the frames left out."""
         thin = self.part(slice(None, None, step))
         views = tuple(
             replace(view, confidence=step * view.confidence, offset_frames=view.offset_frames / step)
@@ -187,16 +187,16 @@ class ClipProblem:
         return replace(thin, views=views, fps=self.fps / step)
 
     def before_offsets(self, offsets_frames: Array) -> ClipProblem:
-        """Return the problem without estimated time offsets (V,) in its views, which become values of unknowns again.
+        """Return the problem with estimated time offsets (V,) removed from its views; they become unknowns again.
 
-        As in the fit, the cameras are then in step, and their normal equations are computed together.
+        As in the fit, the views then have no time offsets, and their normal equations are computed together.
         """
         views = zip(self.views, offsets_frames, strict=True)
         return replace(
             self, views=tuple(replace(view, offset_frames=view.offset_frames - frames) for view, frames in views)
         )
 
-    # -- the scene ------------------------------------------------------------------------------------------------
+    # The scene
 
     @property
     def image_right(self) -> Array:
@@ -213,7 +213,7 @@ class ClipProblem:
 
     @property
     def ground_known(self) -> bool:
-        """Return whether the ground lies near z = 0 and is used."""
+        """Return whether the ground is known to lie near z = 0, and the fit uses the ground."""
         return self.ground_near_zero and self.options.ground == "auto"
 
     @property
@@ -255,26 +255,26 @@ class ClipProblem:
         """Transform points (..., 3) of the nominal body, relative to the origin, to the world."""
         return self.origin_m + size * points_m
 
-    # -- the problem ----------------------------------------------------------------------------------------------
+    # The problem
 
     @property
     def correlation_frames(self) -> float:
-        """Return the correlation length of errors in frames, within which neighbouring frames count once."""
+        """Return the correlation length of errors in frames; frames within this length count once."""
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
     def keypoint_sigma_m(self) -> float:
-        """Return the standard deviation of keypoints about the markers."""
+        """Return the standard deviation of keypoints about the markers, m."""
         return self.options.keypoint_noise_m(self.body)
 
     @property
     def keypoint_bias_m(self) -> float:
-        """Return the expected keypoint bias, a distance from the marker that is constant over a clip."""
+        """Return the expected keypoint bias, m: a distance from the marker that is constant over a clip."""
         return constants.KEYPOINT_BIAS_SHARE * self.keypoint_sigma_m
 
     @property
     def in_frame_m(self) -> Array:
-        """Return the standard deviation of each marker's keypoints in a single frame, (J,)."""
+        """Return the standard deviation of each marker's keypoints in a single frame, (J,), m."""
         noise_m = self.body.keypoint_noise_m if self.options.keypoint_sigma_m is None else {}
         return np.array([noise_m.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
 
@@ -307,8 +307,8 @@ class ClipProblem:
         """Return the unknowns that all frames share: those that the pictures determine, and nuisance unknowns.
 
         Nuisance unknowns only add to the uncertainty, such as a single camera's time offset and focal length.
-        `shifts_m` (V,) is the expected shift of refined cameras. Standard deviations are those of lasting errors, which
-        more frames do not reduce.
+        `shifts_m` (V,) is the expected shift of refined cameras. Standard deviations are those of persistent errors,
+        which more frames do not reduce.
         """
         options, V = self.options, len(self.views)
         size = [SharedUnknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
@@ -330,7 +330,7 @@ class ClipProblem:
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
-        """Return unknowns of mean 0 whose errors last, so that they count once for any number of frames."""
+        """Return unknowns of mean 0 whose errors persist, so that they count once for any number of frames."""
         sigmas = np.asarray(np.atleast_1d(sigma) / np.sqrt(self.correlation_frames), dtype=float)
         return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
 
@@ -347,7 +347,7 @@ class ClipProblem:
         return [] if sigma is None else [self._lasting(terms.focal_scale(i), sigma) for i in range(len(self.views))]
 
     def _bias_sigmas_m(self) -> tuple[Array, Array]:
-        """Return the standard deviations of each view's own keypoint bias, (2J,), and of the common one, (3J,)."""
+        """Return the standard deviations of each view's own keypoint bias, (2J,), and of the common bias, (3J,), m."""
         common = constants.COMMON_BIAS_SHARE if len(self.views) > 1 else 0.0
         bias_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
         return np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
@@ -395,7 +395,7 @@ class ClipProblem:
         return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return the expected errors of the cameras' positions, (V,); a small rig is measured more accurately."""
+        """Return the expected errors of the cameras' positions, (V,), m; a small rig is measured more accurately."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
@@ -408,20 +408,20 @@ class ClipProblem:
         around_m: Array | None = None,
         size: float = 1.0,
     ) -> LeastSquares:
-        """Return the problem with all terms.
+        """Return the least-squares problem with all of its terms.
 
-        Each term is switched on here; `contacts` gives those of the feet.
+        This method selects the terms; `contacts` gives those of the feet.
 
         Parameters
         ----------
         noise_px
-            Noise of each detection, (V, T, J).
+            Noise of each detection, (V, T, J), pixels.
         temperature
             Temperature of the mixture of poses; None for one Gaussian.
         contact_terms
             Terms of the feet and the ground, from `contacts`.
         around_m
-            Markers of a solution, (T, J, 3). If they are given, the shared unknowns are free.
+            Markers of a solution at nominal size, (T, J, 3), metres. If they are given, the shared unknowns are free.
         size
             Size of that solution.
         """
@@ -470,11 +470,11 @@ class ClipProblem:
 LOW_FEET = 0.1
 """Fraction of the frames in which the lowest foot is assumed to be on the ground."""
 OFF_ZERO_SIGMAS = 2.0
-"""Number of standard deviations from z = 0 beyond which the ground is not assumed to be there."""
+"""Number of standard deviations from z = 0 beyond which the ground is not assumed to be at z = 0."""
 
 
 def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
-    """Return by how many standard deviations the lowest feet of markers (T, J, 3) are above a ground at z = 0."""
+    """Return the height of the lowest feet of markers (T, J, 3) above z = 0, in standard deviations of this height."""
     low_m = float(np.quantile(points_m[:, clip.feet, 2].min(axis=1), LOW_FEET))
     sigma_m = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m))
     return (float(clip.origin_m[2]) / size + low_m) / sigma_m

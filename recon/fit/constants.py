@@ -4,7 +4,7 @@ They are standard deviations unless stated otherwise. Code reads them by name (`
 set other values. docs/benchmarks.md shows their effect.
 """
 
-# -- detections ---------------------------------------------------------------------------------------------------
+# Detections
 
 ROBUST_C = 3.0
 """Number of standard deviations at which the robust weight of a residual is 0.5; a round number.
@@ -31,7 +31,7 @@ It was chosen on the benchmark's real runs, so that 90 % regions contain about 9
 (`python benchmarks/uncertainty.py --only views`).
 """
 
-# -- cameras and their clocks -------------------------------------------------------------------------------------
+# Cameras and their clocks
 
 CALIBRATED_FOCAL = 0.02
 """Relative standard deviation of a single camera's focal length from a calibration file."""
@@ -46,43 +46,47 @@ TIME_OFFSET_FRAMES = 12**-0.5
 SOUGHT_OFFSET_FRAMES = 2.0
 """Standard deviation of the time offset, in frames, of a camera whose offset is estimated."""
 CAMERA_ROTATION_RAD = 0.03490658503988659
-"""Rotation about each axis of a camera pose that is to be refined (2 degrees)."""
+"""Error of the rotation of a camera pose that is to be refined, about each axis (2 degrees)."""
 CAMERA_SHIFT_M = 0.05
-"""Shift along each axis of a camera pose that is to be refined, or less, see `CAMERA_SHIFT_SHARE`."""
+"""Shift along each axis of a camera pose that is to be refined, m, unless the animal is close.
+
+`CAMERA_SHIFT_SHARE` gives the shift for a close animal.
+"""
 CAMERA_SHIFT_SHARE = 0.02
-"""Largest shift of such a camera as a share of its distance from the animal."""
+"""Largest shift of such a camera as a fraction of its distance from the animal."""
 CALIBRATED_RAD = 0.008726646259971648
-"""Usual error of the rotation between two calibrated cameras about each axis (half a degree)."""
+"""Usual error of the rotation between two calibrated cameras, about each axis (half a degree)."""
 SHARE_OF_PAIR = 2**-0.5
-"""Share of the error between two cameras that each of them has."""
+"""Error of each of two cameras, relative to the error between them; the two variances add up."""
 WELL_CALIBRATED = 0.2
 """Errors of the poses of two well calibrated cameras, relative to usual errors.
 
-Together with the larger shares below, 97 % instead of 99 % of the coordinates of the benchmark's untouched pairs are
-inside 90 % intervals, and errors of pairs with a turned camera are smaller (`benchmarks/cameras.py --only pairs`).
+Together with the larger errors below, 97 % instead of 99 % of the coordinates of the benchmark's untouched pairs are
+inside 90 % intervals, and pairs with a turned camera have smaller errors (`benchmarks/cameras.py --only pairs`).
 """
 MISPLACED_RAD = 0.05235987755982988
 """Rotation about an axis of one of two cameras that is roughly calibrated, or was turned after its calibration.
 
-It is 3 degrees: with 2 degrees, errors in the benchmark's real runs are larger if a second camera is turned by 3 or 6
+It is 3 degrees. With 2 degrees, errors in the benchmark's real runs are larger if the second camera is turned by 3 or 6
 degrees.
 """
 TURNED_SHARE = 0.3
-"""Prior probability that the rotation of one of two cameras about one of its axes is of the size `MISPLACED_RAD`.
+"""Prior probability that the rotation of one of two cameras about one of its axes is as large as `MISPLACED_RAD`.
 
-With 0.1, about twice as many wrong pairs of the benchmark are "use" while their position is beyond its stated bound.
+With 0.1, about twice as many wrong pairs of the benchmark get the verdict "use" although their position error exceeds
+the stated bound.
 """
 MOVED = 8.5
 """Shift of one of two cameras that was moved after its calibration, relative to its usual shift.
 
-It gives 0.3 m, as for a tripod that was pushed, or 12 % of the distance from an animal that is close.
+The shift is then 0.3 m, as for a tripod that was pushed, or 12 % of the distance if the animal is close.
 """
 MOVED_SHARE = 0.1
-"""Prior probability that the first of two cameras was moved, and that the second one was."""
+"""Prior probability that the first of two cameras was moved; the second has the same probability."""
 MISPLACED = 12.0
 """Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
 
-It gives 6 degrees, 0.6 m and 3.5 frames. It is a round number.
+The errors are then 6 degrees, 0.6 m and 3.5 frames. The factor is a round number.
 """
 SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of a size measured by two cameras."""
@@ -93,21 +97,21 @@ LEAST_NOISE = 0.02
 It applies if several cameras solve for the body's shape and the detector was not measured.
 """
 NOISE_COUNT = 1.0
-"""Number of detections that the expected variance counts as in the estimate of a joint's noise."""
+"""Weight of the expected variance in the estimate of a joint's noise, as a number of detections."""
 LENGTH_SHARE = 0.3
 """Standard deviation of a single length, relative to that of the size, if several cameras solve for the shape.
 
-It is wider if the animal's lengths vary more.
+It is increased if the solution shows that the animal's lengths vary more.
 """
 OFFSET_SHARE = 0.4
 """Standard deviation of a keypoint offset, relative to that of the common bias, if several cameras solve for the shape.
 
-It is wider if the animal's offsets vary more.
+It is increased if the solution shows that the animal's offsets vary more.
 """
 LENGTH_SIGMA = 0.1
 """Least relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
 FIRST_SHAPE_SCALE = (3.0, 2.5)
-"""Factors on the standard deviations of lengths and offsets in the first round, which shows how widely they spread."""
+"""Factors on the standard deviations of lengths and offsets in the first round, which shows how much they vary."""
 KNOWN_SHAPE_SCALE = (1 / 3, 1 / 2)
 """Factors on the standard deviations of lengths and offsets for a detector that was measured with the skeleton.
 
@@ -115,14 +119,20 @@ A detector and a skeleton that were measured together fit each other; in the ben
 measured in the others, poses are then within 1 % of those with exact lengths and offsets.
 """
 SHAPE_COUNT = 8.0
-"""Number of lengths, or coordinates of offsets, that the expected spread counts as."""
+"""Weight of the expected spread, as a number of lengths or of coordinates of offsets."""
 
-# -- the animal's motion ------------------------------------------------------------------------------------------
+# The animal's motion
 
 POSE_WEIGHT = 1.0
-"""Weight of the prior's poses per 1/90 s; results hardly change without (`benchmarks/accuracy.py --only ablation`)."""
+"""Weight of the prior's poses per 1/90 s.
+
+Results hardly change without these poses (`benchmarks/accuracy.py --only ablation`).
+"""
 MOTION_WEIGHT = 1.0
-"""Weight of the prior's motion per 1/90 s; results hardly change without (`benchmarks/accuracy.py --only ablation`)."""
+"""Weight of the prior's motion per 1/90 s.
+
+Results hardly change without this motion (`benchmarks/accuracy.py --only ablation`).
+"""
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
 """Accelerations of the root in the level frame.
 
@@ -132,25 +142,26 @@ These values, the following ones and those of standing feet come from the recons
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Angular acceleration of the root about the vertical."""
 LATERAL_M_S = 0.5
-"""Velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
+"""Velocity of the root across the trunk, which corresponds to an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Constant angle between the trunk and the direction of travel, for several cameras; as in the real runs.
+"""Constant angle between the trunk and the direction of travel, for several cameras, as in the benchmark's real runs.
 
-`python benchmarks/cameras.py --only several` lists their angles, and also fits without one.
+`python benchmarks/cameras.py --only several` lists the angles of these runs, and also fits without the angle.
 """
 CLIMB_M_S = 0.5
 """Vertical velocity of the root."""
 MISFIT_USUAL = 3.6
-"""Mean squared residual of the prior at which the misfit is 1; it exceeds 1 because a prior's errors last.
+"""Mean squared residual of the prior at which the misfit is 1; it exceeds 1 because a prior's errors persist over many
+frames.
 
 It is 2.3 to 4.6 in 32 real views at 90 to 200 Hz, 2.0 to 4.4 with every second frame.
 """
 MISFIT_LEVEL = 2.0
 """Smallest misfit of a motion that is unlike those of the prior."""
 MISFIT_SIGMAS = 2.33
-"""Number of sigmas that a motion that fits the prior exceeds in 1 of 100 clips."""
+"""Number of standard deviations that the misfit of a motion that fits the prior exceeds in 1 of 100 clips."""
 
-# -- feet and ground ----------------------------------------------------------------------------------------------
+# Feet and ground
 
 SLIP_M_S = 2.5
 """Velocity of a standing foot."""
@@ -163,7 +174,7 @@ GROUND_SLOPE = 0.02
 GROUND_FOOT_M = 0.04
 """Height of a standing foot above the ground."""
 
-# -- the search ---------------------------------------------------------------------------------------------------
+# The search
 
 NOISE_ROUNDS = 3
 """Number of rounds in which noise, contacts and ground are estimated (step 4 of `recon.fit.trajectory`).
@@ -173,3 +184,4 @@ A fast fit has one round.
 TOLERANCE = 1e-4
 """Relative decrease of the cost at which the search ends; a fast fit uses ten times this value."""
 MAX_ITERATIONS = 30
+"""Largest number of iterations of one search."""

@@ -7,13 +7,13 @@ weight w, which is 0 if it is missing or was left out. If it were corrected, two
 vanish:
 
 **1. Variance.** The detection would have its full weight. The precision in the picture grows by d = (1 - w) / sigma^2,
-and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of this fall, weighted by G, is
+and the covariance decreases by Z A' (I / d + A Z A')^-1 A Z. The trace of this decrease, weighted by G, is
 
     tr((I / d + A Z A')^-1 A Q A'),   Q = Z G Z
 
 **2. Pull.** A wrong detection displaces the pose. Without it, the states would move by Z A' (I sigma^2 / w - A Z A')^-1
-r, with the residual r: the step of one deletion (R. D. Cook, *Detection of influential observation in linear
-regression*, Technometrics 19, 1977). The squared displacement of the joints by that step is
+r, where r is the residual. This is the step of one deletion (R. D. Cook, *Detection of influential observation in
+linear regression*, Technometrics 19, 1977). The squared displacement of the joints by that step is
 
     r' P A Q A' P r,   P = (I sigma^2 / w - A Z A')^-1
 
@@ -49,10 +49,10 @@ _RELATIVE_STEP = 1e-4
 def correction_gain_m2(
     solution: TrajectorySolution, prior: MotionPrior, fps: float, options: TrajectoryOptions
 ) -> Array:
-    """Return the expected fall of the pose's mean squared error if a detection were corrected, (V, T, J).
+    """Return the expected decrease of the pose's mean squared error if a detection were corrected, (V, T, J), m^2.
 
     The error is the distance of the joints from their true positions, both poses centred, and the mean is over all
-    frames and joints. It is NaN in frames without a pose, and if the camera cannot see the joint.
+    frames and joints. The decrease is NaN in frames without a pose, and if the camera cannot see the joint.
 
     Parameters
     ----------
@@ -67,14 +67,14 @@ def correction_gain_m2(
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
-    # One thread as in `solve_trajectory`, because the matrices are small. Points of a damaged file may be too large to
-    # square.
+    # One thread as in `solve_trajectory`, because the matrices are small. The squares of points from a damaged file may
+    # # overflow.
     with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
         for rows, segment_clip, problem, estimate in problems_at(clip, solution):
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
             gain_m2[:, rows] = np.where(np.isfinite(segment_gain_m2), segment_gain_m2, np.nan)
     gain_m2 /= max(int(solution.posed.sum()) * len(solution.body.markers), 1)
-    return gain_m2.astype(np.float32).astype(float)  # with such values, the file is half as large
+    return gain_m2.astype(np.float32).astype(float)  # values of single precision halve the size of the file
 
 
 def problems_at(
@@ -111,7 +111,7 @@ def _segment_gain(
     parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
 
     def curvature(frames: slice) -> Array:
-        """Return G of some frames, (N, D, D). It is computed twice, since G of a long clip needs much memory."""
+        """Return G of some frames, (N, D, D); it is computed twice, because G of a long clip needs much memory."""
         jacobian = clip.body.tree.pose_with_jacobian(states[frames]).jacobian
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
         return flat.swapaxes(1, 2) @ flat
@@ -131,7 +131,7 @@ def _segment_gain(
 
 
 def _of_points(by_state: Array, of_states: Array) -> Array:
-    """Return the blocks (N, J, 3, 3) of points that move by (N, J, 3, D) with states whose blocks are (N, D, D)."""
+    """Return the blocks (N, J, 3, 3) of points from their derivatives (N, J, 3, D) and the states' blocks (N, D, D)."""
     N, J, _, D = by_state.shape
     moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(N, J, 3, D)
     return moved @ by_state.swapaxes(2, 3)
@@ -146,7 +146,7 @@ def _gain_of_frames(
 ) -> Array:
     """Return the gain (N, J) of N frames of a view.
 
-    The blocks of Z and Q are those of the markers (N, J, 3, 3), whose positions are (N, J, 3).
+    The blocks of Z and Q are those of the markers, (N, J, 3, 3); `points_m` (N, J, 3) are the markers' positions.
     """
     projected, by_point, valid = view.project_with_jacobian(points_m)
     A_Z_A, A_Q_A = (by_point @ of_points @ by_point.swapaxes(-1, -2) for of_points in covariance_and_derivative)
@@ -169,7 +169,7 @@ def _covariance_and_derivative(
 ) -> tuple[Array, Array]:
     """Return the blocks (T, D, D) of Z and of Q within each frame.
 
-    `curvature` returns the curvature G of some frames (N, D, D); `parts` are all frames, a few hundred at once.
+    `curvature` returns the curvature G of some frames (N, D, D); `parts` covers all frames, a few hundred at once.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
     Z = _marginals(normals(), estimate.states.shape)
@@ -185,7 +185,7 @@ def _marginals(pieces: Iterable[Normal], shape: tuple[int, int]) -> Array:
     """Return the covariance (T, D, D) of the states of each frame, for states of shape (T, D)."""
     covariance = np.empty((*shape, shape[1]))
     for window in eliminated(pieces, bounded=True):
-        # copied, so that the covariances between frames are freed
+        # copied, so that the memory of the covariances between frames is freed
         covariance[window.rows] = window.marginal_blocks()[:, 0]
     return covariance
 

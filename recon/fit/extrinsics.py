@@ -1,17 +1,20 @@
 """Estimate the poses of cameras from the animal alone, in short clips filmed by the same cameras.
 
-1. Each view is solved on its own, which gives the joints in the frame of its camera, in metres of the animal's lengths.
-2. A rigid motion maps the joints of one camera to those of the others, over all joints, frames and clips, robustly. It
-gives the pose of that camera relative to those already known; the first camera is level.
+1. Each view is solved on its own, which gives the joints in the frame of its camera, in metres if the body has the
+animal's lengths.
+2. A rigid motion that maps the joints of one camera to those of the others is fitted robustly to all joints, frames and
+clips. It gives the pose of that camera relative to those already known. The upward direction is that of the first
+camera.
 3. All views of a clip are solved together with fixed cameras. At the minimum, the unknowns of the clip alone (states,
 time offsets, and the keypoint bias of each view) are eliminated from the normal equations (`recon.fit.banded`). The
 poses, and the first camera's tilt and roll, take the Gauss-Newton step of the sum over the clips. The upward direction
-follows from the ground under the feet, the animal's climb and its upright posture. A few rounds of both lead to the
-minimum over all unknowns, and the inverse of the sum is the covariance of the poses.
+follows from the ground under the feet, the animal's climb and its upright posture. A few rounds of solving the clips
+and moving the cameras lead to the minimum over all unknowns, and the inverse of the summed curvature is the covariance
+of the poses.
 
-If the poses are roughly known, only the third step is done and the first camera is kept; the distances between the
-cameras then determine the size of the animal. Otherwise the animal determines the scale: its size is fixed at that of
-the body.
+If the poses are roughly known, only the third step is done, and the first camera's pose is kept; the distances between
+the cameras then determine the size of the animal. Otherwise the animal determines the scale: its size is fixed at that
+of the body.
 """
 
 from __future__ import annotations
@@ -37,28 +40,28 @@ from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
 _UNKNOWN_RAD = float(np.radians(10.0))
-"""Error of a camera's first pose about each axis, if nothing is known of the poses."""
+"""Expected error of a camera's initial rotation about each axis, rad, if no poses are given."""
 _UNKNOWN_M = 1.0
-"""Error of a camera's first pose along each axis, if nothing is known of the poses."""
+"""Expected error of a camera's initial position along each axis, m, if no poses are given."""
 LEVEL_RAD = float(np.radians(5.0))
-"""Deviation of cameras from level, or from the given tilt, about each axis, if it was not measured."""
+"""Expected deviation of a camera from level, or from its given tilt, about each axis, rad, if it was not measured."""
 _FIXED = 1e-6
 """Standard deviation that fixes an unknown, in its own unit."""
 _SIZE_SIGMA = 1e-3
 """Relative standard deviation that fixes the animal's size if no view has a pose; the size then gives the scale."""
 _MIN_FRAMES = 5
-"""Smallest number of frames that two cameras share."""
+"""Smallest number of frames that two cameras must have in common."""
 _TIME_OFFSET_FRAMES = 1.0
-"""Time offset in frames of cameras that were started together.
+"""Standard deviation of the time offset, in frames, between cameras that were started together.
 
-In two clips, a larger offset could not be distinguished from a rotation.
+In two clips, larger time offsets could not be distinguished from rotations of a camera.
 """
 _SEARCHED_S = 1.0
-"""Largest time offset between cameras in the search."""
+"""Largest time offset between cameras that the search tries, s."""
 _MATCHING = 0.5
 """Largest distance between matching joints, as a fraction of their distance from the animal's middle."""
 ROUNDS = 12
-"""Largest number of rounds."""
+"""Largest number of rounds of solving the clips and moving the cameras."""
 CLOSE_ENOUGH = 0.05
 """Step of the unknowns, in standard deviations, below which the rounds end."""
 
@@ -75,20 +78,21 @@ class Rig:
     sigma: Array
     """Standard deviations of each camera's pose relative to the first, as in `View.corrected`, shape (V, 6)."""
     ground_m: float
-    """Height of the ground below the middle of the animal's longest path; NaN if no ground was found."""
+    """Height z of the ground under the middle of the longest segment's path, m; NaN if no ground was found."""
     height_sigma_m: Array
     """Standard deviations of the cameras' heights above the ground, shape (V,); NaN without a ground."""
     disagreement: Array
-    """Squared deviation of each camera's pose in each of C clips from its pose in all clips together, shape (C, V).
+    """Squared deviation of each camera's pose in each of C clips from its pose in all clips, in sigmas, shape (C, V).
 
-    It is expected to be 6 at most if the errors are as large as stated.
+    Its expectation is at most 6 if the errors are as large as stated.
     """
     time_offset_frames: tuple[Array, ...]
-    """Delay of the cameras' pictures beyond the stated offset, (V,) for each clip; 0 for a camera without
-    detections.
+    """Delay in frames of each camera's pictures beyond the stated offset, (V,) for each clip.
+
+    It is 0 for a camera without detections.
     """
     converged: bool
-    """Whether the last step was small."""
+    """Whether the last step of the unknowns was below `CLOSE_ENOUGH`."""
 
 
 def solve_extrinsics(
@@ -104,7 +108,7 @@ def solve_extrinsics(
     posed
         Whether the views have poses with errors of `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
     level_rad
-        Standard deviation of the upward directions of cameras (`Camera.up`) about each axis, without poses.
+        Standard deviation of the cameras' upward directions (`Camera.up`) about each axis, rad; not used if `posed`.
     progress
         Called with the name of the stage and the fraction that is done.
 
@@ -160,15 +164,15 @@ def _with_fixed_cameras(clip: ClipProblem, posed: bool) -> ClipProblem:
 def search_offsets(clip: ClipProblem) -> Array:
     """Return the delay in whole frames of each camera relative to the first, beyond that of the views, (V,).
 
-    It is for cameras without poses: the joints of each camera's own solution are compared with those of the first. The
-    delay is NaN if they never match.
+    The cameras need no poses, because the joints of each camera's own solution are compared with those of the first.
+    The delay is NaN if they never match.
     """
     joints = [_joints_by_view(clip, view) for view in clip.views]
     return np.array([_best_offset(joints[0], camera_joints, round(_SEARCHED_S * clip.fps)) for camera_joints in joints])
 
 
 def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
-    """Return the offset in frames between joints (T, J, 3) in the frames of two cameras.
+    """Return the time offset, in video frames, between joints (T, J, 3) in the coordinates of two cameras.
 
     If offsets match equally well, the one with more common frames is chosen, because poses repeat after a stride.
     """
@@ -213,7 +217,7 @@ def _level_prior(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]
 
 
 def _initial_poses(clips: Sequence[ClipProblem], progress: Progress) -> list[ClipProblem]:
-    """Return the clips with poses found by solving each view by itself and matching joints."""
+    """Return the clips with camera poses found by solving each view alone and matching the joints."""
     V = len(clips[0].views)
     joints: list[list[Array]] = []
     for i in range(V):
@@ -278,7 +282,7 @@ class _ReducedProblem:
     """(P, 6V + 1): derivatives of the clip's shared unknowns with respect to the poses, and their own step."""
 
     def follow(self, step: Array) -> SegmentFit:
-        """Return the segment as predicted after a step of the poses (6V,)."""
+        """Return the segment with the unknowns predicted for a step (6V,) of the poses."""
         estimate, columns, step_and_one = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
         shared_step = -self.shared_step @ step_and_one
         shared = {name: value + shared_step[columns[name]] for name, value in estimate.shared.items()}
@@ -287,7 +291,7 @@ class _ReducedProblem:
 
 
 def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
-    """Return the problem of the camera poses alone.
+    """Return the cost of a segment as a function of the camera poses alone.
 
     The ground is left out: its plane follows from the feet, and a fixed plane would fix the tilt of the world.
     """
@@ -306,7 +310,7 @@ def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
 
 
 def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:
-    """Return twice the drop of each clip's cost if one camera could move for that clip alone, (C, V), as in `Rig`."""
+    """Return twice the decrease of each clip's cost if one camera could move in that clip alone, (C, V): see `Rig`."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
     cameras = np.arange(V)
@@ -347,7 +351,7 @@ def _ground_and_heights(
 ) -> tuple[float, Array]:
     """Return the height of the ground and the standard deviations (V,) of the cameras' heights above it, as in `Rig`.
 
-    The ground follows the poses of the cameras, as the animal does.
+    If the poses of the cameras change, the ground moves as the animal does.
     """
     V = len(clips[0].views)
     solved_segments = [

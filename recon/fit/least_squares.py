@@ -38,7 +38,7 @@ from recon.fit.terms import (
 from recon.geometry.kinematics import ROOT, Tree, TreePose
 
 _ByShape = tuple[Array, Array]
-"""Derivatives of markers with respect to the lengths (n, J, 3, L) and to each one's own offset (n, J, 3, 3)."""
+"""Derivatives of markers with respect to the lengths (n, J, 3, L) and to each marker's own offset (n, J, 3, 3)."""
 BANDS = 2
 """Largest distance, in frames, between two frames that are coupled."""
 _FRAMES_AT_ONCE = 128
@@ -50,8 +50,9 @@ Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
-"""Factor on the decrease at which a search ends; a step is extended if the expected further decrease exceeds the
-product.
+"""Fraction of the smallest decrease that continues a search.
+
+A step is extended if the expected further decrease of the cost exceeds this fraction.
 """
 _LONGEST = 4.0
 """Largest factor by which a step is extended."""
@@ -66,7 +67,7 @@ def piece_of(fps: float) -> int:
 
 @dataclass(frozen=True)
 class SharedUnknown:
-    """Unknowns (P,) of one name that all frames share, by their prior mean and standard deviation."""
+    """Unknowns (P,) under one name that all frames share, with their prior means and standard deviations."""
 
     name: str
     mean: Array
@@ -227,7 +228,7 @@ class LeastSquares:
     def minimise(
         self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
     ) -> Estimate:
-        """Return the minimum from a start.
+        """Return the minimum reached from a start.
 
         The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1).
         """
@@ -238,7 +239,7 @@ class LeastSquares:
             lower, damping = self._damped_step(current, damping, enough)
             done = lower is None or current.cost - lower.cost < enough
             current = replace(lower or current, iterations=iteration, converged=done)
-            if done:  # no direction lowers the cost: a minimum to rounding
+            if done:  # also if no direction lowers the cost, which is a minimum to rounding
                 break
         return current
 
@@ -272,9 +273,9 @@ class LeastSquares:
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the point at a fraction of a step, with its cost.
 
-        Several cameras see the animal's position in the world, which moves in a straight line. It is the size times the
-        root, so a step of the root would overshoot if the size changes as well. The picture of one camera depends on
-        the root more than on the size, and the root moves in a straight line.
+        Several cameras determine the animal's position in the world, which therefore changes linearly along the step.
+        The position is the size times the root, so the step of the root is divided by the growth of the size. The
+        picture of one camera depends more on the root than on the size, and the root itself changes linearly.
         """
         shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
         states = current.states + share * states_step
@@ -363,7 +364,7 @@ class _Sums:
 
 
 def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, frames: Index, start: int, stop: int) -> None:
-    """Add a linear term's gradient of the frames from start up to stop, in place; its residuals are those of frames."""
+    """Add a linear term's gradient for the frames from start up to stop, in place; `residual` belongs to `frames`."""
     for offset, slot in zip(term.stencil, term.slots, strict=True):
         first, last = np.searchsorted(frames + offset, [start, stop])
         if first < last:
@@ -381,10 +382,11 @@ def _add_detections(
 ) -> None:
     """Add the normal equations of several cameras' detections, in place.
 
-    The result is that of `add_normal` and `_add_shared` with the rows of each camera. Each camera knows the derivatives
-    B (2, 3) of a marker only by its position p, which moves by A with the state, by L with the lengths, and by R with
-    its own keypoint bias. If W is the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide
-    products are computed once for all cameras. `start` is the frame of the first row.
+    The result is that of `add_normal` and `_add_shared` with the rows of each camera. The residuals of a camera depend
+    on a marker only through its position p, with the derivatives B (2, 3). The position has the derivatives A with
+    respect to the state, L with respect to the lengths, and R with respect to the marker's own keypoint bias. If W is
+    the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide products are computed once for
+    all cameras. `start` is the frame of the first row.
     """
     A = span.pose.jacobian[span.own_rows]
     (N, J), D = A.shape[:2], A.shape[3]
@@ -495,7 +497,7 @@ def _by_lengths_and_bias(
 ) -> tuple[Array | None, Array | None]:
     """Return the derivatives of markers with respect to the lengths and to their own keypoint bias.
 
-    They are (3NJ, L) and (N, J, 3, 3), and None if the lengths or the bias are not unknown.
+    Their shapes are (3NJ, L) and (N, J, 3, 3). Each is None if the lengths, or the bias, are not unknowns.
     """
     if by_shape is None:
         is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
@@ -521,7 +523,7 @@ def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> N
 
 
 def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermRows:
-    """Return the rows of a term with the derivatives with respect to the shape, which moves markers as the state does.
+    """Return the rows of a term, with derivatives with respect to the shape, which moves markers as the state does.
 
     The term is evaluated for its own markers only, each of which moves with the state, the lengths and its own offset.
     """
@@ -571,7 +573,8 @@ def _add_shared(
 ) -> None:
     """Add a term's normal equations for the shared unknowns in place: J'K to border, K'K to corner, K'r to gradient.
 
-    K are its derivatives with respect to the unknowns of `columns`; its first frame is that of row `first`.
+    K holds the derivatives of the term's rows with respect to the unknowns of `columns`. The term's first frame is that
+    of row `first`.
     """
     by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
     if not by_shared:

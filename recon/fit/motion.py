@@ -1,4 +1,4 @@
-"""Result of a fit: the motion of the animal, the data, and the uncertainty."""
+"""Define `Motion`, the result of a fit: the motion of the animal, the data, and the uncertainty."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MEASURED_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture(Brief):
-    """One camera's picture of a motion with T frames and J joints: the detections, and the joints of the pose."""
+    """Motion of T frames and J joints as one camera pictures it: the detections, and the joints of the pose."""
 
     source: Source
     T_reference_camera: Array
@@ -47,7 +47,7 @@ class Picture(Brief):
     weight: Array
     """Weight of each detection, shape (T, J), 0 to 1; NaN if missing.
 
-    In the frame method it is the mean over the frame.
+    In the frame method, the weight is the mean over the frame.
     """
 
     @property
@@ -77,17 +77,17 @@ class Picture(Brief):
 
     @cached_property
     def distance_px(self) -> Array:
-        """Return the distance between reprojection and detection, (T, J)."""
+        """Return the distance between reprojection and detection, (T, J), pixels."""
         return np.linalg.norm(self.image_error_px, axis=-1)
 
     @cached_property
     def outliers(self) -> Bools:
-        """Return which detections the pose does not explain, (T, J)."""
+        """Return which detections are more than `OUTLIER_SIGMAS` from the pose, (T, J)."""
         return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
 
     @cached_property
     def distance_m(self) -> Array:
-        """Return the distance of the mean of all joints from the camera, (T,)."""
+        """Return the distance of the mean of all joints from the camera, (T,), metres."""
         return np.linalg.norm(self.joints_camera_m.mean(axis=1), axis=-1)
 
 
@@ -119,12 +119,12 @@ class Motion:
     Paths are absolute, or relative to the results folder in a saved motion.
     """
     correction_gain_m2: Array | None = None
-    """Expected fall of the mean squared error of the pose if a detection were corrected, shape (V, T, J).
+    """Expected decrease of the pose's mean squared error if a detection were corrected, m^2, shape (V, T, J).
 
     See `recon.fit.correction_gain`. It is None if the method cannot compute it.
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
-    """Seconds that parts of the fit took, by name, in addition to the solution's stages."""
+    """Seconds that parts of the fit took, by name; the solution has those of its own stages."""
 
     def __repr__(self) -> str:
         """Return one line: the clip, the animal, and the verdict."""
@@ -138,7 +138,7 @@ class Motion:
         return html_of(self)
 
     def derived(self, make: Callable[[Motion], _T]) -> _T:
-        """Return what a function makes of this motion, such as its analysis; the function is called only once."""
+        """Return the result of a function of this motion, such as its analysis; the function is called only once."""
         if make not in self._derived:
             self._derived[make] = make(self)
         return self._derived[make]
@@ -147,7 +147,7 @@ class Motion:
     def _derived(self) -> dict[Callable[[Motion], Any], Any]:
         return {}
 
-    # -- in other forms -------------------------------------------------------------------------------------------
+    # Other forms of the motion
 
     def to_dataframe(self, wide: bool = False) -> pd.DataFrame:
         """Return the joints as a table, in the frame of `upright`, z up, metres, with standard deviations.
@@ -168,10 +168,10 @@ class Motion:
         return table_of(self, wide)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return the joints as movement's dataset of poses.
+        """Return the joints as a dataset of poses of the package movement.
 
-        It has `position` and `position_sigma` (time, space, keypoint, individual) in metres, `confidence`, which is
-        NaN, and the frame rate, the source and the verdict as attributes.
+        The dataset has `position` and `position_sigma` (time, space, keypoint, individual) in metres, `confidence`,
+        which is NaN, and the frame rate, the source and the verdict as attributes.
 
         Raises
         ------
@@ -198,7 +198,8 @@ class Motion:
         Raises
         ------
         InputError
-            If n is not a number above 0, the frame method made the motion, or its prior cannot be loaded by its name.
+            If n is not a whole number above 0, if the motion is from the frame method, or if the prior of the fit
+            cannot be loaded by its name.
         """
         if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
             raise InputError(Problem("sample", "n", repr(n), "a whole number above 0"))
@@ -217,7 +218,7 @@ class Motion:
 
         return figure_of(self)
 
-    # -- saved and loaded -----------------------------------------------------------------------------------------
+    # Saving and loading
 
     def save(self, folder: str | Path) -> Path:
         """Write motion.npz into a folder, whole or not at all, and return its path.
@@ -251,7 +252,7 @@ class Motion:
         if self.keypoints.names != expected:
             raise ValueError(f"keypoints {self.keypoints.names} are not those of the joints {expected}")
 
-    # -- the animal -----------------------------------------------------------------------------------------------
+    # The animal
 
     @property
     def method(self) -> str:
@@ -262,7 +263,7 @@ class Motion:
     def jitters(self) -> bool:
         """Return whether each frame was solved independently.
 
-        Paths then jitter from frame to frame, and standard deviations are for a given previous frame.
+        Paths then jitter from frame to frame, and standard deviations assume that the previous frame is exact.
         """
         return self.solution.jitters
 
@@ -309,7 +310,7 @@ class Motion:
 
     @cached_property
     def trunk_m(self) -> float:
-        """Return the length of the trunk, between the joints of `forward`, the median over frames; 0 without a pose."""
+        """Return the median length of the trunk over the frames, m, from rear to front joint; 0 without a pose."""
         rear, front = (self.solution.joints_m[self.solved, joint] for joint in self.forward)
         return float(np.median(np.linalg.norm(front - rear, axis=-1))) if len(rear) else 0.0
 
@@ -344,7 +345,7 @@ class Motion:
         """Return the name of the reference joint's keypoint."""
         return self.names[self.joints.index(self.reference_joint)]
 
-    # -- the input of the fit, for the first camera ---------------------------------------------------------------
+    # The input of the fit, mostly for the first camera
 
     @property
     def camera(self) -> Camera:
@@ -358,7 +359,7 @@ class Motion:
 
     @property
     def file(self) -> str:
-        """Return the path of the first keypoint file, for messages."""
+        """Return the path of the first keypoint file, or a placeholder for messages."""
         return self.keypoints.source or "keypoints"
 
     @property
@@ -368,7 +369,7 @@ class Motion:
 
     @property
     def cleaning(self) -> CleaningReport:
-        """Return the record of the first file's cleaning."""
+        """Return the report on the cleaning of the first keypoint file."""
         return self.sources[0].cleaning
 
     @property
@@ -376,7 +377,7 @@ class Motion:
         """Return whether the camera moves along a track, in a world with z up."""
         return self.sources[0].moves
 
-    # -- frames and points ----------------------------------------------------------------------------------------
+    # Frames and points
 
     @property
     def fps(self) -> float:
@@ -396,12 +397,12 @@ class Motion:
 
     @cached_property
     def time_s(self) -> Array:
-        """Return the time since frame 0 of the file, (T,)."""
+        """Return the time since frame 0 of the file, (T,), seconds."""
         return self.frames / self.fps
 
     @cached_property
     def detections(self) -> Integers:
-        """Return the number of points that all cameras detected in each frame, (T,)."""
+        """Return the number of detections of all cameras together in each frame, (T,)."""
         return np.sum([source.keypoints.present.sum(axis=1) for source in self.sources], axis=0)
 
     @property
@@ -419,7 +420,7 @@ class Motion:
         """Return the keypoints in the files' order, without duplicates."""
         return dict.fromkeys(name for source in self.sources for name in source.file_names)
 
-    # -- the states -----------------------------------------------------------------------------------------------
+    # The states
 
     @property
     def states_frame(self) -> Literal["world", "level"]:
@@ -461,7 +462,7 @@ class Motion:
 
     @property
     def posture_sigma_rad(self) -> Array:
-        """Return the standard deviations of the posture, (T, P)."""
+        """Return the standard deviations of the posture, (T, P), rad."""
         return self.solution.angle_sigma_rad[:, PITCH - YAW :]
 
     @property
@@ -474,11 +475,11 @@ class Motion:
         """Return the median information fraction over the frames by name; NaN if unknown."""
         return dict(zip(self.posture_names, map(median, self.posture_data_share.T), strict=True))
 
-    # -- upright: in the frame in which the motion was solved, with z up --------------------------------------------
+    # The world in which the motion was solved, with z up
 
     @cached_property
     def upright(self) -> Pose3D:
-        """Return the joints, named as their keypoints, with limbs as edges."""
+        """Return the joints in the world with z up, named as their keypoints, with limbs as edges."""
         names = self.names
         edges = [(names[a], names[b]) for limb in self.limbs.values() for a, b in pairwise(limb)]
         pose = Pose3D(names, self.solution.joints_m, self.frames)
@@ -486,12 +487,12 @@ class Motion:
 
     @property
     def upright_sigma_m(self) -> Array:
-        """Return the standard deviations of the joints along the axes, (T, J, 3), position and size included."""
+        """Return the standard deviations of the joints along the axes, (T, J, 3), m, position and size included."""
         return _sigmas(self.solution.covariance_m2)
 
     @property
     def upright_relative_sigma_m(self) -> Array:
-        """Return the standard deviations of the joints relative to the mean of all joints, (T, J, 3)."""
+        """Return the standard deviations of the joints relative to the mean of all joints, (T, J, 3), m."""
         return _sigmas(self.solution.relative_covariance_m2)
 
     @property
@@ -499,7 +500,7 @@ class Motion:
         """Return the parts of the clip that have a pose, each with its ground; the whole clip if there are none."""
         return self.solution.segments or (MotionSegment(slice(0, len(self.frames)), None),)
 
-    # -- in the frame of reference --------------------------------------------------------------------------------
+    # The frame of reference of the camera file
 
     @property
     def frame_of_reference(self) -> Literal["world", "camera"]:
@@ -547,9 +548,9 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """Return the point (3,) of the ground below the middle of the root's path in a segment, or None if unknown.
+        """Return the point of the ground below the middle of the root's path in a segment, or None if unknown.
 
-        It is in metres in the world frame.
+        The point (3,) is in the world frame, metres.
         """
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
@@ -558,7 +559,7 @@ class Motion:
         middle = xy_m.mean(axis=0)
         return np.append(middle, segment.ground.height_m + segment.ground.slope @ middle)
 
-    # -- pictures -------------------------------------------------------------------------------------------------
+    # Pictures
 
     @cached_property
     def pictures(self) -> tuple[Picture, ...]:
@@ -574,7 +575,7 @@ class Motion:
             pictures.append(Picture(source, T_reference_camera, joints_m, pixels, *rest))
         return tuple(pictures)
 
-    # -- uncertainty ----------------------------------------------------------------------------------------------
+    # Uncertainty
 
     @property
     def flags(self) -> tuple[tuple[str, ...], ...]:
@@ -583,7 +584,7 @@ class Motion:
 
     @property
     def alternative_m(self) -> Array:
-        """Return the mean distance between the joints of the two best solutions, (T,), both centred, or NaN."""
+        """Return the mean distance between the joints of the two best solutions, (T,), m, both centred, or NaN."""
         return self.solution.alternative_m
 
     @property
@@ -602,14 +603,14 @@ class Motion:
 
     @cached_property
     def relative_rms_m(self) -> Array:
-        """Return the expected RMS distance of the joints from their true positions, (T,), both poses centred."""
+        """Return the expected RMS distance of the joints from their true positions, (T,), m, both poses centred."""
         return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
 
     @cached_property
     def place_sigma_m(self) -> Array:
-        """Return the standard deviation of the mean of all joints along the first camera's line of sight, (T,)."""
-        # Each joint is the mean plus an offset, and offsets sum to zero: the averages differ by the covariance of the
-        # mean.
+        """Return the standard deviation of the mean of all joints along the first camera's line of sight, (T,), m."""
+        # Each joint is the mean plus an offset. The offsets sum to zero, so the averages of the two covariances differ
+        # by # the covariance of the mean.
         mean_covariance = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
         ray = self.solution.joints_m.mean(axis=1) - self.solution.views[0].centre_m
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)

@@ -1,12 +1,12 @@
-"""Weigh explanations of the poses of two cameras: well calibrated, turned about some of their axes, or moved.
+"""Compare hypotheses about the poses of two cameras: well calibrated, turned about some of their axes, or moved.
 
-The detections of two cameras leave some errors of their poses open. A turn of one camera about the vertical is visible
-only in the animal's apparent size, and it is often open which of the two cameras is turned. The errors have heavy
-tails: about each axis of each camera, the rotation is that of a good calibration or, with probability
-`constants.TURNED_SHARE`, much larger; and one of the two cameras may have been moved. An explanation says about which
-axes the cameras are turned, and whether one of them was moved. Under each explanation the likelihood and the prior of
+The detections of two cameras do not determine all errors of their poses. A turn of one camera about the vertical is
+visible only in the animal's apparent size, and it often remains unclear which of the two cameras is turned. The errors
+have heavy tails. About each axis of each camera, the rotation is that of a good calibration or, with probability
+`constants.TURNED_SHARE`, much larger; and one of the two cameras may have been moved. A hypothesis states about which
+axes the cameras are turned, and whether one of them was moved. Under each hypothesis, the likelihood and the prior of
 the errors are Gaussian, so the marginal likelihood and the posterior of the errors have a closed form. The poses are
-then the mean over all explanations, which has the smallest expected error: if it is open which of the two cameras is
+then the mean over all hypotheses, which has the smallest expected error. If it is unclear which of the two cameras is
 turned, each is turned by half.
 """
 
@@ -26,38 +26,38 @@ from recon.fit.terms import SIZE, extrinsic_correction
 _ROTATIONS = np.tile([True, True, True, False, False, False], 2)
 """Which of the twelve errors of two poses are rotations."""
 _TURNED = np.array([*product([False, True], repeat=6)]).reshape(-1, 2, 3)
-"""All choices of axes of two cameras, (64, 2, 3)."""
+"""All choices of the axes about which two cameras are turned, (64, 2, 3)."""
 _MOVED = np.array([[False, False], [True, False], [False, True]])
-"""Neither camera, or one of them, (3, 2)."""
+"""All choices of the camera that was moved: neither, the first or the second, (3, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairPoses:
-    """Explanations of the errors (12,) of two cameras' poses: three angles and a shift each, as in `View.corrected`."""
+    """Hypotheses about the errors (12,) of two cameras' poses, three angles and a shift each (`View.corrected`)."""
 
     is_turned: Bools
-    """(E, 2, 3): about which axes each of the two cameras is turned, for each of E explanations."""
+    """(E, 2, 3): about which axes each of the two cameras is turned, for each of E hypotheses."""
     is_moved: Bools
     """(E, 2): which camera was moved."""
     weight: Array
-    """(E,): probabilities of the explanations."""
+    """(E,): posterior probabilities of the hypotheses."""
     mean: Array
-    """(E, 12): expected errors."""
+    """(E, 12): expected errors, rad and m."""
     covariance: Array
     """(E, 12, 12): covariances of the errors."""
 
     @classmethod
     def weigh(cls, precision: Array, pull: Array, calibrated_sigma: Array, misplaced_sigma: Array) -> PairPoses:
-        """Weigh all explanations.
+        """Return all hypotheses with their posterior probabilities.
 
         Parameters
         ----------
         precision, pull
             (12, 12), (12,): curvature and gradient of the negative log-likelihood at errors of 0.
         calibrated_sigma
-            (12,): standard deviations of the errors of well calibrated cameras.
+            (12,): standard deviations of the errors of well calibrated cameras, rad and m.
         misplaced_sigma
-            (12,): standard deviations of the errors of cameras that were turned and moved.
+            (12,): standard deviations of the errors of cameras that were turned and moved, rad and m.
         """
         is_turned = np.repeat(_TURNED, len(_MOVED), axis=0)
         is_moved = np.tile(_MOVED, (len(_TURNED), 1))
@@ -81,13 +81,13 @@ class PairPoses:
 
     @property
     def expected(self) -> Array:
-        """Return the expected errors (12,) over all explanations."""
+        """Return the expected errors (12,) over all hypotheses."""
         return self.weight @ self.mean
 
 
 @dataclass(frozen=True, eq=False)
 class WeighedPair:
-    """Explanations of the errors of two cameras' poses, with the precision of these errors in a problem."""
+    """Hypotheses about the errors of two cameras' poses, with the precision of these errors in a problem."""
 
     poses: PairPoses
     columns: Index
@@ -95,15 +95,16 @@ class WeighedPair:
     precision: Array
     """(12, 12): marginal precision of the errors in the problem, including that of their prior."""
     prior_mean: Array
-    """(12,): mean of the errors' prior that puts the problem's minimum at the errors expected over all explanations."""
+    """(12,): mean of the errors' prior that puts the problem's minimum at the errors expected over all hypotheses."""
 
 
 def pair_poses(
     problem: LeastSquares, shared: Mapping[str, Array], normal: tuple[Array, Array], variance_factor: float
 ) -> WeighedPair | None:
-    """Return the weighed explanations of two cameras' poses.
+    """Return the hypotheses about two cameras' poses with their posterior probabilities, or None without unknown poses.
 
-    The animal's size is a single error of the whole clip: like the poses, it counts once for any number of frames.
+    The error of the animal's size is a single one for the whole clip. Like those of the poses, it counts once for any
+    number of frames.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def pair_poses(
     normal
         (P, P), (P,): precision and gradient of all shared unknowns at these values.
     variance_factor
-        Factor on all variances, which is not part of the problem.
+        Factor on all variances, which the problem itself does not contain.
     """
     names = [extrinsic_correction(i) for i in range(2)]
     if not all(name in problem.columns for name in names):
@@ -157,7 +158,7 @@ def pair_poses(
 def with_uncertain_poses(
     problem: LeastSquares, shared: Mapping[str, Array], normal: tuple[Array, Array], variance_factor: float
 ) -> Array:
-    """Return the precision of the shared unknowns (P, P) with two poses as uncertain as all explanations leave them.
+    """Return the precision of the shared unknowns (P, P) with the uncertainty of two poses under all hypotheses.
 
     Parameters are as in `pair_poses`.
     """

@@ -12,27 +12,27 @@ a,
 
     cov(joint) = size^2 J C J' + var(size) q q'
 
-where C is the frame's covariance at a given size. The covariance relative to the mean of all joints has J and q less
-their means over the joints.
+where C is the frame's covariance at a given size. The covariance relative to the mean of all joints is the same with J
+and q minus their means over the joints.
 
-**3. Errors that last.** The cost treats the errors of neighbouring frames as independent, but they are correlated: all
-variances are multiplied by `variance_factor`, the correlation length in frames. A keypoint bias lasts for the whole
-clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened if the
-detections show more (`_bias_scale`). The noise of the detections is then estimated again
+**3. Persistent errors.** The cost treats the errors of neighbouring frames as independent, but they are correlated. All
+variances are therefore multiplied by `variance_factor`, the correlation length in frames. A keypoint bias is constant
+over the whole clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened
+if the detections show more (`_bias_scale`). The noise of the detections is then estimated again
 (`with_reestimated_noise`), because otherwise the bias would count twice.
 
-**4. Information fraction.** The precision of a joint or an angle with the pixels is compared with its precision without
-them, from the other terms alone: 1 - variance / variance without pixels.
+**4. Information fraction.** The variance of a joint or an angle is compared with its variance without the pixels, which
+follows from the other terms alone. The information fraction is 1 - variance / variance without pixels.
 
 **5. Prior misfit and prior weight.** At a minimum the angles deviate from what the prior expects by whitened residuals
 r. Let P be the prior's curvature, H that of all terms, and n the number of unknowns. If the prior fits, |r|^2 is n -
 tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which is above
-1 because errors last (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992). The ratio of the two is the
-most likely scale of the prior's variances, and its inverse is the new weight of the prior.
+1 because errors persist over many frames (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992). The ratio
+of the two is the most likely scale of the prior's variances, and its inverse is the new weight of the prior.
 
 **6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
 Gaussian into a Student's t. Let V be the covariance of an error e in k dimensions. Then e' V^-1 e is k (nu - 2) / nu
-times a variable of Fisher's F with k and nu degrees of freedom.
+times a variable that has Fisher's F distribution with k and nu degrees of freedom.
 """
 
 from __future__ import annotations
@@ -66,16 +66,17 @@ _FRAMES_OF_SHAPE = 32
 _BIAS_ROUNDS = 10
 """Rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
-"""Number of unknowns that the expected variance counts as."""
+"""Weight of the expected variance of the keypoint bias, as a number of unknowns."""
 _NOISE_ROUNDS = 2
-"""Rounds for the noise of detections about their keypoint bias."""
+"""Largest number of rounds that estimate the noise of detections about their keypoint bias."""
 _EXPLAINED = 0.05
-"""Least fraction of the detections, or of their squared residuals, that shared unknowns explain in a second round.
+"""Fraction of the detections, or of their squared residuals, below which a second round of the noise is left out.
 
-At this fraction the second round changes variances by 0.1 % (300 simulated frames of six cameras).
+The fraction is that explained by the shared unknowns. At this limit, the second round changes variances by 0.1 % (300
+simulated frames of six cameras).
 """
 _NOISE_FACTOR = (0.05, 4.0)
-"""Smallest and largest factor on this noise in one round."""
+"""Smallest and largest factor on the variance of the noise in one round."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Posterior:
     angle_variance: Array
     """Variances of the root's rotation and the joints' angles for a given size, shape (2, T, D - 3).
 
-    The first are those with the pixels, the second those without.
+    The first index is 0 for variances with the pixels, and 1 for variances without them.
     """
     state_by_size: Array
     """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns at their minimum
@@ -170,7 +171,7 @@ class _SharedCurvature(NamedTuple):
     normals: Callable[[], Iterable[Normal]]
     windows: Callable[[], Iterable[Window]]
     precision: Array
-    """Shape (P, P), with the common bias as wide as the detections show."""
+    """Shape (P, P), for the variance of the common bias that the detections show."""
     gradient: Array
     """Shape (P,)."""
     expected_precision: Array
@@ -182,11 +183,12 @@ class _SharedCurvature(NamedTuple):
 def curvature(
     problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None = None
 ) -> Curvature:
-    """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
+    """Return the curvature of a problem at its solution, with the nuisance unknowns free.
 
-    Either of two cameras may be turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`);
-    `expected_precision` does not contain that. `normal` holds the problem's normal equations with the nuisance
-    unknowns, if they are known.
+    The common keypoint bias has the variance that the detections show. Either of two cameras may have been turned or
+    moved, which makes their poses more uncertain (`recon.fit.pair_poses`); `expected_precision` does not include this
+    uncertainty. `normal` holds the problem's normal equations with the nuisance unknowns, if they have been computed
+    already.
     """
     problem = _with_free_nuisance(problem)
     shared_curvature = _shared_curvature(problem, estimate, variance_factor, normal)
@@ -237,10 +239,10 @@ def _shared_curvature(
 def _with_likely_bias(
     problem: LeastSquares, estimate: Estimate, reduced: Array, variance_factor: float
 ) -> tuple[Array, Array, Array | float]:
-    """Return the precision of the shared unknowns with a common keypoint bias as wide as the detections show.
+    """Return the precision of the shared unknowns for the common keypoint bias that the detections show.
 
-    `reduced` holds the precision and the gradient for the expected width of the bias. The second result is the part of
-    the precision that the expected spreads contribute, and the third is `Curvature.excess_bias_m2`.
+    `reduced` holds the precision and the gradient for the expected variance of the bias. The second result is the part
+    of the precision that the expected spreads contribute, and the third is `Curvature.excess_bias_m2`.
     """
     S, gradient = reduced[:, :-1].copy(), reduced[:, -1]
     expected_precision = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
@@ -257,7 +259,7 @@ def _with_likely_bias(
 
 
 def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> WeighedPair | None:
-    """Return the explanations of the poses of two cameras at a minimum, or None if both poses are not unknowns."""
+    """Return the hypotheses about the poses of two cameras at a minimum, or None unless both poses are unknowns."""
     problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     problem = _with_free_nuisance(problem)
     shared = problem.expected() | dict(estimate.shared)
@@ -275,7 +277,7 @@ def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_fa
     """Return the most likely factor on the expected variances of some shared unknowns, at least 1.
 
     It is found by expectation-maximisation: the expected squares of the unknowns under their posterior give the factor,
-    and the factor gives their posterior.
+    which in turn gives their posterior.
     """
     rest = np.delete(np.arange(len(g)), columns)
     by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, columns]).T
@@ -288,11 +290,11 @@ def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_fa
 
 
 def with_reestimated_noise(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> LeastSquares:
-    """Estimate the noise of detections again, without their keypoint bias, and return the problem with this noise.
+    """Return the problem with the noise of the detections estimated again, without their keypoint bias.
 
     A solution assumes a bias of 0, so its residuals contain bias and noise. If all of the residuals counted as noise,
-    the bias would count twice. The variance of the noise is the likeliest one: the squared residuals that remain after
-    the best bias, divided by the number of detections less those that determine the bias.
+    the bias would count twice. The most likely variance of the noise is the sum of squared residuals about the best
+    bias, divided by the number of detections minus those that determine the bias.
     """
     return _with_reestimated_noise(problem, estimate, variance_factor)[0]
 
@@ -300,7 +302,7 @@ def with_reestimated_noise(problem: LeastSquares, estimate: Estimate, variance_f
 def _with_reestimated_noise(
     problem: LeastSquares, estimate: Estimate, variance_factor: float
 ) -> tuple[LeastSquares, Normal | None]:
-    """Return `with_reestimated_noise`, and for a short clip the normal equations with the nuisance unknowns."""
+    """Return the problem of `with_reestimated_noise`, and, for a short clip, its normal equations with all unknowns."""
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
         return problem, None
     equations = _EquationsByNoise.of_problem(problem, estimate)
@@ -339,7 +341,7 @@ def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
 
 @dataclass(frozen=True)
 class _EquationsByNoise:
-    """Normal equations of a short clip, from which those for any other noise of the detections follow."""
+    """Normal equations of a short clip, which give those for any other noise of the detections."""
 
     whole: Normal | None
     """The normal equations; None for a long clip, whose normal equations are too large."""
@@ -391,9 +393,9 @@ def posterior(
     estimate
         The minimum.
     variance_factor
-        Factor on all variances: the correlation length of errors, in frames, which the cost does not know.
+        Factor on all variances: the correlation length of errors, in frames, which the cost ignores.
     normal
-        The normal equations with the nuisance unknowns, if they are known.
+        The normal equations with the nuisance unknowns, if they have been computed already.
     """
     states, size = estimate.states, size_of(estimate.shared)
     (T, D), J = states.shape, len(body.markers)
@@ -475,7 +477,7 @@ def _without_pixels(
 ) -> tuple[Array, Array]:
     """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
 
-    `normals` gives the normal equations with the pixels; in a short clip, they are kept and used. Priors do not
+    `normals` gives the normal equations with the pixels, which are used again if the clip is short. Priors do not
     determine a frame's position and heading. For the information fraction, which compares joints within the body with
     and without pixels, position and heading are fixed; for the angles they are nearly free.
     """
@@ -501,7 +503,7 @@ def _shared_sigma(
 ) -> dict[str, Array]:
     """Return the standard deviations (P,) of the shared unknowns: see `Posterior.shared_sigma`.
 
-    `is_measured` says whether the animal's lengths were measured. If not, the expected spread of lengths is at least
+    `is_measured` is true if the animal's lengths were measured. If not, the expected spread of lengths is at least
     `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the fit assumed.
     """
     unknowns = {unknown.name: unknown for unknown in (*problem.shared, *problem.nuisance)}
@@ -540,7 +542,7 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     """Return the information fraction of each joint, (J,), 0 to 1.
 
     It is the median over frames of 1 - variance / variance without pixels, (T, J), of the joint relative to the mean of
-    the joints, with position and heading given. It is NaN for joints that cannot move then.
+    the joints, with position and heading given. It is NaN for joints that cannot move relative to the mean.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
@@ -594,7 +596,7 @@ class PriorMisfit:
 
     @property
     def prior_weight(self) -> float:
-        """Return the fraction of its weight that the prior keeps: one over the scale of its variances, at most 1."""
+        """Return the fraction of its weight that the prior keeps: the inverse scale of its variances, at most 1."""
         return 1.0 / max(self.level, 1.0)
 
     @property
@@ -618,7 +620,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 
 
 DEGREES_OF_FREEDOM = 7.0
-"""Degrees of freedom nu, the most likely ones for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
+"""Degrees of freedom nu that are most likely for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
 """Amount added to variances: the covariance of a pose relative to its own middle may be singular to rounding."""
 

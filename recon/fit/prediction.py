@@ -1,14 +1,15 @@
 """Predict the detections of a camera that a solution was not fitted to.
 
 **Deviations.** Skin, labels and a skeleton's rigid segments let keypoints deviate from the body's markers for a while.
-The deviation d (3,) of each keypoint is a Gaussian process that can be differentiated once (Matern, 3/2), and is
+The deviation d (3,) of each keypoint is modelled as a once differentiable Gaussian process (Matern 3/2), and is
 estimated from the detections of all views by a Kalman filter and smoother. The size and the duration of deviations, and
-the detections' noise about them, are those with the largest evidence. The noise of a fit contains deviations.
+the detections' noise about them, are those with the largest evidence. The noise that a fit estimates includes the
+deviations.
 
 **Covariance.** Each view is left out in turn, and predicted from the others. The errors of these predictions give a
-factor on all covariances, with which 90 % regions hold 90 % of the detections. The factor contains the tails of the
-detector's errors and the bias of each camera. The clock of the other camera is taken to be as far off as the clocks of
-the views.
+factor on all covariances, with which 90 % regions hold 90 % of the detections. The factor accounts for the tails of the
+detector's errors and the bias of each camera. The clock of the predicted camera is assumed to be as inaccurate as the
+clocks of the views.
 
 References
 ----------
@@ -53,7 +54,7 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
     view
         A camera on the same frames. Its detections are not read.
     fps
-        Frames per second; None: keypoints are predicted at the body's markers, without deviations that last.
+        Frames per second. None predicts keypoints at the body's markers, without deviations.
 
     Returns
     -------
@@ -75,14 +76,14 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
 
 
 def _time_offset_frames(solution: Solution) -> float:
-    """Return the standard deviation of the clocks of a solution's views, in frames."""
+    """Return the root mean square error of the clocks of a solution's views, in frames; 0 if it was not estimated."""
     if not isinstance(solution, TrajectorySolution):
         return 0.0
     return float(np.sqrt(np.mean(solution.time_offset_frames**2 + solution.time_offset_sigma_frames**2)))
 
 
 def _change_per_frame(xy_px: Array) -> Array:
-    """Return the change (T, J, 2) of pixels from frame to frame, 0 if unknown."""
+    """Return the change of positions (T, J, 2) from frame to frame, pixels, 0 if unknown."""
     return np.nan_to_num(np.gradient(xy_px, axis=0)) if len(xy_px) > 1 else np.zeros_like(xy_px)
 
 
@@ -97,7 +98,7 @@ def _predicted(solution: Solution, view: View, points_m: Array, points_m2: Array
 def _tail_factor(solution: Solution) -> float:
     """Return the factor on the noise's variance with which 90 % regions contain 90 % of the views' detections.
 
-    The noise of the fit is that of its robust loss, which leaves out the tails that detectors have.
+    The noise of the fit belongs to its robust loss, which ignores the tails of the detector's errors.
     """
     squares = []
     for view in solution.views:
@@ -107,7 +108,7 @@ def _tail_factor(solution: Solution) -> float:
 
 
 def _whitened_squares(error: Array, covariance: Array) -> Array:
-    """Return e' S^-1 e of the known errors (..., 2)."""
+    """Return the squares e' S^-1 e (n,) of the n known errors e (..., 2) with covariances S (..., 2, 2)."""
     is_known = np.isfinite(error[..., 0]) & np.isfinite(covariance).all(axis=(-2, -1))
     whitened = np.linalg.solve(covariance[is_known], error[is_known][..., None])[..., 0]
     return np.asarray(np.sum(error[is_known] * whitened, axis=-1))
@@ -123,7 +124,7 @@ def _px_per_m(view: View, markers_m: Array) -> Array:
 
 
 def _noise_m(solution: Solution) -> Array:
-    """Return the noise of detections at the keypoints' distance, (T, J): the median over the views, metres."""
+    """Return the noise of detections at the distance of the keypoints, (T, J), metres: the median over the views."""
     noise_m = [
         noise_px / _px_per_m(view, solution.markers_m)
         for view, noise_px in zip(solution.views, solution.noise_px, strict=True)
@@ -132,7 +133,7 @@ def _noise_m(solution: Solution) -> Array:
         return np.asarray(np.nanmedian(noise_m, axis=0))
 
 
-# -- deviations of keypoints from markers -----------------------------------------------------------------------------
+# Deviations of keypoints from markers
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +178,7 @@ class _Residuals:
         return np.asarray(self.weight * np.sum(self.error_px**2, axis=-1) / self.noise_px**2)
 
     def off_px(self, deviation: Array) -> Array:
-        """Return the errors (..., T, J, 2) that deviations (..., T, J, 3) leave, NaN if missing."""
+        """Return the errors (..., T, J, 2) that remain after deviations (..., T, J, 3), pixels, NaN if missing."""
         remaining_px = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
         return np.where(self.weight[..., None] > 0, remaining_px, np.nan)
 
@@ -207,7 +208,7 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
 def _likeliest_process(
     solution: Solution, residuals: list[_Residuals], information: Array, pull: Array, fps: float
 ) -> tuple[Array, Array, Array]:
-    """Return the size of deviations in metres, their duration in frames, and the share of the noise, (J,) each."""
+    """Return the size of deviations in metres, their duration in frames, and the fraction of the noise, (J,) each."""
     with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
         noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     shares, lasting_s = np.array([(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]).T
@@ -282,7 +283,7 @@ def _filtered(
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield the mean (..., J, 6) and covariance of every frame, before and after the frame's detections.
 
-    The six numbers are the deviation, and its velocity times the duration.
+    The six unknowns are the deviation, and its velocity times the duration.
     """
     transition = _transition(np.broadcast_to(lasting_frames, np.shape(sigma_m)))
     stationary = np.maximum(sigma_m, 1e-9)[..., None, None] ** 2 * np.eye(6)

@@ -1,4 +1,4 @@
-"""Result of a fit as data: findings, the verdict, a `Solution`, and the additions of the trajectory method."""
+"""Define the data of a fit's result: findings, the verdict, a `Solution`, and that of the trajectory method."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ SINGLE = (
     "noise_px",
     "weight",
 )
-"""Arrays of the trajectory method that are kept in single precision, which is finer than they are known."""
+"""Arrays of the trajectory method that are kept in single precision, which is finer than their accuracy."""
 OUTLIER_SIGMAS = 3.0
 """Distance of a detection from its joint's reprojection, in standard deviations, above which it is an outlier."""
 
@@ -261,7 +261,7 @@ class Solution(Brief):
     noise_px: Array
     """(V, T, J): standard deviation assigned to each detection in each view."""
     weight: Array
-    """(V, T, J): weight of each detection, 1 to 0, NaN if missing."""
+    """(V, T, J): weight of each detection, 0 to 1, NaN if missing."""
     flags: tuple[tuple[str, ...], ...]
     """(T,): flags of each frame; in a frame without a pose, a flag gives the reason."""
     alternative_m: Array
@@ -283,12 +283,12 @@ class Solution(Brief):
 
     @property
     def constant_velocity_m_s(self) -> Array | None:
-        """Return the speed of the constant-velocity starts of the search, (T,), if the method keeps it."""
+        """Return the speed of the constant-velocity starts of the search, (T,), m/s, if the method keeps it."""
         return None
 
     @property
     def position_error_time_s(self) -> float | None:
-        """Return the duration of an error of the animal's position, if the method estimates the path separately."""
+        """Return the correlation time of the position's error, s, if the method estimates the path separately."""
         return None
 
     @property
@@ -354,7 +354,7 @@ class TrajectorySolution(Solution):
     focal: Array
     """(V,): logarithm of the factor on each camera's focal lengths; 0 if not estimated."""
     focal_sigma: Array
-    """(V,): standard deviations of the focal lengths' factors."""
+    """(V,): standard deviations of `focal`."""
     sideslip_rad: float
     """Constant angle, to the left, between the trunk and the direction of travel; 0 if not estimated."""
     sideslip_sigma_rad: float

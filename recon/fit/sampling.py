@@ -1,8 +1,8 @@
 """Draw motions of whole clips from the posterior.
 
 Let H = L L' be the curvature at the solution (`recon.fit.banded`). Then x = L^-T z is one draw if z is white noise.
-Neighbouring frames of a draw are correlated as H says. The shared unknowns are drawn separately, and so is the size,
-which the states follow.
+Neighbouring frames of a draw are correlated as in H^-1. The shared unknowns and the size are drawn separately, and the
+states change with them.
 """
 
 from __future__ import annotations
@@ -97,9 +97,9 @@ def sample_joints(
     Parameters
     ----------
     sources
-        Data of the cameras.
+        Keypoints and camera of each view, as in the fit.
     solution
-        The solution for them.
+        The solution of the fit to these data.
     fps
         Frames per second.
     settings

@@ -1,4 +1,4 @@
-"""One segment of a clip with its solution, and the round that solves it again."""
+"""Define a solved segment of a clip, and the round that solves it again."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class SegmentFit:
     noise: Array
     """(V, J): variances of the detections relative to the expected ones."""
     noise_px: Array
-    """(V, n, J): the noise of the detections."""
+    """(V, n, J): the noise of the detections, px."""
     contact: Array
-    """(n, F): contact of the feet with the ground."""
+    """(n, F): contact of the feet with the ground, 0 to 1."""
     ground: Ground | None
     """The ground at nominal size about the origin."""
     prior_misfit: PriorMisfit | None = None
     """Misfit of the motion under the prior, from the first round."""
     prior_weight: float = 1.0
-    """Fraction of its full weight that the prior has."""
+    """Weight of the prior as a fraction of its full weight."""
     windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
-    """Frames of each window of the starts, and its starts after the approach, best first."""
+    """Frames of each window, and the window's starts after the approach, best first."""
     iterations: int = 0
 
     @classmethod
@@ -89,7 +89,7 @@ def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 
 
 def solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Return the minimum from a solution, from which the noise, the contacts and the ground are estimated first."""
+    """Estimate noise, contacts and ground from a solution, and return the minimum reached from this solution."""
     options, estimate, size = clip.options, segment.estimate, segment.size
     contact, ground, contact_terms = segment.contact, segment.ground, ()
     points = with_solved_shape(clip, segment).markers(estimate.states)
@@ -108,10 +108,10 @@ def solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
     """Return the variance of each joint's detections relative to the expected one, (V, J), under the robust loss.
 
-    The factor is the mean of weight times squared residual per coordinate, in which the expectation counts as eight
-    detections. It is limited to 1/4 to 6, so that no joint is followed blindly or given up. If the body's shape is
-    unknown, the residuals are those of the estimated shape, which then show the noise better than the expectation for
-    an unmeasured detector does.
+    The factor is the mean of weight times squared residual per coordinate, in which the expected variance counts as
+    eight detections. The factor is limited to 1/4 to 6, so that no joint is followed blindly or ignored. If several
+    cameras estimate the body's shape and the detector was not measured, the residuals show the noise better than the
+    expectation, so the expected variance counts as `NOISE_COUNT` detections and the lower limit is `LEAST_NOISE`.
     """
     world = clip.in_world(points_m, size)
     is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1

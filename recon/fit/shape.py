@@ -3,8 +3,8 @@
 All clips share the lengths of the body's segments, left equal to right, as factors on the skeleton's, and the distances
 of the detector's keypoints from the markers. Each clip is solved for a given shape. At its minimum the states are
 eliminated from the normal equations (`recon.fit.banded`), S = C - B' H^-1 B, and the shape takes the Gauss-Newton step
-of the sum over the clips and the prior of the shape. A few rounds of both lead to the minimum over all unknowns. The
-inverse of the sum is the shape's covariance.
+of the sum over the clips and the prior of the shape. A few rounds of solving the clips and changing the shape lead to
+the minimum over all unknowns. The inverse of the summed curvature is the shape's covariance.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from recon.geometry.kinematics import TreePose
 MODEL_SIGMA = 0.04
 """Relative standard deviation of a measured length due to everything that a rigid skeleton cannot follow.
 
-Examples are sliding shoulders, and keypoints that are not at their joints. With this value 90 % intervals contain 88 %
+Examples are sliding shoulders, and keypoints that are not at their joints. With this value, 90 % intervals contain 88 %
 of the lengths (`benchmarks/parts/bone_lengths.py`).
 """
 POSED_OFFSET_SIGMA_M = 0.02
-"""Expected offset if the poses are known, when no change of pose can replace an offset."""
+"""Standard deviation of a keypoint's offset, m, if the poses are known and cannot absorb a part of it."""
 FIXED_SIZE_SIGMA = 1e-4
-"""Standard deviation of the size, which is fixed because the lengths replace it."""
+"""Relative standard deviation of the size, so small that the size is fixed; the lengths replace it."""
 _PRIOR_COUNT = 8
-"""Number of views that the expected spread of a keypoint counts as."""
+"""Weight of the expected spread of a keypoint, as a number of views."""
 ROUNDS = 8
-"""Largest number of rounds."""
+"""Largest number of rounds of solving the clips and changing the shape."""
 CLOSE_ENOUGH = 0.05
 """Step of the unknowns, in standard deviations, below which the rounds end."""
 
@@ -54,15 +54,15 @@ class ShapeFit:
     covariance: Array
     """Covariance of the unknowns, shape (K, K)."""
     converged: bool
-    """Whether the last step was small."""
+    """Whether the last step of the unknowns was below `CLOSE_ENOUGH`."""
     keypoint_sigma_m: float
-    """Standard deviation of keypoints in a single frame about their fitted offsets."""
+    """Standard deviation of keypoints in a single frame about their fitted offsets, m, for all markers together."""
     noise_m: dict[str, float]
-    """Standard deviation of a keypoint in a single frame, for the markers of the left side and the middle."""
+    """Standard deviation of a keypoint in a single frame, m, for each marker of the left side and the middle."""
     spread_m: dict[str, float]
-    """Keypoint bias along each axis, constant within one clip and camera.
+    """Standard deviation of the keypoint bias along each axis, m, which is constant within one clip and camera.
 
-    It is given for the markers of the left side and the middle.
+    It is given for each marker of the left side and the middle.
     """
 
     @cached_property
@@ -76,14 +76,14 @@ class ShapeFit:
         Parameters
         ----------
         names
-            Segments or markers of `shape.lengths` whose offsets are the length, end to end.
+            Segments or markers of `shape.lengths` whose offsets, end to end, make up the length.
         prior_size_sigma
-            Standard deviation of the animal's size before the clips.
+            Relative standard deviation of the animal's size before the fit.
 
         Returns
         -------
         length_m, sigma_m, data_share : float
-            The standard deviation includes `MODEL_SIGMA`; the fraction is that of the information, 0 to 1.
+            The standard deviation includes `MODEL_SIGMA`. `data_share` is the fraction of the information, 0 to 1.
         """
         body = self.shape.applied(self.shape.body, self.values)
         offset_m = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
@@ -106,14 +106,15 @@ class ShapeFit:
 
 
 def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
-    """Return the shape of the animal in several clips.
+    """Fit the shape of one animal to several clips.
 
     Parameters
     ----------
     shape
         The unknowns.
     clips
-        Clips whose bodies have the segments and markers of `shape.body`, and their own lengths; their size is not free.
+        Clips whose bodies have the segments and markers of `shape.body`, and may have other lengths. Their size is held
+        fixed.
 
     Raises
     ------
@@ -158,7 +159,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:
-    """Return the keypoint bias by marker, from the mean residuals of every marker in every view.
+    """Return the standard deviation of the keypoint bias by marker, m, from each marker's mean residual in every view.
 
     The part common to all markers of a view is removed. The expected spread counts as `_PRIOR_COUNT` views, because a
     few views are not enough to estimate it.
@@ -190,7 +191,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
 
 
 def _reduced(shape: Shape, clip: ClipProblem, segment: SegmentFit) -> tuple[Array, Array]:
-    """Return the curvature (K, K) and gradient (K,) of a segment's cost in the shape, with the states eliminated."""
+    """Return the curvature (K, K) and gradient (K,) of a segment's cost for the shape, with the states eliminated."""
     states, problem = segment.estimate.states, segment.problem
     normal = problem.normal(states, segment.estimate.shared)
     K = len(shape)

@@ -1,4 +1,4 @@
-"""The result of a solution: all segments together in the world, with their posterior, flags and tests."""
+"""Combine the solved segments of a clip into one solution in the world, with its posterior, flags and tests."""
 
 from __future__ import annotations
 
@@ -38,22 +38,23 @@ from recon.geometry.kinematics import ROOT, YAW
 _FRAMES_AT_ONCE = 4096
 """Number of frames to convert at once."""
 POOR_SHARE = 1 / 3
-"""Fraction of all joints: a frame is "data poor" if fewer joints are trusted in it."""
+"""Fraction of all joints; a frame in which fewer joints are trusted is "data poor"."""
 POORER_SHARE = 0.8
-"""Fraction of the joints trusted in good frames: a frame is also "data poor" if fewer joints are trusted in it."""
+"""Fraction of the joints trusted in good frames; a frame in which fewer joints are trusted is also "data poor"."""
 END_ON_RAD = np.radians(25)
-"""Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth".
+"""Angle between the line of sight and the trunk, rad, below which a frame gets the flag "ambiguous depth".
 
-Median errors of the frames of 32 real views: 137 mm below 15 degrees, 75 mm to 25 degrees, 52 mm from 45 degrees on.
+Only perspective then shows the depth of the trunk. In 32 real views, the median error of the frames is 137 mm below 15
+degrees, 75 mm from 15 to 25 degrees, and 52 mm from 45 degrees on.
 """
 TESTED_S = 5.0
 """Seconds of a clip used to test the second camera."""
 ALTERNATIVE_M = 0.1
-"""Mean distance of a second solution's joints above which the solution gets a flag: see also `ALTERNATIVE_COST`."""
+"""Mean distance between the joints of two solutions, m, above which a frame gets the flag "ambiguous depth"."""
 
 
 def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:
-    """Return the result of all segments together; `expected` is the body with the shape that is not estimated."""
+    """Return the solution of all segments together; `expected` is the body before its shape is estimated."""
     unshaped = clip
     clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [_posterior_of(unshaped, clip.body, segment) for segment in segments]
@@ -152,13 +153,13 @@ class _ClipArrays:
         self.arrays: dict[str, Array] = {}
 
     def by_frame(self, name: str) -> Array:
-        """Return a view of an array, frames first."""
+        """Return a view of an array with the frames on the first axis."""
         if name not in self.arrays:
             self.arrays[name] = np.full(self.shapes[name], np.nan)
         return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
 
     def fill(self, name: str, rows: slice, values: Array) -> None:
-        """Set the values of a segment, whose frames are `rows`; the array may be kept, and rounded in place."""
+        """Set the values of the segment whose frames are `rows`; the given array may be kept and rounded in place."""
         if name in SINGLE:
             _round_to_single(values)
         if values.shape == self.shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
@@ -240,7 +241,7 @@ def _lengths_m(body: Body, names: Sequence[str]) -> Array:
 def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> LeastSquares:
     """Return the problem with lengths and offsets at least as uncertain as expected.
 
-    The solution uses smaller uncertainties, so that the pose explains as much as possible.
+    The solver uses smaller standard deviations, so that the pose explains as much as possible.
     """
     if problem.shape is None:
         return problem
@@ -264,9 +265,10 @@ def _with_free_world(problem: LeastSquares) -> LeastSquares:
 
 
 def states_at_size(states: Array, by_size: Array, size: float, other_size: float) -> Array:
-    """Return states (T, D) at nominal size for another size of the animal, from their derivatives (T, D) at a size.
+    """Extrapolate states (T, D) at nominal size to another size of the animal, with their derivatives (T, D).
 
-    The animal's position in the world moves in a straight line. It is the size times the root, so the root does not.
+    `by_size` holds the derivatives with respect to the size, at `size`. The animal's position in the world changes
+    linearly with the size. The position is the size times the root, so the root itself does not.
     """
     step = by_size * (other_size - size)
     step[:, ROOT] *= size / other_size
@@ -276,7 +278,7 @@ def states_at_size(states: Array, by_size: Array, size: float, other_size: float
 def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
-    """Yield the arrays of one segment one at a time, because those of a long clip are large."""
+    """Yield the arrays of a segment one by one, because those of a long clip are large."""
     # several cameras: the other shared unknowns stay as solved, so that the rays still meet
     state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
     states = states_at_size(segment.estimate.states, state_by_size, segment.size, size)
@@ -312,8 +314,8 @@ def _estimate_size(
 ) -> tuple[float, float, tuple[str, ...]]:
     """Return the size, its standard deviation, and its sources.
 
-    The sources are the prior, with a size of 1; several views; and, if the ground's distance below the camera is known,
-    the size that puts the feet at this distance.
+    The sources are the prior, with a size of 1; several views; and the ground, if its distance below the camera is
+    known, with the size that puts the feet at this distance.
     """
     prior_precision, bias_variance = clip.size_sigma**-2, _size_error_of_bias(clip) ** 2
     precision, pull, sources = prior_precision, prior_precision, ["prior"]
@@ -374,7 +376,10 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
 
 
 def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Return the part in which both cameras see most, because lasting model errors would add up over a whole clip."""
+    """Return the part of a segment in which both cameras see most joints, solved again.
+
+    Persistent model errors would add up over a whole clip.
+    """
     seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
     rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))
     if rows.stop - rows.start == len(seen_by_both):
@@ -384,7 +389,9 @@ def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 
 
 def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares, Array]:
-    """Return the problem with a free second camera, whose seven errors come first, and their usual standard deviations.
+    """Return the problem with a free second camera, and the usual standard deviations (7,) of this camera's errors.
+
+    The seven errors are the first of the shared unknowns.
 
     The size stays near the expected one: if rays meet in spite of a wrong pose, the animal is too large or too small.
     The ground is left out, because a fixed plane would fix the world's tilt.
@@ -406,7 +413,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
 
 
 def _size_error_of_bias(clip: ClipProblem) -> float:
-    """Return the apparent error of the size if all keypoints are displaced from their markers in the same direction."""
+    """Return the standard deviation of the size's error if keypoints are displaced independently from their markers."""
     body = clip.body
     state = np.zeros((1, body.n_state))
     state[0, ANGLES] = clip.prior.mean
@@ -415,9 +422,9 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 
 
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
-    """Return the smallest extra cost of another start.
+    """Return the smallest extra cost of a second solution in any window of a segment.
 
-    The mean distance of the joints, both poses centred, is written to `distance_m` (T,).
+    The mean distance between the joints of the two solutions, both centred, is written to `distance_m` (T,).
     """
     extra_cost = np.inf
     points = clip.body.tree.pose(segment.estimate.states).points_m
@@ -444,7 +451,7 @@ def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
 def _frame_flags(
     clip: ClipProblem, joints_m: Array, weight: Array, alternative_m: Array, out_of_sight: Bools
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the flags of each frame, (T,), from weights (V, T, J)."""
+    """Return the flags of each frame, (T,); `weight` has the shape (V, T, J)."""
     detected = clip.present().sum(axis=1)
     trusted = np.where(np.isfinite(weight), weight, 0.0).max(axis=0).sum(axis=1)
     usual_trusted = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0

@@ -1,8 +1,9 @@
-"""Find starts for the solution of a clip: the mean pose at constant velocity, then an approach from the best starts.
+"""Find the states from which the solution of a clip starts.
 
-For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem; its
-distance follows from the size of the shape. The path over a window decides whether the animal comes nearer or goes
-away, which a single frame cannot show.
+The mean pose, moving at constant velocity, is fitted to the viewing rays for many headings. The best of these starts
+are then refined while the noise decreases (`approach`). For a given heading, the position that brings a shape nearest
+to the rays of one frame is the solution of a small least-squares problem; its distance follows from the size of the
+shape. The path over a window shows whether the animal comes nearer or goes away, which a single frame cannot show.
 """
 
 from __future__ import annotations
@@ -19,22 +20,25 @@ from recon.fit.least_squares import Estimate
 from recon.geometry.kinematics import ROOT, YAW
 
 _MISFIT_M = 0.15
-"""Distance of a joint of the mean pose from its ray at which the robust loss is half the square: a leg's swing."""
+"""Distance of a joint of the mean pose from its ray, m, at which the robust loss is half the squared distance.
+
+Swinging legs are about this far from the mean pose.
+"""
 
 
 def position_on_rays(joints_m: Array, rays: Array) -> Array:
     """Return the translations that bring a rigid shape nearest to viewing rays.
 
-    The first guess is the median over joints, at the median distance over pairs of joints. Gauss-Newton steps on the
-    angles follow, with Geman-McClure weights: distances from the rays would draw the shape towards the camera. Leading
-    axes broadcast.
+    The first guess is the median over the joints, at the distance from the camera that is the median over pairs of
+    joints. Gauss-Newton steps with Geman-McClure weights then minimise the angles between joints and rays. Distances
+    from the rays would draw the shape towards the camera. Leading axes broadcast.
 
     Parameters
     ----------
     joints_m
         (..., J, 3): the shape, metres.
     rays
-        (..., J, 3): unit vectors, NaN where missing, at least two a row.
+        (..., J, 3): unit vectors, NaN where missing; at least two of the J rays are known.
 
     Returns
     -------
@@ -63,7 +67,7 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
 
 
 def _median_of_known(values: Array) -> Array:
-    """Return the medians (...) of values (..., N) that are not NaN; numpy's own function is many times slower."""
+    """Return the medians (...) of the values (..., N) that are not NaN; `numpy.nanmedian` is many times slower."""
     ordered, counts = np.sort(values, axis=-1), np.isfinite(values).sum(axis=-1)[..., None]  # NaN come last
     middle = [np.take_along_axis(ordered, index, axis=-1) for index in ((counts - 1) // 2, counts // 2)]
     return (0.5 * (middle[0] + middle[1]))[..., 0]
@@ -77,9 +81,9 @@ def _dot(a: Array, b: Array) -> Array:
 def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
     """Return the deviations of points (..., J, 3) from their rays.
 
-    They are the directions q of the points (unit vectors) divided by their distances r, (..., J, 3); the cosines c
-    (..., J) between q and the rays d (0 where missing); and the part of d across q, m = d - c q, (..., J, 3), whose
-    length is the sine.
+    Let q be the direction of a point (a unit vector), r its distance, and d its ray, 0 where missing. The results are q
+    / r (..., J, 3); the cosine c (..., J) between q and d; and the part of d perpendicular to q, m = d - c q (..., J,
+    3), whose length is the sine.
     """
     square, rays = _dot(points_m, points_m), np.nan_to_num(rays)
     cosine = _dot(points_m, rays) / np.sqrt(square)
@@ -90,9 +94,9 @@ def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
 def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[Array, Array]:
     """Return the normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays.
 
-    The deviations are those of `_off_rays`, summed over the joints with weights (..., J). The residual is q - c d. Its
-    derivative with respect to the point is S = (I - d d' - (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and
-    S'(q - c d) = -c m / r.
+    The first three arguments are the results of `_off_rays`; `weight` (..., J) holds the weights of the joints, over
+    which the equations are summed. The residual is q - c d. Its derivative with respect to the point is S = (I - d d' -
+    (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r.
     """
     square = weight * _dot(near, near)  # weight / r^2
     along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
@@ -115,16 +119,16 @@ def constant_velocity(
 ) -> tuple[Array, Array]:
     """Fit shapes that each run straight along a heading to rays from one or more cameras.
 
-    It takes Gauss-Newton steps with Geman-McClure weights, all H headings at once.
+    All H headings are solved at once, by Gauss-Newton steps with Geman-McClure weights.
 
     Parameters
     ----------
     headings
         (H, 3): unit vectors.
     shapes
-        (H, J, 3): the shape of each heading, metres.
+        (H, J, 3): the shape turned to each heading, metres.
     up
-        (3,): the vertical, along which a run may climb.
+        (3,): the upward direction, along which a run may climb.
     rays
         (F, J, 3): unit vectors, NaN where missing.
     time_s
@@ -135,7 +139,7 @@ def constant_velocity(
     Returns
     -------
     misfits : (H,) array
-        0 to 1, or up to 2 if a run would go backwards.
+        Misfit of each heading, 0 to 1; 1 is added if the animal would run backwards.
     unknowns : (H, 6) array
         Position at time zero (m), speed and acceleration along the heading (m/s, m/s^2), and climb (m/s).
     """
@@ -174,7 +178,7 @@ def _solution(matrix: Array, right: Array) -> Array:
 
 
 def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
-    """Return the velocities (H, 3) of straight paths through positions (H, N, 3), by least absolute distances."""
+    """Return the velocities (H, 3) of straight paths fitted to positions (H, N, 3) by least absolute distances."""
     design = np.stack([np.ones_like(time_s), time_s - time_s.mean()], axis=1)
     weight, line = np.ones(positions_m.shape[:2]), np.zeros((len(positions_m), 2, 3))
     for _ in range(10):
@@ -185,36 +189,36 @@ def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
 
 
 APPROACH_HZ = 30.0
-"""Frames per second that are enough for the approach."""
+"""Frame rate of the approach, frames per second; higher rates are thinned to about this rate."""
 _HEADINGS = 18
-"""Number of headings that are tried; half as many in a fast fit."""
+"""Number of headings that are tried; a fast fit tries half as many."""
 _APART_RAD = 0.5
 """Starts whose headings differ by less than this count as the same."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
-"""Factors on the noise during the approach, one after the other."""
+"""Factors on the noise during the approach, in the order in which they are used."""
 _SAME_M = 0.05
-"""Mean distance of the markers below which two starts are on the way to the same minimum."""
+"""Mean distance between the markers of two starts, m, below which both lead to the same minimum."""
 ALTERNATIVE_COST = 20.0
 """Largest extra cost at which a second solution is reported."""
 _INTERMEDIATE_TOLERANCE = 0.2
-"""Relative decrease of the cost at which the search with one of the noises between the first and the last one ends."""
+"""Relative decrease of the cost that ends the search with each noise factor between the first and the last."""
 _RAYS = 16
-"""Approximate number of frames, of all views together, from which the headings are chosen."""
+"""Approximate number of frames, over all views, from whose rays the headings are chosen."""
 _MIN_RAYS = 2
-"""Smallest number of rays of a frame with which a shape can be positioned."""
+"""Smallest number of rays in a frame that determine the position of a shape."""
 _WORSE = 0.2
-"""Misfit, beyond the best one, from which a start of several cameras is not tried.
+"""Excess over the smallest misfit from which a start is not tried, for several cameras.
 
-One camera may mistake the heading; several cameras see it. In 71 windows of pairs and of all cameras of real runs, no
-such start led to a minimum of lower cost.
+The heading is often ambiguous for one camera, but not for several. In 71 windows of pairs and of all cameras of real
+runs, no such start led to a minimum of lower cost.
 """
 
 
 def approach(clip: ClipProblem) -> list[Estimate]:
     """Return the starts of one window after the approach with decreasing noise, best first.
 
-    Only the first two starts (one in a fast fit) are solved to the end, at all frames of the window: the second only
-    until it reaches the first one's minimum or costs too much to be reported.
+    Only the first two starts (one in a fast fit) are solved down to the smallest noise, and interpolated to all frames
+    of the window. The second one stops early if it reaches the minimum of the first or costs too much to be reported.
     """
     fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
@@ -228,14 +232,14 @@ def approach(clip: ClipProblem) -> list[Estimate]:
     starts.sort(key=lambda start: start.cost)
     narrower = [(widen, _INTERMEDIATE_TOLERANCE) for widen in _NOISE_FACTORS[1:-1]]
     narrower.append((_NOISE_FACTORS[-1], 3e-3 if fast else 1e-3))
-    minima = [starts[0]]  # minima of the best start, one for each noise level
+    minima = [starts[0]]  # minima of the best start, one for each noise factor
     for widen, tolerance in narrower:
         minima.append(minimum(minima[-1].states, widen, tolerance, 15))
     finished = [minima[-1]]
     for estimate in [] if fast else starts[1:2]:
         for (widen, tolerance), best in zip(narrower, minima[1:], strict=True):
             if estimate.cost > finished[0].cost + ALTERNATIVE_COST:
-                break  # less noise only makes the start costlier
+                break  # its cost only increases when the noise decreases
             estimate = minimum(estimate.states, widen, tolerance, 15)
             if _distance_m(thin, estimate, best) < _SAME_M:
                 estimate = finished[0]
@@ -250,14 +254,14 @@ def approach(clip: ClipProblem) -> list[Estimate]:
 
 
 def _distance_m(clip: ClipProblem, estimate: Estimate, reference: Estimate) -> float:
-    """Return the mean distance between the markers of two motions."""
+    """Return the mean distance between the markers of two motions, m."""
     return float(np.linalg.norm(clip.markers(estimate.states) - clip.markers(reference.states), axis=2).mean())
 
 
 def interpolate_states(states: Array, at: Index, T: int) -> Array:
-    """Return states (T, D) interpolated linearly between those (n, D) at some frames (n,).
+    """Interpolate states (n, D), given at frames (n,), linearly to all frames, (T, D).
 
-    The root moves on at its last velocity after the last of these frames, and the angles stay.
+    After the last given frame, the root moves on at its last velocity and the angles stay constant.
     """
     states, frames = states.copy(), np.arange(T)
     states[:, YAW] = np.unwrap(states[:, YAW])
@@ -289,7 +293,7 @@ def _starts(clip: ClipProblem) -> list[Array]:
 
 
 def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Return misfits (H,), headings (H,) and states (H, T, D) of the mean pose at constant velocity."""
+    """Return misfits (H,), headings (H,) in radians, and states (H, T, D) of the mean pose at constant velocity."""
     T, count = len(clip), _HEADINGS // 2 if clip.options.fast else _HEADINGS
     rays, centres, frames = _rays(clip)
     time_s, middle = np.arange(T) / clip.fps, frames.mean() / clip.fps
@@ -307,7 +311,7 @@ def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
 
 
 def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Return rays (F, J, 3) of all views, their centres (F, 3) about the origin, and their frames (F,)."""
+    """Return rays (F, J, 3) of all views, the cameras' centres (F, 3) relative to the origin, and the frames (F,)."""
     rays, centres, frames = [], [], []
     counts = [view.present.sum(axis=1) for view in clip.views]
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS

@@ -1,16 +1,16 @@
-"""Define the terms of the trajectory problem, each as a function that makes a `Linear` or as a small class.
+"""Define the terms of the trajectory problem: functions that return a `Linear` term, and small classes.
 
 For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
 by name, the derivatives (N, M, P) with respect to unknowns that all frames share. J'r is the exact gradient of the
 cost, and J'J its curvature. Residuals are divided by standard deviations and multiplied by the square root of a robust
-loss's slope, so the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads: at most
-(-1, 0, 1) in a `Linear`, and (0, 1) in a class, because spans overlap by one frame.
+loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets of the frames that a row reads: at most
+(-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because spans overlap by one frame.
 
 States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
 at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that stays
 at the origin can determine the size: only the `Reprojection` of other cameras reads it.
 
-Errors of the prior last over many frames. The weight of a prior per second is therefore the same at every frame rate
+Errors of the prior persist over many frames. The weight of a prior per second is therefore the same at every frame rate
 (`REFERENCE_HZ`).
 """
 
@@ -57,17 +57,17 @@ def offset_values(offsets_frames: Array) -> dict[str, Array]:
 
 
 def keypoint_bias(view: int) -> str:
-    """Return the name of shared unknowns (2J,): keypoints minus markers of a view, metres right and down."""
+    """Return the name of shared unknowns (2J,): keypoints minus markers in a view, metres to the right and down."""
     return f"keypoint bias {view}"
 
 
 def extrinsic_correction(view: int) -> str:
-    """Return the name of shared unknowns (6,): a camera's correction of its pose, as in `View.corrected`."""
+    """Return the name of shared unknowns (6,): the correction of a camera's pose, as in `View.corrected`."""
     return f"extrinsic correction {view}"
 
 
 def focal_scale(view: int) -> str:
-    """Return the name of a shared unknown: the logarithm of a camera's factor on its focal lengths."""
+    """Return the name of a shared unknown: the logarithm of the factor on a camera's focal lengths."""
     return f"focal {view}"
 
 
@@ -77,14 +77,14 @@ def size_of(shared: Mapping[str, Array]) -> float:
 
 
 REFERENCE_HZ = 90.0
-"""Frame rate at which the priors were weighted."""
+"""Frame rate, frames per second, for which the weights of the priors hold."""
 OUT_OF_SIGHT = 50.0
-"""Squared residual, in units of the loss's c^2, of a detected joint that the camera cannot project."""
+"""Loss, in units of c^2 / 2, of a detected joint that the camera cannot project."""
 POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
 PRIOR_TERMS = POSE, MOTION
-"""Names of the terms that a prior makes."""
+"""Names of the terms that come from a prior."""
 ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
-"""Names of the terms that expect small accelerations."""
+"""Names of the terms that penalise accelerations."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class Linear:
 
 
 def _rate(fps: float, weight: float) -> float:
-    """Return the factor on residuals that makes the weight per second independent of the frame rate."""
+    """Return the factor on residuals that makes a weight per second independent of the frame rate."""
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 
@@ -254,7 +254,8 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 class PoseMixture:
     """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
 
-    The rows are those of a Gaussian with the mixture's gradient. Its precision is the mean precision of the components.
+    The rows are those of a Gaussian with the mixture's gradient. Its precision is the mean of the components'
+    precisions, weighted by their posterior probabilities.
     """
 
     prior: MotionPrior
@@ -287,14 +288,14 @@ class PoseMixture:
     def add_normal(self, span: Span, blocks: Array, gradient: Array) -> None:
         """Add the curvature to a span's blocks (N, D, D) and the gradient to its gradient (N, D), in place.
 
-        They are J'J and J'r of the rows of `evaluate`, which need a Cholesky root; this needs none.
+        They equal J'J and J'r of the rows of `evaluate`, but need no Cholesky root.
         """
         _, by_angles, precision = self._expanded(span, jacobian=True)
         gradient[:, ANGLES] += by_angles
         blocks[:, ANGLES, ANGLES] += precision
 
     def _expanded(self, span: Span, jacobian: bool) -> tuple[Array, Array, Array]:
-        """Return the cost (N,), and with `jacobian` its gradient (N, A) and curvature (N, A, A) in the angles."""
+        """Return the cost (N,), and with `jacobian` its gradient (N, A) and curvature (N, A, A) for the angles."""
         z = span.states[span.own_rows, ANGLES]
         N, A = z.shape
         deviation = z - self.prior.means[:, None]  # (K, N, A)
@@ -354,7 +355,7 @@ class Reprojection:
     name: str = "reprojection"
 
     def on_own_markers(self, count: int) -> tuple[Integers, Reprojection]:
-        """Return the rows of the markers that this term reads, all of them, and itself."""
+        """Return the rows of the markers that this term reads, which are all markers, and the term itself."""
         return np.arange(count), self
 
     @property
@@ -391,7 +392,7 @@ class Reprojection:
         return self._rows_of(span, scene, self._errors(scene, span, jacobian=True))
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
-        """Return `point_rows`, of errors with derivatives."""
+        """Return the result of `point_rows` for errors that include derivatives."""
         view, weight = scene.view, self.weights_of(scene, errors)
         by_point = errors.by_point * weight[..., None, None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
@@ -455,7 +456,7 @@ class Reprojection:
         return span.shared.get(keypoint_bias(self.number))
 
     def _by_scene(self, span: Span, scene: Scene, by_point: Array) -> dict[str, Array]:
-        """Return the derivatives with respect to the size and the time offset, if they are unknown."""
+        """Return the derivatives with respect to the size and the time offset, if they are unknowns."""
         N, J = by_point.shape[:2]
         by_shared: dict[str, Array] = {}
         if SIZE in span.shared:
@@ -471,7 +472,7 @@ class Reprojection:
         return [(slice(0, count - 1), 1.0 - share), (slice(1, count), share)] if share else [(span.own_rows, 1.0)]
 
     def weights(self, points_m: Array) -> Array:
-        """Return the weights (T, J) of detections, 1 to 0, NaN if missing, for markers (T, J, 3) of the world."""
+        """Return the weights (T, J) of detections, 0 to 1, NaN if missing, for markers (T, J, 3) in the world."""
         projected, valid = self.view.project(points_m)
         q = np.sum((projected - self.view.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
         return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
@@ -550,13 +551,13 @@ class Heading:
 class StanceVelocity:
     """Term that keeps nearly still feet (F,) at rest: velocities have the Geman-McClure loss, at most c^2 / 2.
 
-    The velocities are those in the world. At nominal size, feet followed by a moving camera would appear to stand if
-    the animal were large enough.
+    The velocities are those in the world. At nominal size, the feet would appear to stand in front of a moving camera
+    that follows them, if the animal were large enough.
 
     `by_size` (n, F, 3) is frozen: the derivative of velocities with respect to the size about `at`, m/s, with fixed
-    states. By default velocities are proportional to the size. If one moving camera sees the animal, the velocities
-    relative to the camera are proportional to the size. The feet of a smaller animal are then slower in front of a slow
-    camera, which does not show its size: see `contacts`.
+    states. By default, velocities are proportional to the size. In the picture of one moving camera, the velocities
+    relative to the camera are proportional to the size instead. A smaller animal then has slower feet if the camera is
+    slow, which is no evidence of its size; `contacts` therefore gives `by_size`.
     """
 
     feet: Index
@@ -607,8 +608,8 @@ class StanceVelocity:
 class OnGround:
     """Term that keeps feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 
-    Feet are at x and z times the size relative to `at`. The arrays are feet (F,); contact (T - 1, F), frozen; plane
-    (3,): height, slope x, slope y; and middle (2,).
+    The coordinates x and z of the feet are multiplied by the size relative to `at`. The arrays are feet (F,); contact
+    (T - 1, F), frozen; plane (3,): height, slope x, slope y; and middle (2,).
     """
 
     feet: Index

@@ -48,23 +48,23 @@ from recon.fit.starts import APPROACH_HZ, approach, interpolate_states
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, SIZE, extrinsic_correction, size_of, time_offset
 
 MARGIN_S = 0.25
-"""Time by which a segment extends beyond its first and last detections."""
+"""Time by which a segment extends beyond its first and last detections, s."""
 WINDOW_S = 1.0
-"""Length of the windows in which a clip is started."""
+"""Approximate length of the windows that each get starts of their own, s."""
 STARTS_END = 0.2
-"""Fraction of a solve's time after which the starts are done, for the progress bar."""
+"""Fraction of the solver's time after which the starts are done, for the progress bar."""
 ROUNDS_END = 0.8
-"""Fraction of a solve's time after which the rounds are done; the rest is the posterior's."""
+"""Fraction of the solver's time after which the rounds are done; the posterior takes the rest."""
 FLATTENED_SHARE = 0.1
-"""Fraction of the time between the starts and the posterior that flattened mixtures of poses take."""
+"""Fraction of the time between starts and posterior that is spent on flattened mixtures of poses."""
 _TEMPERATURES = (8.0, 3.0)
-"""Temperatures that flatten the mixture of poses, one after the other."""
+"""Temperatures that flatten the mixture of poses, in the order in which they are used."""
 _FLATTENED_TOLERANCE = 1e-3
 """Relative decrease of the cost at which the search with one temperature ends."""
 _FLATTENED_ITERATIONS = 8
 """Largest number of iterations of the search with one temperature."""
 _MORE_ROUNDS = 3
-"""Further rounds if the motion is unlike those of the prior, until noise and contacts have settled again."""
+"""Number of further rounds if the motion is unlike those of the prior, in which noise and contacts settle again."""
 
 
 def solve_trajectory(
@@ -120,7 +120,7 @@ def solve_trajectory(
 
 
 def _segments(usable: Bools, fps: float) -> list[slice]:
-    """Return the parts of the clip that are solved separately, as frames."""
+    """Return the parts of the clip that are solved separately, as slices of its frames."""
     seen_frames = np.flatnonzero(usable)
     if len(seen_frames) == 0:
         return []
@@ -188,13 +188,13 @@ def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 
 
 def _with_likely_poses(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem whose minimum has the expected poses of two cameras over all explanations of a solution."""
+    """Return the problem whose minimum has the expected poses of two cameras under all hypotheses about a solution."""
     weighed = pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames)
     return clip if weighed is None else replace(clip, pose_means=weighed.prior_mean.reshape(2, 6))
 
 
 def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> TrajectorySolution:
-    """Return a solution with the prior misfit of an earlier one, unless it was measured again."""
+    """Return a solution with the prior misfit of an earlier solution, unless the misfit was measured again."""
     known = {(part.rows.start, part.rows.stop): part for part in start.segments}
     segments = []
     for segment in solution.segments:
@@ -274,7 +274,10 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
 
 
 def _solve_flattened(clip: ClipProblem, segment: SegmentFit, temperatures: Sequence[float | None]) -> SegmentFit:
-    """Return a segment solved at a lower frame rate with flattened mixtures of poses; None means one Gaussian."""
+    """Solve a segment at a lower frame rate with a mixture of poses, flattened by each of several temperatures.
+
+    A temperature of None means a single Gaussian of poses.
+    """
     if not temperatures:
         return segment
     step, T = max(1, round(clip.fps / APPROACH_HZ)), len(clip)
@@ -294,7 +297,7 @@ def _solve_flattened(clip: ClipProblem, segment: SegmentFit, temperatures: Seque
 
 
 def _with_likely_accelerations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with accelerations that the detections make likeliest, if no motions were recorded."""
+    """Return the problem with the accelerations that the detections make likeliest, if its prior has no motions."""
     if len(clip.views) == 1 or clip.prior.name != NONE or clip.known_states is not None:
         return clip
     scale = clip.acceleration_scale if clip.acceleration_scale is not None else np.ones(clip.body.n_state)
