@@ -104,8 +104,7 @@ def sentence(item: Finding, named: bool = True) -> str:
     """Return the text of a finding; with `named`, cameras are called by name, for clips with several cameras."""
     words = CODES[item.code][1]
     numbers: dict[str, Any] = item.numbers
-    values: dict[str, Any] = {"consequence": ""}  # motions saved before it was a number of findings lack it
-    values |= {name: names_text(value) if isinstance(value, tuple) else value for name, value in numbers.items()}
+    values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in numbers.items()}
     degrees = {f"{name[:-4]}_deg": math.degrees(value) for name, value in numbers.items() if name.endswith("_rad")}
     sigma_m, lengths_given = numbers.get("sigma_m"), [name for name in LENGTHS if f"{name}_m" in numbers]
     lengths = {f"{name}_length": length_text(numbers[f"{name}_m"], sigma_m) for name in lengths_given}

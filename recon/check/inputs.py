@@ -49,7 +49,7 @@ FASTEST_M_S = 40.0
 MOSTLY_POOR = 0.9
 """Fraction of frames with few or no detections above which the motion, and so the frame rate, follows from the prior.
 """
-MOVES = ("animal_still", "time_reversed", "treadmill", "camera_moves")
+MOVES = ("animal_still", "no_strides", "time_reversed", "treadmill", "camera_moves")
 """Codes of motions in which left and right cannot be distinguished."""
 
 
@@ -442,13 +442,6 @@ They are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rend
 """
 
 
-UNLIKE_PRIOR = (
-    ", but the prior was learned from moving animals: poses may be further off than stated, and the frame rate cannot "
-    "be checked"
-)
-"""What standing still does to a fit with a prior that was learned from motions."""
-
-
 def movement(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if no animal moves like this over the ground, or if the animal stands still; at most one."""
     solution, posed = motion.solution, motion.solved
@@ -466,12 +459,8 @@ def movement(motion: Motion) -> Iterator[Finding]:
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
-        speed_m_s = float(np.nanmedian(speed))
-        if solution.prior == NONE:  # movement is not expected
-            standing = finding("animal_still", speed_m_s=speed_m_s, consequence=": the clip has no strides to measure")
-            yield replace(standing, severity="note")
-        else:
-            yield finding("animal_still", speed_m_s=speed_m_s, consequence=UNLIKE_PRIOR)
+        # a motion that was fitted without a prior is not wrong because the animal stands
+        yield finding("no_strides" if solution.prior == NONE else "animal_still", speed_m_s=float(np.nanmedian(speed)))
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif sliding is not None:
