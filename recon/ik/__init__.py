@@ -1,1 +1,1 @@
-"""Inverse kinematics of serial chains: of an animal's limbs, of robots' legs and arms (docs/ik.md)."""
+"""Solve inverse kinematics of serial chains, such as an animal's limbs and robots' legs and arms (docs/ik.md)."""

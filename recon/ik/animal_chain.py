@@ -5,8 +5,8 @@ of the 8U skeleton has the axes U along the direction of travel, V down and W to
 of a planar chain are U and V. The chains of whole animals have x along the direction of travel, y left and z up, as in
 `recon.geometry.kinematics`.
 
-In the 8U skeleton the first link of the spine lies along U and has no angles. In the chain it has two, which follow
-from the rotation of the skeleton.
+In the 8U skeleton, the first link of the spine lies along U and has no angles. In the chains built here, this link has
+two angles, which follow from the rotation of the skeleton.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
 from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, planar_chain, summed_chain, values_by_joint
 
 BASE_THETA_RAD = 0.9
-"""Limit of the pitch of the first link: three standard deviations in a running animal."""
+"""Limit on the pitch of the first link, three standard deviations of a running animal's."""
 LIMIT_SIGMAS = 3.0
-"""Limits of the angles of a whole animal, in standard deviations."""
+"""Limits on the angles of a whole animal, in standard deviations from the mean."""
 _TRAVEL_M = 0.1
 """Distance between the root's first and last positions below which its path has no direction, metres."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -38,8 +38,8 @@ def spine_front_leg(
     """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton from the root to the front foot, in its level base frame.
 
     The joints are named as in the publication, after the joint at the end of each link: theta_9 for the first link,
-    then theta_1 to theta_4, and the phis likewise. The skeleton has no angles theta_9 and phi_9: they are the pitch
-    `J0_pitch` of its root, and its yaw `J0_yaw` relative to the direction of travel.
+    then theta_1 to theta_4, and the phis likewise. The skeleton itself has no theta_9 and phi_9. theta_9 is the pitch
+    `J0_pitch` of the skeleton's root, and phi_9 is the root's yaw `J0_yaw` relative to the direction of travel.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def spine_front_leg(
         3 for thetas and phis, 2 for thetas alone.
     limited
         Whether the joints have limits: the expected ranges of the skeleton, and for the first link `BASE_THETA_RAD` and
-        three standard deviations of the heading about the direction of travel. The limits of the rates always hold; the
-        first link turns no faster than the second.
+        three standard deviations of the heading about the direction of travel. Rate limits always apply, and the first
+        link has those of the second.
     """
     links = _path(chain)
     base = chain.nominal_base_length_m if base_length_m is None else base_length_m
@@ -75,9 +75,9 @@ def spine_front_leg(
 def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:
     """Return the joint angles (T, n) of `spine_front_leg` in its level base frame.
 
-    In space all links keep their directions exactly. Two pairs of angles give the same direction; the pair nearer to
-    that of the chain without roll is taken. In the plane the angles are the thetas, after the chain is turned into the
-    sagittal plane.
+    In three dimensions, all links keep their directions exactly. Two pairs of angles give the same direction, and the
+    pair closer to the angles of the chain without roll is taken. In two dimensions, the angles are the thetas after the
+    chain has been turned into the sagittal plane.
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
     states
         The states (T, D) of its body.
     travel
-        The direction of travel, (3,) or (T, 3), whose level part is used; None for `body_travel`.
+        The direction of travel, (3,) or (T, 3), whose horizontal part is used; None for `body_travel`.
     dim
-        2 or 3.
+        3 for thetas and phis, 2 for thetas alone.
     """
     R = chain.body.tree.orientations(states)[:, 0] @ UVW_BODY.T
     heading = (body_travel(states) if travel is None else np.asarray(travel, float)) * (1.0, 1.0, 0.0)
@@ -120,7 +120,7 @@ def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Ar
         (theta + np.angle(np.exp(1j * (t - theta))), phi + np.angle(np.exp(1j * (p - phi))))
         for t, p in ((T, P), (np.pi - T, P + np.pi))
     ]
-    # The weight of phi is how far it turns the link.
+    # A change of phi turns the link by cos(theta) times as much, which is its weight here.
     distances = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
     first = distances[0] <= distances[1]
     return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])
@@ -157,15 +157,15 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     foot
         The marker at the chain's end.
     size
-        Factor on all lengths.
+        Factor by which all lengths are scaled.
     limited
-        Whether the angles have limits: the expected mean ± `LIMIT_SIGMAS` standard deviations, and half a turn for the
-        yaw. The limits of the rates always hold.
+        Whether the angles have limits: the expected mean ± `LIMIT_SIGMAS` standard deviations, and ± half a turn for
+        the yaw. Rate limits always apply.
 
     Raises
     ------
     ValueError
-        If the body lacks the marker, or if angles on the way to it add up (see `summed_chain`).
+        If the body does not have the marker, or if angles along the chain add up (see `summed_chain`).
     """
     marker = next((m for m in body.tree.markers if m.name == foot), None)
     if marker is None:
@@ -175,7 +175,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     while branch[0].parent is not None:
         branch.insert(0, by_name[branch[0].parent])
     if summed := [segment.name for segment in branch if segment.joint == "summed"]:
-        raise ValueError(f"{body.name}: the angles of {summed[0]} add up, which is `summed_chain`")
+        raise ValueError(f"{body.name}: the angles of {summed[0]} add up along the chain; use `summed_chain`")
     tree = Tree(tuple(branch), (marker,)).scaled(size)
     names = tree.state_names[3:]
     columns_of_body = np.array([body.state_names.index(name) for name in names])
@@ -191,8 +191,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:
     """Return the joint angles (T, n) of `body_chain` for states (T, D) of the body, in a world with z up.
 
-    `travel` is the direction of travel, (3,) or (T, 3), whose level part is used. If it is None, the direction from the
-    first to the last position of the root is used, or the direction in which the animal faces if that path is short.
+    `travel` is the direction of travel, (3,) or (T, 3), whose horizontal part is used; None stands for `body_travel`.
     """
     q = states[:, [body.state_names.index(name) for name in body_chain(body, foot).names]]
     ahead = body_travel(states) if travel is None else np.asarray(travel, float)
@@ -202,7 +201,7 @@ def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None
 
 
 def body_travel(states: Array) -> Array:
-    """Return the level direction of travel (3,) of a body's states (T, D).
+    """Return the horizontal direction of travel (3,), a unit vector, of a body's states (T, D).
 
     It points from the first to the last position of the root, or in the direction in which the animal faces if the root
     hardly moves.
@@ -221,7 +220,7 @@ def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Ar
     """Return a planar chain through consecutive joints, its angles q (T, K - 1), and its misfit (T,) in metres.
 
     All joints are projected onto the vertical plane along the direction of travel. Each link has the median of its
-    projected lengths, so the end of the chain is not exactly at the last joint; the misfit is the distance between the
+    projected lengths, so the end of the chain is not exactly at the last joint. The misfit is the distance between the
     two. The angles do not jump by whole turns, and the chain has no limits.
 
     Parameters

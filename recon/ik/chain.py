@@ -1,6 +1,6 @@
-"""Describe serial chains: a tree (`recon.geometry.kinematics`) with one branch, and limits of its joints.
+"""Describe serial chains as trees (`recon.geometry.kinematics`) with a single branch and joint limits.
 
-There are three ways to make a chain. In the chains of the publication, each angle is relative to the link before, and
+There are three ways to make a chain. In the chains of the publication, each angle is relative to the previous link, and
 the angles add up. T_k and P_k are the sums up to link k, and r_k is its length. In two dimensions (`planar_chain`)
 link k adds r_k (cos T_k, sin T_k). In three (`summed_chain`), with q = [theta..., phi...], it adds
 
@@ -39,8 +39,8 @@ MAX_RATE_RAD_S = 50.0
 class SerialChain:
     """A chain with n joints in dim dimensions, with its base at the origin.
 
-    Joint angles q are (n,) or, for many configurations at once, (..., n): in radians, or in metres for joints that
-    slide.
+    Joint angles q have the shape (n,) or, for many configurations at once, (..., n). They are in rad, or in metres for
+    joints that slide.
     """
 
     tree: Tree
@@ -50,7 +50,7 @@ class SerialChain:
     names: tuple[str, ...]
     """Names of the joints, (n,)."""
     groups: tuple[tuple[int, ...], ...]
-    """Joints that follow each other along the chain, one tuple for each kind of angle."""
+    """Indices of the joints in their order along the chain, one tuple for each kind of angle."""
     lower_rad: Array
     """Lower limits of the joints, shape (n,), rad; metres for joints that slide."""
     upper_rad: Array
@@ -79,8 +79,6 @@ class SerialChain:
         """Return the number of dimensions, 2 or 3."""
         return len(self.base)
 
-    # -- positions -------------------------------------------------------------------------------------------------
-
     def positions(self, q: Array) -> Array:
         """Return the positions of the joints along the chain and of the end effector (..., L + 1, dim), metres."""
         states = self._states(q)
@@ -98,10 +96,8 @@ class SerialChain:
         return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)
 
     def inside_limits(self, q: Array) -> Array:
-        """Return the angles within the limits that are nearest to q (..., n)."""
+        """Return the angles within the limits that are closest to q (..., n)."""
         return np.minimum(np.maximum(q, self.lower_rad), self.upper_rad)
-
-    # -- velocities, for q (n,) ------------------------------------------------------------------------------------
 
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
         """Return the Jacobian (dim, n) of the end effector, and its curvature.
@@ -133,7 +129,7 @@ class SerialChain:
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 
     def _moved(self, q: Array) -> Moved:
-        """Return the tree's `moved` for q (n,); the latest is cached, because a step ends where the next begins."""
+        """Return the tree's `moved` for q (n,), cached for the last q because a step ends where the next begins."""
         key = q.tobytes()
         moved = self._latest.get(key)
         if moved is None:
@@ -143,12 +139,10 @@ class SerialChain:
         return moved
 
     def _states(self, q: Array) -> Array:
-        """Return the states (N, D) of the tree."""
+        """Return the states (N, D) of the tree for q (..., n)."""
         states = np.zeros((q.size // self.n, self.tree.n_state))
         states[:, self.columns] = q.reshape(-1, self.n)
         return states
-
-    # -- lengths ----------------------------------------------------------------------------------------------
 
     @cached_property
     def sliding(self) -> Bools:
@@ -157,12 +151,12 @@ class SerialChain:
 
     @cached_property
     def _moving(self) -> Index:
-        """Return the segments with joints."""
+        """Return the indices of the segments that have joints."""
         return np.array([i for i, segment in enumerate(self.tree.segments) if AXES[segment.joint]])
 
     @cached_property
     def lengths_m(self) -> Array:
-        """Distances (L,) from each position with joints to the next, and from the last to the end effector, in metres.
+        """Distances (L,) between consecutive joint positions, and from the last to the end effector, metres.
 
         Joints that slide are at 0.
         """
@@ -170,7 +164,7 @@ class SerialChain:
 
     @cached_property
     def joint_lengths_m(self) -> Array:
-        """Return the length (n,) of the link that each joint turns.
+        """Return the length (n,) of the link that each joint turns, metres.
 
         The link ends at the next position along the chain that differs from the joint's; the length is 0 if no position
         differs.
@@ -184,7 +178,7 @@ class SerialChain:
 
     @cached_property
     def reach_m(self) -> tuple[float, float]:
-        """Return the least and the largest distance of the end effector from the base, by the triangle inequality.
+        """Return the smallest and the largest distance of the end effector from the base, by the triangle inequality.
 
         A chain in space may not reach every distance between the two. A chain with joints that slide has no bounds.
         """
@@ -197,7 +191,7 @@ class SerialChain:
 def mobility(bodies: int, freedoms: Sequence[int], body_freedoms: Literal[3, 6] = 6) -> int:
     """Return the degrees of freedom of a mechanism by Grübler's formula.
 
-    The result is b (bodies - 1 - joints) plus the freedoms of the joints, if no constraint depends on another.
+    The result is b (bodies - 1 - joints) plus the freedoms of all joints. It holds if the constraints are independent.
 
     Parameters
     ----------
@@ -234,9 +228,9 @@ def summed_chain(
     lengths_m
         Lengths (L,) of the links, metres.
     limits_rad
-        Lower and upper limits, each one number or one for each joint.
+        Lower and upper limits, rad, each one number or one for each joint.
     max_rate_rad_s
-        Largest rates, one number or one for each joint.
+        Largest rates, rad/s, one number or one for each joint.
     dim
         3 for q (2 L,) = [theta..., phi...]; 2 for the thetas alone.
 
@@ -247,7 +241,7 @@ def summed_chain(
     """
     lengths = np.array(lengths_m, float)
     if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
-        raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
+        raise ValueError(f"expected positive lengths (L,), got {lengths_m}")
     L, along = len(lengths), [(float(x), 0.0, 0.0) for x in (0.0, *lengths)]
     ends = ["base", *(f"link_{k}" for k in range(1, L + 1))]
     links = [Segment(ends[k + 1], ends[k], "summed", along[k]) for k in range(L)]
@@ -278,32 +272,33 @@ def joint_chain(
     Parameters
     ----------
     offsets_m
-        Position (n, 3) of each joint relative to the joint before it, metres.
+        Position (n, 3) of each joint relative to the previous joint, metres.
     axes
-        Axes (n, 3) of the joints.
+        Axes (n, 3) of the joints, of any length.
     sliding
         Whether joints slide along their axes, one value or (n,).
     tool_m, tool_rotation
-        Position (3,) and rotation (3, 3) of the end effector relative to the last joint.
+        Position (3,), metres, and rotation of the end effector relative to the last joint.
     limits_rad
-        Lower and upper limits, each one number or one for each joint.
+        Lower and upper limits, rad or metres, each one number or one for each joint.
     max_rate_rad_s
-        Largest rates, one number or one for each joint.
+        Largest rates, rad/s or m/s, one number or one for each joint.
     names
-        Names (n,) of the joints; None for joint 1 and so on.
+        Names (n,) of the joints; None for "joint 1", "joint 2" and so on.
 
     Raises
     ------
     ValueError
-        If the numbers do not describe a chain.
+        If shapes do not match, or a number is not finite, an axis is zero, or a limit or rate is not valid.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)
     if not n or offsets.shape != (n, 3) or axes.shape != (n, 3) or tool.shape != (3,):
-        raise ValueError(f"offsets and axes (n, 3) and a tool (3,) expected: {offsets.shape}, {axes.shape}")
+        shapes = offsets.shape, axes.shape, tool.shape
+        raise ValueError(f"expected offsets (n, 3), axes (n, 3) and a tool (3,), got the shapes {shapes}")
     sizes = np.linalg.norm(axes, axis=1)
     if not all(np.isfinite(x).all() for x in (offsets, axes, tool)) or not (sizes > 0).all():
-        raise ValueError("offsets, axes and tool must be finite, and no axis zero")
+        raise ValueError("offsets, axes and tool must be finite, and no axis may be zero")
     # The z axis of each frame is the axis of its joint; these rotations lead back to the axes of the base.
     to_z = np.array([_with_z_along(axis) for axis in axes / sizes[:, None]])
     back = np.concatenate([np.eye(3)[None], to_z]).transpose(0, 2, 1)
@@ -320,7 +315,7 @@ def joint_chain(
 
 
 def values_by_joint(n: int, *numbers: ArrayLike) -> list[Array]:
-    """Return values for n joints, given as one number or as (n,)."""
+    """Return each argument, given as one number or as (n,), as an array (n,) with a value for each joint."""
     return [np.array(np.broadcast_to(number, n), float) for number in numbers]
 
 
@@ -338,20 +333,21 @@ def _with_z_along(z: Array) -> Array:
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
-    """Return why no angles put the end effector within the tolerance of a target (dim,), or "" if it may be reached."""
+    """Return why the end effector cannot come within the tolerance of a target (dim,), or "" if it may."""
     if not np.isfinite(target_m).all():
         return "unreachable: the target is not finite"
     distance, (nearest, farthest) = float(np.linalg.norm(target_m)), chain.reach_m
     if nearest - tolerance_m <= distance <= farthest + tolerance_m:
         return ""
-    return f"unreachable: {distance:.3f} m from the base, the chain reaches {nearest:.3f} to {farthest:.3f} m"
+    reach = f"{nearest:.3f} to {farthest:.3f} m"
+    return f"unreachable: the target is {distance:.3f} m from the base, and the chain reaches {reach}"
 
 
 def manipulability(J: Array) -> Array:
-    """Return sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985); it is 0 if motion in some direction is impossible."""
+    """Return sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985), which is 0 if some direction of motion is lost."""
     return np.sqrt(np.maximum(0.0, np.linalg.det(J @ J.swapaxes(-1, -2))))
 
 
 def null_basis(J: Array) -> Array:
-    """Return an orthonormal basis N (n, n - dim) of the null space of J (dim, n), J N = 0."""
+    """Return an orthonormal basis N (n, n - dim) of the null space of J (dim, n), with J N = 0."""
     return np.asarray(np.linalg.qr(J.T, mode="complete")[0][:, len(J) :], float)

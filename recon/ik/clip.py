@@ -130,7 +130,7 @@ class IkSettings(Settings):
         return self.folder / "ik" if self.out is None else self.out
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems of settings that exclude each other."""
+        """Yield a problem for each pair of settings that exclude each other."""
         if self.has_no_task and not (self.compare or self.costs):
             yield Problem("options", "job", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:
@@ -144,7 +144,7 @@ SUMMARY = "ik.json"
 
 @dataclass(frozen=True, eq=False)
 class IkRun:
-    """A chain, its methods and their runs."""
+    """Result of `recon ik`: the chain, the fitted parameters and the runs of all methods."""
 
     settings: IkSettings
     motion: Motion
@@ -166,7 +166,7 @@ class IkRun:
 
     @property
     def begins_s(self) -> float:
-        """Time at which the stride begins in the clip."""
+        """Time at which the stride begins in the clip, seconds."""
         return self.limb.first_s + self.stride.start_s
 
     @cached_property
@@ -231,7 +231,7 @@ def run_ik(settings: IkSettings) -> IkRun:
     Raises
     ------
     InputError
-        If the results are not those of a fit, or show too little of a stride.
+        If the folder does not hold results of a fit, or the clip shows too little of a stride.
     """
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
@@ -268,7 +268,7 @@ def run_ik(settings: IkSettings) -> IkRun:
 
 
 def _cost_outcomes(limb: Limb, stride: StridePath) -> dict[str, CostOutcome]:
-    """Return how the extended Jacobian behaves with each cost of `COSTS` on the stride."""
+    """Study how the extended Jacobian behaves on the stride with each cost of `COSTS`."""
     interval_s = SLOWER * stride.interval_s
     return {
         name: cost_outcome(limb.chain, stride.q[0], stride.path_m, cost(limb), interval_s)
@@ -340,7 +340,7 @@ def write_figures(solved: IkRun, folder: Path) -> None:
 
 
 def _save_portraits(portraits: dict[str, Portrait], closures: Mapping[str, Array], source: str, folder: Path) -> None:
-    """Write the phase portraits of a method or of the animal, with closures (n,) by kind."""
+    """Write the phase portraits of a method or of the animal, labelled with the closures (n,) of each kind."""
     pairs = zip(closures["angle"].tolist(), closures["plane"].tolist(), strict=True)
     by_joint = by_name([*portraits], [Closure(*pair) for pair in pairs])
     style.save(phase_portraits(portraits, by_joint, source), folder, f"follow_phase_{source}")

@@ -20,11 +20,11 @@ from recon.ik.methods import ExtendedJacobian
 from recon.ik.null_space import to_null_space_optimum
 
 NEAR_RAD = 1e-6
-"""Distance between two starts in every joint."""
+"""Difference between the two starts in every joint."""
 CLOSED_RAD = 1e-3
-"""Largest change of a joint over a turn on a path that closes."""
+"""Largest change of a joint over one turn for which the path counts as closed."""
 GROWTH = 1e3
-"""Factor by which the distance of two starts grows on a chaotic path."""
+"""Factor of growth of the distance between two starts from which a path counts as chaotic."""
 TURNS = 10
 
 
@@ -35,7 +35,7 @@ class CostOutcome:
     outcome: str
     """Convergent, singular, chaotic or drifting."""
     stationary: str
-    """Kind of the stationary point at the start, or why no stationary point was reached."""
+    """Kind of the stationary point at the start, or the reason why none was reached."""
     drift_rad: float
     """Largest change of a joint from the start to the end of any turn."""
     growth: float
@@ -50,9 +50,9 @@ class CostOutcome:
 def cost_outcome(
     chain: SerialChain, q0: Array, path_m: Array, cost: Cost, interval_s: float, turns: int = TURNS
 ) -> CostOutcome:
-    """Return how the extended Jacobian behaves with a cost on a closed path (K, dim).
+    """Follow a closed path (K, dim) by the extended Jacobian with a cost, and classify the motion.
 
-    The run starts at the optimum of the cost closest to q0.
+    The run starts at the stationary point of the cost that is reached from q0 (n,).
     """
     method = ExtendedJacobian(cost)
     start, stationary = to_null_space_optimum(chain, q0, cost)

@@ -18,7 +18,7 @@ from recon.ik.chain import SerialChain
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """A cost on joint angles q (n,), rad, as functions for its value, gradient and Hessian."""
+    """A cost on joint angles q (n,), rad, with functions for its value, gradient and Hessian."""
 
     value: Callable[[Array], float]
     gradient: Callable[[Array], Array]
@@ -46,7 +46,7 @@ def rotational_energy(chain: SerialChain) -> Cost:
 
 
 def pose_distance(pose: Array) -> Cost:
-    """Return sum (q_k - p_k)^2, the squared distance from a pose p (n,), for instance the animal's."""
+    """Return sum (q_k - p_k)^2, the squared distance from a pose p (n,), such as the animal's."""
     return quadratic(2 * np.eye(len(pose)), pose)
 
 
@@ -83,7 +83,7 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
         return q2, line * root, first, second
 
     def differences(q: Array) -> Array:
-        """Return the derivatives (2, n) of q1 and q2 by q."""
+        """Return the derivatives (2, n) of q1 and q2 with respect to q."""
         out = np.zeros((2, len(q)))
         out[[0, 1], [i, k]], out[:, j] = 1.0, -1.0
         return out
@@ -100,7 +100,7 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
 
 
 def user_cost(function: Callable[[Array], float], step_rad: float = 1e-4) -> Cost:
-    """Return a cost from any smooth function of q (n,), with derivatives from central differences over step_rad."""
+    """Build a cost from any smooth function of q (n,), with derivatives from central differences of step_rad."""
 
     def slopes(f: Callable[[Array], Array | float], q: Array) -> Array:
         with np.errstate(invalid="ignore"):  # an infinite cost has no slope

@@ -1,10 +1,10 @@
 """Move the end effector of a chain to a target or along a path by one of the methods.
 
-Each iteration covers one interval of time. The end effector is sent towards the next point with the velocity that
-reaches it within the interval, but by no more than `MAX_STEP_M`; this also removes the drift of the iteration before.
-The method gives the rates, and the joints move by the rates times the interval. A joint that would leave its limits
-stays, and is taken out of the chain for that iteration. The extended Jacobian starts at G = 0 (`recon.ik.null_space`)
-and is kept there by a gain of 1 / interval.
+Each iteration covers one interval of time. The end effector gets the velocity that would take it to the next point
+within the interval, which also corrects the drift of the previous iteration. On the way to a target, it moves by at
+most `MAX_STEP_M`. The method computes the rates of the joints, which move by the rates times the interval. A joint that
+would leave its limits stays where it is, and is taken out of the chain for that iteration. The extended Jacobian starts
+at G = 0 (`recon.ik.null_space`) and is kept there by a gain of 1 / interval.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from recon.ik.null_space import joint_names, to_null_space_optimum
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
-"""Longest path of the end effector in one iteration."""
+"""Longest motion of the end effector towards a target in one iteration."""
 PATIENCE = 100
 """Number of iterations within which the distance must shrink by `PROGRESS`."""
 PROGRESS = 0.01
 """Smallest reduction of the distance, relative to the smallest one so far, that counts as progress."""
 STILL_RAD = 1e-10
-"""Motions below this are rounding errors."""
+"""Motion of a joint below which only rounding errors remain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,31 +43,31 @@ class Run:
     q: Array
     """Joint angles, shape (K, n), rad."""
     dq: Array
-    """Rates at which each configuration is left, shape (K, n), rad/s.
+    """Rates of the joints on leaving each configuration, shape (K, n), rad/s.
 
     The last rates are 0 at a target, the first rates again on a closed path, and those of the last step on an open
     path.
     """
     interval_s: float
-    """Time from one configuration to the next."""
+    """Time from one configuration to the next, seconds."""
     end_m: Array
-    """Positions of the end effector, shape (K, dim)."""
+    """Positions of the end effector, shape (K, dim), metres."""
     aim_m: Array
-    """The target (dim,), or the points of the path (K, dim)."""
+    """The target (dim,), or the points of the path (K, dim), metres."""
     manipulability: Array
     """Manipulability sqrt(det J J'), shape (K,)."""
     singular: Bools
     """Whether each step was damped at a singular configuration, shape (K - 1,)."""
     solve_s: Array
-    """Computing time of each step, shape (K - 1,)."""
+    """Computing time of each step, shape (K - 1,), seconds."""
     limits: dict[str, str]
-    """Which limit stopped each joint, and in which step first, by joint in the order of those steps."""
+    """First limit that stopped each joint and its step, as text by joint, in the order of the steps."""
     closed: bool
     """Whether the path was closed."""
     note: str
     """Why the target was not reached: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
 
-    Along a path it is the first problem, with its step. It is empty if there was no problem.
+    Along a path, the note is the first problem with its step. The note is empty if there was no problem.
     """
 
     @property
@@ -77,7 +77,7 @@ class Run:
 
     @property
     def distance_m(self) -> Array:
-        """Distance of the end effector from the target, or from the path, shape (K,)."""
+        """Distance of the end effector from the target, or from the path's points, shape (K,), metres."""
         return np.linalg.norm(self.aim_m - self.end_m, axis=1)
 
     @property
@@ -92,12 +92,12 @@ class Run:
 
     @property
     def time_s(self) -> Array:
-        """Times of the K configurations from the start, shape (K,)."""
+        """Times of the K configurations from the start, shape (K,), seconds."""
         return np.asarray(self.interval_s * np.arange(len(self.q)), float)
 
     @cached_property
     def control(self) -> tuple[Array, Array]:
-        """Return rates and accelerations (K, n) for a controller.
+        """Return rates (rad/s) and accelerations (rad/s²) for a controller, (K, n) each.
 
         Each sample's rates and accelerations are those of the parabola through it and its neighbours. A closed path is
         continued periodically; any other path starts at rest.
@@ -114,20 +114,20 @@ class Run:
 
     @property
     def length_m(self) -> float:
-        """Return the length of the end effector's path."""
+        """Return the length of the end effector's path, metres."""
         return float(np.linalg.norm(np.diff(self.end_m, axis=0), axis=1).sum())
 
     @property
     def roughness_rad2(self) -> float:
-        """Mean over the inner configurations of |q_{k+1} - 2 q_k + q_{k-1}|^2: 0 is smoothest."""
+        """Mean of |q_{k+1} - 2 q_k + q_{k-1}|^2 over the inner configurations; 0 is smoothest."""
         return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:
         """Return the degrees of closure (n,), in percent, of each joint from the first configuration to the last.
 
         Three measures are returned, each NaN for a joint that does not move. "angle" is the closure of the angle.
-        "plane" is that of the path in the plane of angle and rate, with each axis divided by its range. "unscaled" is
-        that in the plane of rad and rad/s, as published.
+        "plane" is the closure of the path in the plane of angle and rate, with each axis divided by its range.
+        "unscaled" is the closure in the plane of rad and rad/s, as published.
         """
         planes = [np.column_stack(path) for path in zip(self.q.T, self.dq.T, strict=True)]
         return {
@@ -155,7 +155,7 @@ class Run:
 
 
 def control_columns(names: Sequence[str]) -> list[str]:
-    """Return the names of the columns of rates and accelerations of joints."""
+    """Return the column names for the joints' rates and accelerations."""
     return [f"{name}_{quantity}" for quantity in ("rate_rad_s", "acceleration_rad_s2") for name in names]
 
 
@@ -170,8 +170,8 @@ def drive_to(
 ) -> Run:
     """Drive the end effector from q0 (n,) to a target (dim,).
 
-    The extended Jacobian first goes to G = 0; those configurations are not part of the path. If the target is not
-    reached, the run's note says why.
+    The extended Jacobian first moves to G = 0, and these configurations are not part of the run. If the target is not
+    reached, the run's note gives the reason.
     """
     q, target = chain.inside_limits(np.asarray(q0, float)), np.asarray(target_m, float)
     note = unreachable(chain, target, tolerance_m)
@@ -208,7 +208,7 @@ def follow(
     turns: int = 1,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Follow a path (K, dim), whose points are one interval apart, from q0 (n,), with the end effector at its start.
+    """Follow a path (K, dim) from q0 (n,), at which the end effector is at the start of the path.
 
     Each step goes from the position of the end effector to the next point. The gain of the full extended Jacobian keeps
     G = 0.
@@ -216,26 +216,26 @@ def follow(
     Parameters
     ----------
     chain
-        The chain.
+        The chain to move.
     q0
-        Joint angles (n,) at the start.
+        Joint angles (n,) at the start, rad.
     path_m
-        Points (K, dim) of the path, metres.
+        Points (K, dim) of the path, metres, one interval apart.
     method
         One method for all steps, or a function that returns the method of each step from its number.
     turns
         Number of times to follow a closed path, whose last point is its first.
     interval_s
-        Time from one point to the next.
+        Time from one point to the next, seconds.
 
     Raises
     ------
     ValueError
-        If the array is not a path, or an open path is to be followed several times.
+        If the path does not have two or more finite points, or an open path is to be followed several times.
     """
     path = np.asarray(path_m, float)
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
-        raise ValueError(f"a finite path (K, {chain.dim}) of two points or more expected, got {path.shape}")
+        raise ValueError(f"expected a finite path (K, {chain.dim}) of two or more points, got the shape {path.shape}")
     closed = bool(np.allclose(path[0], path[-1], rtol=0, atol=1e-9))
     if turns > 1 and not closed:
         raise ValueError("only a closed path can be followed more than once")
@@ -265,7 +265,7 @@ def _moved(
     method: Callable[[int], Method],
     interval_s: float,
 ) -> Run:
-    """Move on from q (n,), interval by interval, until `next_velocity` returns the note of the run.
+    """Move the chain from q (n,), interval by interval, until `next_velocity` returns the note of the run.
 
     next_velocity(k, end, last rates, stopped joints) returns the velocity (dim,) of step k, or the note.
     """
@@ -303,9 +303,9 @@ def _moved(
 def degree_of_closure(path: Array, is_scaled: bool = True) -> float:
     """Return the degree of closure D = 100 (1 - d / d_max) of a path, in percent.
 
-    d is the distance from the start to the end, d_max the diameter of the path. The path is an angle (K,), or angle and
-    rate (K, 2), whose axes are divided by their ranges unless `is_scaled` is False. D is NaN for an angle that stays
-    within `STILL_RAD`.
+    d is the distance from the start to the end, and d_max is the diameter of the path. The path is an angle (K,), or
+    angle and rate (K, 2), with both axes divided by their ranges unless `is_scaled` is False. D is NaN for an angle
+    that stays within `STILL_RAD`.
     """
     if np.ptp(path if path.ndim == 1 else path[:, 0]) <= STILL_RAD:
         return math.nan
@@ -317,7 +317,7 @@ def degree_of_closure(path: Array, is_scaled: bool = True) -> float:
 def _one_interval(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
 ) -> tuple[JointRates, Array, list[int]]:
-    """Return the step of one interval, the configuration after it, and the joints stopped by a limit.
+    """Return the rates of one interval, the configuration at its end, and the joints that a limit stopped.
 
     The extended Jacobian gets the gain that keeps it at G = 0.
     """

@@ -1,4 +1,4 @@
-"""Draw motions to a target or along a path, by method."""
+"""Draw how each method moves a chain to a target or along a path."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def task_space(
 def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
     """Draw the angle (deg) of each joint by method, over the iterations to a target or the time along a path.
 
-    `names` (n,) are those of the joints.
+    `names` (n,) are the names of the joints.
     """
     n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
@@ -103,7 +103,7 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
 
 
 def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
-    """Draw the parameters of `fit_parameter_series` by configuration, over the time of the stride.
+    """Draw the parameters of `fit_parameter_series`, which are fitted to each configuration, over the stride.
 
     The panels are the damping lambda and gamma_max, the weights of the joints, the vector g, k and the alpha of the
     transpose, and the factor alpha of every method, including the extended Jacobian. A panel without values is left
@@ -139,7 +139,7 @@ def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
 
 
 def _parameter_label(column: str) -> str:
-    """Return the label of a column of the table of parameters in the legend."""
+    """Return the legend's label for a column of the parameter table."""
     if column in _SINGLE:
         return _SINGLE[column]
     label = column.removesuffix("_best_alpha")

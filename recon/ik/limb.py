@@ -1,4 +1,4 @@
-"""Get a limb of a fitted clip: its chain and joint angles, its stride, and the methods' parameters fitted to it."""
+"""Extract a limb from a fitted clip: its chain, joint angles and stride, and the method parameters that fit it."""
 
 from __future__ import annotations
 
@@ -35,38 +35,38 @@ from recon.ik.parameters import PARAMETERS, PULL, Frames, ParameterFit, explaine
 from recon.ik.stride import OVERSAMPLING, StridePath, find_stride
 
 EXTENDED = "extended"
-"""The extended Jacobian with the requested cost."""
+"""Name of the extended Jacobian with the requested cost."""
 Dim = Literal[2, 3]
 SLOWER = 10
 """Factor by which a stride is followed more slowly than the animal ran it.
 
-The limits of the rates are those of the animal's joints. They would restrict a method that uses the joints differently.
-Closures do not depend on the factor.
+The rate limits are those of the animal's joints, and would restrict a method that uses the joints differently. Closures
+do not depend on the factor.
 """
 CONSTANT_VECTOR = "constant-vector"
-"""Name, in tables of parameters, of gradient projection along a constant vector g."""
+"""Name of gradient projection along a constant vector g in the parameter tables."""
 VECTORS = (CONSTANT_VECTOR, "gradient-projection")
 """Methods with a vector g."""
 EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
 LAST = 3
-"""Number of frames before each frame of the stride to which parameters are refitted (online)."""
+"""Number of previous frames to which the parameters are refitted at each frame of the stride (online)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A chain of the animal and its joint angles in the clip."""
+    """A chain from the animal's root to a foot, with its joint angles in the clip."""
 
     foot: str
     chain: SerialChain
     q: Array
-    """Joint angles, shape (T, n)."""
+    """Joint angles, shape (T, n), rad."""
     fps: float
     first_s: float
-    """Time of the clip's first frame."""
+    """Time of the clip's first frame, seconds."""
     base: Literal["UVW", "xyz"]
     """Meaning of the base frame's axes: U forwards, V down and W left, or x forwards, y left and z up."""
     misfit_m: float
-    """Median distance of the chain's end from the foot."""
+    """Median distance of the chain's end from the foot, metres."""
 
 
 COSTS: dict[str, Callable[[Limb], Cost]] = {
@@ -109,7 +109,7 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
 
 
 def _foot_label(motion: Motion, foot: str | None) -> str:
-    """Return LH, RH, LF or RF."""
+    """Return the label of a foot (LF, RF, LH or RH), given by its label or joint; by default the first fore foot."""
     fore = [label for label in motion.foot_names if label.endswith("F")]
     labels = fore if motion.body.one_sided else list(motion.foot_names)
     if foot is None and labels:
@@ -136,11 +136,11 @@ def methods_of(
     Parameters
     ----------
     limb
-        The limb.
+        The limb that is moved.
     names
-        Names of the methods.
+        Names of the requested methods.
     parameters
-        The fitted parameters, by method.
+        Fitted parameters, by method.
     fitted
         Whether to use the fitted parameters instead of the standard ones.
     cost
@@ -181,8 +181,8 @@ def cost_of(limb: Limb, text: str) -> Cost:
 def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
     """Fit the parameters of each method by least squares to the joint rates of the clip.
 
-    The rates are those of a spline through the angles. `cost` is that of gradient projection; None stands for any
-    constant vector.
+    The rates are the derivatives of a spline through the angles. `cost` is the cost of gradient projection; None stands
+    for any constant vector.
 
     Raises
     ------
@@ -203,13 +203,21 @@ def fit_parameter_series(
 ) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
     """Fit the parameters to each frame of a stride, or to the `last` frames before it.
 
-    Returns the methods and a table with a row for each frame. Its columns are time_s in the clip and, for every method,
-    its parameter (`PARAMETERS`; one column for each joint if it has as many, with `vector_names` for g),
-    <method>_best_alpha, and <method>_explained, the explained share of the frame's own rates.
+    `cost` is the cost of gradient projection. For single frames, its default is the joint differences, with k fitted.
+    The table then also has the smallest constant g (`CONSTANT_VECTOR`). The extended Jacobian has no parameter besides
+    the factor alpha.
 
-    `cost` is that of gradient projection. For single frames its default is the joint differences, with k fitted. The
-    table then also has the smallest constant g (`CONSTANT_VECTOR`) and the factor alpha of the extended Jacobian, which
-    has no parameter. Raises InputError like `fit_parameters`.
+    Returns
+    -------
+    tuple
+        A table with a row for each frame, and the fitted methods of each frame, by name. The columns are time_s in the
+        clip and, for every method, its parameter (`PARAMETERS`, or a column for each joint, with `vector_names` for g),
+        <method>_best_alpha, and <method>_explained, the fraction of the frame's own rates that is explained.
+
+    Raises
+    ------
+    InputError
+        If the clip has fewer than four frames with a pose.
     """
     frames, at_s = _rates_of(limb)
     first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
@@ -254,7 +262,7 @@ def animal_portraits(motion: Motion, limb: Limb, stride: StridePath) -> dict[str
 
 
 def _rates_of(limb: Limb) -> tuple[Frames, Array]:
-    """Return the frames with a pose, with their joint rates, and their times (T,) in seconds since frame 0."""
+    """Return the frames with a pose and their joint rates, and the times (T,) of these frames, s since frame 0."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
@@ -264,10 +272,10 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """Return the given stride, or that of the analysis for a chain, or the first valid stride of the foot.
+    """Return the stride of a limb: the given one, that of the analysis for a chain, or the foot's first valid stride.
 
-    The stride is the same in two and three dimensions. In a clip without a valid stride (`recon.gait.gait`) it is the
-    closest return of the foot, for a whole animal within the duration of a stride, or the whole clip.
+    The stride is the same in two and three dimensions. In a clip without a valid stride (`recon.gait.gait`), the foot's
+    closest return replaces it, for a whole animal within the duration of a stride, or the whole clip.
 
     Raises
     ------
@@ -278,11 +286,11 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     if stride_s is not None:
         stride, duration_range_s = stride_given(motion, stride_s), None
     elif isinstance(motion.chain, Chain):
-        # One stride for the analysis and for the chains in two and three dimensions.
+        # The analysis and the chains in two and three dimensions share this stride, so their results are comparable.
         stride, duration_range_s = ClipAnalysis(motion).stride, None
     else:
         gait = ClipAnalysis(motion).gait
-        assert gait is not None  # the limb has a foot
+        assert gait is not None  # a limb has a foot, and feet have a gait
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
         notes = [rejection_text(stride) for stride in gait.rejected_strides if stride.foot == label]
         stride = next((s for s in gait.strides if s.foot == label), None)
@@ -294,10 +302,10 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
 def _path_of(
     motion: Motion, limb: Limb, stride: Stride | None, duration_range_s: tuple[float, float] | None
 ) -> StridePath:
-    """Return a stride as the path of a limb's foot.
+    """Return the path of a limb's foot over a stride.
 
-    Without a stride it is the foot's nearest return in space with a duration in the given range, or the whole clip if
-    the range is None. Raises InputError if the clip shows too little of a stride.
+    If no stride is given, the foot's closest return in space with a duration in the given range is used, or the whole
+    clip if the range is None. Raises InputError if the clip shows too little of a stride.
     """
     try:
         if stride is not None:
@@ -315,10 +323,11 @@ def _path_of(
 
 
 def stride_duration_range_s(gait: Gait) -> tuple[float, float]:
-    """Return the shortest and longest possible duration of a stride of a foot without a complete stride.
+    """Return the shortest and longest possible duration, seconds, of a foot's stride if the clip has no complete one.
 
-    The two durations are close to the one that the clip suggests. If the clip is shorter than that, and no foot lands
-    twice in it, the stride lasts at least from the first touch-down to the end of the clip, to within half a frame.
+    Both are close to the stride duration that the gait suggests, if this is shorter than the clip. Otherwise, if no
+    foot lands twice, the stride lasts at least from the first touch-down to the end of the clip, to within half a
+    frame.
     """
     time_s = gait.tracks.time_s
     if 0 < gait.stride_s < time_s[-1] - time_s[0]:
@@ -333,10 +342,10 @@ def stride_duration_range_s(gait: Gait) -> tuple[float, float]:
 def follow_stride(
     chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, by_frame: Sequence[Method] = ()
 ) -> Run:
-    """Follow the stride `SLOWER` times more slowly than the animal; times and rates are converted back to the animal's.
+    """Follow the stride `SLOWER` times more slowly than the animal, and convert times and rates back to the animal's.
 
-    The extended Jacobian starts at a stationary point of its cost, with the foot at the same position. `by_frame` gives
-    a method for every frame of the stride.
+    The extended Jacobian starts at a stationary point of its cost, with the foot at the same position. `by_frame` has
+    one method for every frame of the stride, and replaces `method` unless it is empty.
     """
     q0, steps = stride.q[0], len(stride.path_m) - 1
     if isinstance(method, ExtendedJacobian):

@@ -1,14 +1,14 @@
 """Compute joint rates dq (n,), rad/s, for an end-effector velocity dx (dim,), m/s, by several methods.
 
-Each method is one class with `rates(chain, q, dx, free)`. `free` (n,) says which joints may move; the other joints are
-taken out of the chain. The rates are finite and within the limits of the chain. If they exceed a limit, the motion
+Each method is a class with `rates(chain, q, dx, free)`. `free` (n,) selects the joints that may move; the other joints
+are taken out of the chain. The rates are finite and within the limits of the chain. If they exceed a limit, the motion
 along the null space is scaled down first, and then all rates together. J is the Jacobian, J' its transpose. Near a
 singular configuration (small det J J') the inverse of J J' is damped, and the note of the step says so.
 
 References
 ----------
 Least norm, gradient projection, weighted and damped least squares: C. van der Leek, MSc(Eng), University of Cape Town,
-2022, with the inverses that are missing in print. Selectively damped least squares: S. R. Buss and J.-S. Kim, J.
+2022, with the inverses that the printed formulas lack. Selectively damped least squares: S. R. Buss and J.-S. Kim, J.
 Graphics Tools 10 (2005). Extended Jacobian: J. Baillieul, ICRA 1985. See docs/ik.md.
 """
 
@@ -28,14 +28,14 @@ from recon.ik.chain import Curvature, SerialChain, null_basis
 from recon.ik.costs import Cost
 
 INTERVAL_S = 1 / 90
-"""Duration of one iteration of `drive_to` and `follow`."""
+"""Time that one iteration of `drive_to` and `follow` covers."""
 SINGULAR = 1e-6
 """Ratio of the smallest to the largest eigenvalue of J J' below which J J' is singular.
 
 The corresponding ratio of the singular values of J is one thousandth.
 """
 LOST = 1e-12
-"""Ratio to the largest singular value of J below which a direction has no motion."""
+"""Singular value of J, relative to the largest, below which motion in its direction is lost."""
 EXTENDED_SINGULAR = 1e-3
 """Ratio of the smallest to the largest eigenvalue of N' M N, in magnitude, below which the matrix is singular."""
 MAX_CORRECTION_RAD = 0.05
@@ -44,12 +44,12 @@ MAX_CORRECTION_RAD = 0.05
 A longer step along the null space would move the end effector by millimetres, to second order.
 """
 ALL = slice(None)
-"""Selects every joint as free to move."""
+"""Selection of all joints as free to move."""
 Free = Bools | slice
 
 
 class JointRates(NamedTuple):
-    """Rates at which the joints are to move."""
+    """Joint rates that a method computed."""
 
     dq: Array
     """Rates of the joints, rad/s, shape (n,)."""
@@ -58,7 +58,7 @@ class JointRates(NamedTuple):
     note: str = ""
     """Rates that were reduced or damped, in words; empty if none were."""
     along: Array | float = 0.0
-    """Further motion along the null space, to be added within the limits."""
+    """Additional rates along the null space, rad/s, which are added as far as the limits allow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Method(ABC):
     def formula(self, J: Array, dx: Array, q: Array) -> Array:
         """Return the rates (n,) without limits, for J (dim, n), dx (dim,) and q (n,).
 
-        The N of the extended Jacobian is taken to be constant.
+        The basis N of the extended Jacobian is treated as constant.
         """
         solved = self._solve(J, dx, q, ALL, None)
         total = solved.dq + solved.along
@@ -90,19 +90,19 @@ class Method(ABC):
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         """Return the rates of the m free joints, given their Jacobian J (dim, m).
 
-        `q` and `curvature` are those of all joints.
+        `q` (n,) and `curvature` belong to all joints.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class LeastNorm(Method):
-    """The smallest rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
+    """Method of the smallest rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
 
-    They minimise dq' W dq + |J dq - dx|^2 / lambda^2. Without weights and damping they are J+ dx.
+    The rates minimise dq' W dq + |J dq - dx|^2 / lambda^2. Without weights and damping, they are J+ dx.
     """
 
     weights: Array | None = None
-    """Diagonal of W, shape (n,), positive; None for 1."""
+    """Diagonal of W, shape (n,), positive; None for the identity."""
     damping_m: float = 0.0
     """Damping lambda, in metres."""
 
@@ -130,7 +130,7 @@ def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
 
 @dataclass(frozen=True, eq=False)
 class JacobianTranspose(Method):
-    """The rates alpha J' dx, by default with the best alpha of every step."""
+    """Method of the rates alpha J' dx, by default with the best alpha at every step."""
 
     alpha: float | None = None
 
@@ -140,7 +140,7 @@ class JacobianTranspose(Method):
 
 @dataclass(frozen=True, eq=False)
 class GradientProjection(Method):
-    """The rates J+ dx + k (I - J+ J) g."""
+    """Method of the rates J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
     """g (n,) as a function of q, or a cost with g as its gradient."""
@@ -156,13 +156,13 @@ class GradientProjection(Method):
 
 @dataclass(frozen=True, eq=False)
 class SelectivelyDamped(Method):
-    """Separate damping of each singular direction i, v_i (u_i . dx) / s_i (Buss and Kim 2005, one end effector).
+    """Method that damps each singular direction i, v_i (u_i . dx) / s_i, on its own (Buss and Kim 2005).
 
-    Within one interval, no joint turns by more than the following angle because of one direction:
+    Within one interval, direction i turns no joint by more than
 
         gamma_i = min(1, 1 / M_i) gamma_max,   M_i = sum_j |v_ji| |J_j| / s_i
 
-    No joint turns by more than gamma_max because of all directions together.
+    and all directions together turn no joint by more than gamma_max.
     """
 
     gamma_max_rad: float = math.pi / 4
@@ -175,7 +175,7 @@ class SelectivelyDamped(Method):
         return JointRates(self.damped(directions), bool(directions.singular))
 
     def damped(self, directions: SingularDirections) -> Array:
-        """Return the rates (..., n) for motions that were split into singular directions."""
+        """Return the damped rates (..., n) of motions that are split into singular directions."""
         limit = self.gamma_max_rad / self.interval_s
         damped = _clamped(directions.rates, directions.shares * limit)
         total = np.zeros(damped.shape[:-2] + damped.shape[-1:])
@@ -190,7 +190,7 @@ class SingularDirections(NamedTuple):
     rates: Array
     """Undamped rates of each direction, v_i (u_i . dx) / s_i, shape (..., m, n); 0 for a direction without motion."""
     shares: Array
-    """Share gamma_i / gamma_max that each direction may have, shape (..., m)."""
+    """Limit gamma_i / gamma_max of each direction, shape (..., m), 0 to 1."""
     singular: Array
     """Whether J is singular, shape (...)."""
 
@@ -209,7 +209,7 @@ class ExtendedJacobian(Method):
     """A method that keeps G = N' grad g = 0 by solving [J; dG/dq] dq = [dx; -gain G].
 
     N is an orthonormal basis of the null space of J. If `full` is true, dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with
-    J' mu = grad g and the forward kinematics f; otherwise N is taken to be constant, and dG/dq = N' Hess g. A
+    J' mu = grad g and the forward kinematics f; otherwise N is treated as constant, and dG/dq = N' Hess g. A
     `gain_per_s` of 0 keeps G as it is; 1 / interval removes the G left by an integration step.
 
     The rates do not depend on the choice of N, because another basis multiplies the lower rows and G by an orthogonal
@@ -255,14 +255,14 @@ def reduced_gradient(
 ) -> tuple[Array, Array]:
     """Return grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the m free joints.
 
-    `pseudo` is their J+ (m, dim). `curvature` is that of all joints; None leaves the sum out.
+    `pseudo` is the free joints' J+ (m, dim). `curvature` belongs to all joints; None leaves the sum out.
     """
     g, M = cost.gradient(q)[free], cost.hessian(q)[free][:, free]
     return g, M if curvature is None else M - curvature(g @ pseudo)[free][:, free]
 
 
 def best_scale(rates: Array, wanted: Array) -> float:
-    """Return the factor <wanted, rates> / |rates|^2, which brings rates closest to the wanted ones; 1 for no motion."""
+    """Return the factor <wanted, rates> / |rates|^2 that brings `rates` closest to `wanted`; 1 without motion."""
     square = float(np.vdot(rates, rates))
     return float(np.vdot(wanted, rates)) / square if square > 0 else 1.0
 
@@ -326,8 +326,7 @@ def _clamped(values: Array, limit: Array) -> Array:
 def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:
     """Return the rates of all joints from those of the free joints, with 0 for the others.
 
-    The motion along the null space is reduced as far as the limits require. The note says what was reduced, and at
-    which joints.
+    The motion along the null space is reduced as far as the limits require, and the note says so.
     """
     dq, singular, note, along = solved
     limit = chain.max_rate_rad_s[free]

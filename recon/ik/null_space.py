@@ -21,19 +21,22 @@ KINDS = ("minimum", "saddle", "maximum", "degenerate")
 
 
 def joint_names(chain: SerialChain, joints: Iterable[int]) -> str:
-    """Return the names of some joints, given by index, for a message."""
+    """Return the names of joints, given by index, as a list in a message."""
     return ", ".join(chain.names[joint] for joint in joints)
 
 
 def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> tuple[Array, str]:
-    """Move along the null space of J to G = N' grad g = 0, with the end effector where q0 (n,) puts it.
-
-    Returns q (n,), and the kind of the stationary point: "minimum", "saddle", "maximum" or "degenerate". If no
-    stationary point was reached, the second value is the reason.
+    """Move along the null space of J from q0 (n,) to G = N' grad g = 0, with the end effector fixed.
 
     Newton steps on N' M N (see `ExtendedJacobian`), with the magnitudes of its eigenvalues and a line search, lead to a
-    minimum. If they fail, plain Newton steps lead to the nearest stationary point, which can be a saddle. Limits hold:
-    a joint at its limit is taken out.
+    minimum. If they fail, plain Newton steps lead to the nearest stationary point, which can be a saddle. A joint at
+    its limit is taken out of the chain.
+
+    Returns
+    -------
+    tuple
+        q (n,), rad, and the kind of the stationary point: "minimum", "saddle", "maximum" or "degenerate". If none was
+        reached, the second value is the reason.
     """
     q0 = chain.inside_limits(np.asarray(q0, float))
     minimum = _null_space_newton(chain, q0, cost, descend=True)
@@ -88,7 +91,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
 
 
 def _return_to_position(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
-    """Return q after least-norm steps of the end effector back to its position, or None if they do not reach it."""
+    """Return q after least-norm steps of the end effector back to `home` (dim,), or None if they do not reach it."""
     for _ in range(12):
         miss = home - chain.end(q)
         if float(np.linalg.norm(miss)) <= 1e-13:

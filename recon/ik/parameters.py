@@ -1,8 +1,9 @@
-"""Fit the parameters of the methods to given joint rates by least squares, sum |dq - rates|^2 over frames.
+"""Fit the parameters of the methods to given joint rates by least squares over all frames.
 
-The rates are those of the formulas, without limits. Two conventions make the parameters identifiable: diag W has mean
-1, and the motion along the null space has k = 1. Frames of several chains of one kind can be joined, and a fit to some
-of them can be tested on others. A single frame gives the parameters of its configuration.
+The fit minimises the sum of |dq - rates|^2. The rates come from the methods' formulas, without limits. Two conventions
+make the parameters identifiable: diag W has mean 1, and the motion along the null space has k = 1. Frames of several
+chains of one kind can be joined, and a fit to some frames can be tested on others. A single frame gives the parameters
+of its configuration.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ from recon.ik.methods import (
 )
 
 RANGE = (1e-4, 1e2)
-"""Limits of lambda (m) and gamma_max (rad): beyond them the method does not change, or nothing moves."""
+"""Search range of lambda (m) and gamma_max (rad); outside it, the rates no longer change or are close to zero."""
 WEIGHT_RANGE = 1e3
 """Largest ratio of a weight to its starting value."""
 PULL = 0.01
 """Strength with which the weights of one configuration are drawn towards equal weights.
 
-Many weights would explain a single configuration otherwise. The value is the cost of a factor of e, as a share of the
-rates.
+Otherwise, many sets of weights would explain a single configuration equally well. The value is the residual of a weight
+that is e times the usual one, as a fraction of the norm of the rates.
 """
 PARAMETERS = {
     "transpose": ("alpha_1_m2",),
@@ -45,12 +46,12 @@ PARAMETERS = {
     "damped": ("lambda_m",),
     "selectively-damped": ("gamma_max_rad",),
 }
-"""Names of the columns of methods with one parameter."""
+"""Column names of the methods that have one parameter, by method."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """T frames of a chain, or of several chains of one kind, one after the other."""
+    """T frames of a chain, or of several chains of one kind in a row."""
 
     q: Array
     """Joint angles, shape (T, n), rad."""
@@ -65,7 +66,7 @@ class Frames:
 
     @classmethod
     def without_gaps(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
-        """Return the frames without a NaN.
+        """Return the frames that have no NaN.
 
         Raises ValueError if there are none.
         """
@@ -80,19 +81,19 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
-    """A method with its fitted parameter, and how well it explains the rates."""
+    """A method with its fitted parameter and the quality of the fit."""
 
     method: Method
     parameter: Array
     """The parameter, shape (p,)."""
     rms_rad_s: float
-    """Root mean square of the residuals."""
+    """Root mean square of the residuals, rad/s."""
     explained: float
-    """Explained share of the rates (`explained_by`) in the frames of the fit."""
+    """Explained fraction of the squared rates (`explained_by`) in the frames of the fit."""
     alpha: float
-    """Factor on the rates with which they explain most in those frames."""
+    """Factor on the method's rates that maximises the explained fraction in the frames of the fit."""
     note: str
-    """Note that a parameter is at the edge of its range or has no effect; empty otherwise."""
+    """Note if a parameter is at the edge of its range or has no effect; empty otherwise."""
 
 
 Fit = Callable[[Frames], ParameterFit]
@@ -101,9 +102,11 @@ Fit = Callable[[Frames], ParameterFit]
 def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
     """Return functions that fit each method with parameters, and least norm for comparison.
 
-    The parameters are: for transpose, alpha in 1/m^2; for gradient-projection, with k = 1, coefficients of the costs,
-    or without costs the smallest constant g (n,) that fits; for weighted, diag W, positive with mean 1, with the `pull`
-    of `PULL`; for damped, lambda in metres; for selectively-damped, gamma_max in rad for `INTERVAL_S`.
+    The methods have these parameters:
+
+    - transpose: alpha, 1/m^2 - gradient-projection, with k = 1: coefficients of the costs, or without costs the
+    smallest constant g (n,) that fits - weighted: diag W, positive, with a mean of 1; `pull` is the strength described
+    at `PULL` - damped: lambda, metres - selectively-damped: gamma_max, rad, for steps of `INTERVAL_S`
     """
 
     def projection(c: Array) -> Method:
@@ -122,13 +125,13 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
 
 
 def rates_of(method: Method, frames: Frames) -> Array:
-    """Return the rates (T, n) that the formula of a method gives."""
+    """Return the rates (T, n), rad/s, that the formula of a method gives."""
     rows = zip(frames.jacobian, frames.dx, frames.q, strict=True)
     return np.array([method.formula(J, dx, q) for J, dx, q in rows])
 
 
 def explained_by(rates: Array, dq: Array) -> float:
-    """Return the share of sum dq^2 that the rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
+    """Return the fraction of sum dq^2 that the rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
     total = float(np.sum(dq**2))
     return 1 - float(np.sum((dq - rates) ** 2)) / total if total > 0 else float("nan")
 
@@ -168,9 +171,9 @@ def _in_range(
     frames: Frames,
     rates_with: Callable[[float], Array] | None = None,
 ) -> ParameterFit:
-    """Fit a parameter within `RANGE` to the rates of the frames: the best of a logarithmic grid, refined.
+    """Fit a parameter within `RANGE` to the rates of the frames, by a search of a logarithmic grid that is refined.
 
-    `rates_with` returns the rates (T, n) with a parameter; None for the formula of the method.
+    `rates_with` returns the rates (T, n) for a value of the parameter; None to use the formula of the method.
     """
     rates_at = rates_with or (lambda value: rates_of(method(value), frames))
 
@@ -184,17 +187,17 @@ def _in_range(
     value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
     (low, high), (name, unit), note = RANGE, name_and_unit, ""
     if i == 0 and name == "lambda":
-        # Because dx is J dq, damping adds sum((1 - s^2 / (s^2 + lambda^2))^2 ...) to the error of the least norm.
-        note = "lambda is 0: damping only reduces the rates of the least-norm method, which are too small already"
+        # Because dx is J dq, damping can only add to the error of the least-norm method.
+        note = "lambda is 0, because damping only reduces the least-norm rates, which are too small already"
     elif i in (0, len(grid) - 1):
         note = f"{name} at the edge of {low:g} to {high:g} {unit}"
     elif np.array_equal(rates_at(value), rates_at(high)):
-        note = f"nothing is damped with this {name}, nor with any other up to {high:g} {unit}"
+        note = f"{name} has no effect: no value between this one and {high:g} {unit} damps the rates"
     return _fitted(method(value), np.array([value]), frames, note)
 
 
 def _selectively_damped(frames: Frames) -> Callable[[float], Array]:
-    """Return a function of gamma_max that returns the rates (T, n): the singular directions do not depend on it."""
+    """Return a function from gamma_max to rates (T, n) that computes the singular directions only once."""
     by_frame = [SingularDirections.of_motion(J, dx) for J, dx in zip(frames.jacobian, frames.dx, strict=True)]
     directions = SingularDirections(*map(np.array, zip(*by_frame, strict=True)))
     return lambda gamma_max_rad: SelectivelyDamped(gamma_max_rad).damped(directions)

@@ -1,11 +1,11 @@
-"""Find a stride as a task for inverse kinematics: the closed path of an end effector.
+"""Find a stride, the closed path of an end effector, as a task for inverse kinematics.
 
 Between frames, the end effector relative to the base follows a cubic spline, because the position is continuous while
 the angles can jump between two pairs for the same direction. A stride begins at a frame, where the angles are known,
-and may end between two frames. If a stride of nine frames were rounded to whole frames, its duration would be wrong by
-up to a ninth, and the gap would be as wide as the motion of the foot in a frame.
+and may end between two frames. If a stride of nine frames were cut to whole frames, its duration would be wrong by up
+to a ninth, and the gap would be as wide as the motion of the foot in a frame.
 
-A given stride begins at the frame closest to the given start, for instance a touch-down, and has the given duration.
+A given stride begins at the frame closest to the given start, such as a touch-down, and has the given duration.
 Otherwise the stride is the nearest return of the end effector to its start (`recon.gait.nearest_return`), or all frames
 if there is no return. The remaining gap is spread evenly over the path.
 """
@@ -24,7 +24,7 @@ from recon.gait.phase import diameter
 from recon.ik.chain import SerialChain
 
 OVERSAMPLING = 10
-"""Points of the path for each frame."""
+"""Number of points of the path per frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +39,16 @@ class StridePath:
     origin: str
     """Origin of the stride: "given", "gait" or "end effector" for a complete stride, "return" or "whole clip"."""
     q: Array
-    """Joint angles of the animal, shape (F, n), NaN if missing; the first row is the start."""
+    """Joint angles of the animal, shape (F, n), rad, NaN if missing; the first row is the start."""
     path_m: Array
-    """Closed path of the end effector, shape (K, dim), with points `interval_s` apart."""
+    """Closed path of the end effector, shape (K, dim), metres, with points `interval_s` apart."""
     interval_s: float
     gap_m: float
-    """Width of the gap that was closed."""
+    """Width of the gap that was closed, metres."""
     gap_percent: float
-    """Width of the gap in percent of the path's diameter."""
+    """Width of the gap as a percentage of the path's diameter."""
     notes: tuple[str, ...] = ()
-    """Strides that do not count, each with the reason."""
+    """Rejected strides, each with the reason."""
 
 
 def find_stride(
@@ -58,22 +58,22 @@ def find_stride(
     span_s: tuple[float, float] | None = None,
     duration_range_s: tuple[float, float] | None = (0.0, np.inf),
 ) -> StridePath:
-    """Return the stride of a chain from its joint angles; the module describes the search.
+    """Find the stride of a chain in its joint angles, as described for this module.
 
-    Only the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` counts.
+    Only the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` is searched.
 
     Parameters
     ----------
     chain
-        The chain.
+        The chain whose end effector is followed.
     q
-        Joint angles (T, n) in the frames, NaN if missing.
+        Joint angles (T, n) in the frames, rad, NaN if missing.
     fps
         Frames per second.
     span_s
-        Start and end of the stride, if known.
+        Start and end of the stride, seconds, if known.
     duration_range_s
-        Shortest and longest possible duration of a return, if known; None for the whole clip.
+        Shortest and longest possible duration of a return, seconds; None for the whole clip.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def find_stride(
         first, last = known[0] / fps, known[-1] / fps
         if not first - half <= start_s < end_s <= last + half:
             raise ValueError(
-                f"a stride within {first:.3f} to {last:.3f} s expected, got {start_s:.3f} to {end_s:.3f} s"
+                f"expected a stride within {first:.3f} to {last:.3f} s, got {start_s:.3f} to {end_s:.3f} s"
             )
         frames = (end_s - start_s) * fps
         # A later start would put the end of the stride after the last frame.
@@ -128,9 +128,9 @@ def find_stride(
 
 
 def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
-    """Return the angles q0 (n,) with the end effector rearmost, and its foremost position, the target (dim,).
+    """Return the angles (n,) with the end effector at its rearmost position, and its foremost position (dim,), metres.
 
-    Forwards is the first axis of the base frame. `q` holds joint angles (K, n), for instance of a stride, NaN if
+    Forwards is the first axis of the base frame. `q` holds joint angles (K, n), such as those of a stride, NaN if
     missing. Raises ValueError if no frame is complete.
     """
     known = q[np.isfinite(q).all(axis=1)]

@@ -131,7 +131,7 @@ def test_two_link_outside_the_annulus(target):
     assert np.isnan(branches_rad).all()
     assert reason.startswith("unreachable")
     if target[0] == 1.6:
-        assert reason == "unreachable: 1.600 m from the base, the chain reaches 0.500 to 1.500 m"
+        assert reason == "unreachable: the target is 1.600 m from the base, and the chain reaches 0.500 to 1.500 m"
 
 
 def test_two_link_on_the_edge():

@@ -106,7 +106,7 @@ def test_reach_holds_everywhere():
 def test_bad_chains_are_refused():
     with pytest.raises(ValueError, match=r"\(n, 3\)"):
         joint_chain([(0, 0)], [(0, 0, 1)])
-    with pytest.raises(ValueError, match="no axis zero"):
+    with pytest.raises(ValueError, match="no axis may be zero"):
         joint_chain([(0, 0, 0)], [(0, 0, 0)])
     with pytest.raises(ValueError, match="above"):
         joint_chain([(0, 0, 0)], [(0, 0, 1)], limits_rad=(1.0, -1.0))
