@@ -11,9 +11,9 @@ The test uses no body and no fit, so it also detects a camera that pulls the fit
 
 **Which camera is off.** If levels are too high, cameras are left out one by one until the rest agrees
 (`_largest_agreeing_group`). For each camera left out, the best rotation and the best time offset are determined
-(`_best_turned`, `_best_shifted`). If one of them lowers the level enough, it is named as the cause; otherwise the cause
-is unknown. Exchanged files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`).
-If no two of the cameras agree, one error names all of them.
+(`_best_turned`, `_best_shifted`). If the rotation or the offset lowers the level enough, it is named as the cause;
+otherwise the cause is unknown. Exchanged files of two cameras are tried first, since they explain two cameras at once
+(`_exchanged_pair`). If no two of the cameras agree, one error names all of them.
 
 **Time offsets and refined poses.** The same levels are used to search for offsets between cameras whose clocks differ
 (`search_offsets`), before the fit solves for them (`solve_time_offsets`). After a fit that refined poses,
@@ -51,7 +51,7 @@ MAX_NOISE_FACTOR_OF_TWO = 1.1
 Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visible only across the line between them.
 """
 EXPLAINED = 0.25
-"""A cause that reduces a camera's level to this fraction or less also explains it."""
+"""Fraction of a camera's level; a cause that reduces the level to this fraction or less explains it."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
 """Rotation from which a camera that agrees is still reported, if its level improves by `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0
@@ -69,7 +69,7 @@ NARROW_OFFSET = 3
 FRAMES = 480
 """Number of frames of a longer clip that are compared: the part with the most detections that cameras share."""
 OFFSET_S = 1.0
-"""Largest time offset in seconds in the search for a camera that is out of step; at most half a clip."""
+"""Largest time offset, in seconds, in the search for a camera that is out of step; at most half the clip."""
 MAX_OFFSET_RATIO = 0.9
 """Largest ratio of the level with a time offset to the level without it at which the offset counts."""
 _OFFSET_ROWS = 200
@@ -79,7 +79,7 @@ _COMPARED = 0.3
 _ROBUST = 3.0
 """Number of standard deviations at which the robust weight of a residual is 0.5."""
 _POINT_ROUNDS = 3
-"""Rounds of reweighting in which outliers lose their weight in a point."""
+"""Number of rounds of reweighting, in which outliers lose their weight in a point."""
 _OFFSET_ROUNDS = 3
 """Largest number of rounds over the cameras in the search for time offsets."""
 _MEDIAN_OF_LINE = 0.4549
@@ -105,17 +105,17 @@ Comparison = dict[str, float]
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
     """Return the findings on a motion's two or more cameras, compared with each other at their given poses.
 
-    There is a note on each camera, and an error for each camera that does not agree: exchanged, turned, late, or for an
-    unknown reason. If no two cameras agree, one error names all that disagree. The result is deterministic.
+    There is a note on each camera, and an error for each camera that is exchanged, turned, late, or off for an unknown
+    reason. If no two cameras agree, one error names all cameras. The result is deterministic.
 
     Parameters
     ----------
     motion
         The motion, with its sources and views.
     sigma_px
-        Standard deviation of the detector's noise.
+        Standard deviation of the detector's noise, pixels.
     keypoint_sigma_m
-        Standard deviation of a keypoint's position on the body.
+        Standard deviation of a keypoint's position on the body, m.
     """
     views_and_sources = zip(motion.solution.views, motion.sources, strict=True)
     views = [replace(view, offset_frames=source.offset_frames) for view, source in views_and_sources]
@@ -159,9 +159,9 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[list[_Sight], tuple[int, ...], float]:
-    """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit of levels.
+    """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit for levels.
 
-    Without exchanged cameras the pair is (). The limit is higher than `MAX_LEVEL` if the cameras that agree best are
+    Without exchanged cameras, the pair is (). The limit is higher than `MAX_LEVEL` if the cameras that agree best are
     noisier than expected.
     """
     everyone = tuple(range(len(views)))
@@ -182,9 +182,10 @@ def _without_exchange(
 def swaps_by_effect(
     findings: Sequence[Finding], motion: Motion, sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[Finding, ...]:
-    """Return findings with the severity of a swap in one of three or more cameras set by its effect on the fit.
+    """Return findings in which the severity of swaps follows from their effect, for three or more cameras.
 
-    The robust fit follows the other cameras if they agree. Parameters are as in `agreement_findings`.
+    A swap in one camera has little effect if the others agree, because the robust fit follows them. Parameters are as
+    in `agreement_findings`.
     """
     names = [view.camera.name for view in motion.solution.views]
     if len(names) < 3 or not any(item.code.startswith("left_right_swap") for item in findings):
@@ -242,11 +243,11 @@ def _compare_with_agreeing(
     return agreeing, comparisons
 
 
-# -- agreeing cameras --------------------------------------------------------------------------------------------------
+# Agreeing cameras
 
 
 def _are_within(levels: Array, limit: float) -> bool:
-    """Return whether no level exceeds the limit; NaN, an unknown level, does not count."""
+    """Return whether all known levels are at most the limit; unknown levels are NaN."""
     return not (levels > limit).any()
 
 
@@ -337,7 +338,7 @@ def _cost_of_removal(
 ) -> _RemovalCost:
     """Return the cost of removing the camera that is missing from the rest.
 
-    A rotation and a time offset are tried only for one of three cameras.
+    A rotation and a time offset are tried only if there are three cameras.
     """
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
@@ -350,7 +351,7 @@ def _cost_of_removal(
     return _RemovalCost(is_unexplained=not _are_within(best, limit), level_sum=float(np.nansum(best)))
 
 
-# -- rays and points ---------------------------------------------------------------------------------------------------
+# Rays and points
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,7 +369,7 @@ class _Sight:
     """Noise of a detection as an angle, shape (T, 1)."""
 
     def later(self, frames: float) -> _Sight:
-        """Return the directions for pictures taken a number of frames later."""
+        """Return the directions for pictures that were taken some frames later."""
         rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
@@ -422,7 +423,7 @@ def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: flo
 
 @lru_cache(maxsize=16)
 def _points_of(*sights: _Sight) -> _Points:
-    """Return `_points`, which several comparisons of a camera with the same other cameras need."""
+    """Return the result of `_points`, cached because several comparisons need the points of the same cameras."""
     return _points(sights)
 
 
@@ -452,14 +453,14 @@ def _points(sights: Sequence[_Sight]) -> _Points:
     return position, covariance
 
 
-# -- one camera against others -----------------------------------------------------------------------------------------
+# One camera compared with others
 
 
 def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[float, float]:
-    """Return the drift of a camera's clock over the clip that rays alone show, in frames, and its standard deviation.
+    """Estimate the drift of a camera's clock from rays alone: frames over the clip, and its standard deviation.
 
     The drift that best moves the camera's rays into the epipolar planes of the other cameras' rays is estimated
-    together with a time offset and a constant angle. The animal's lengths, which a rough skeleton has wrong, are not
+    together with a time offset and a constant angle. The animal's lengths, which are wrong in a rough skeleton, are not
     used. The values are NaN for fewer than `MIN_POINTS` points.
 
     Parameters
@@ -467,9 +468,9 @@ def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[floa
     views
         Views of the same T frames.
     markers_m : (T, J, 3)
-        Markers of a fit in the world frame. Only the velocities of their projections are used.
+        Markers of a fit in the world frame, metres. Only the velocities of their projections are used.
     v
-        Number of the camera.
+        Index of the camera.
     """
     sights = _sights(views, sigma_px=1.0, keypoint_sigma_m=0.0)  # the spread of the errors replaces this noise
     sight, T = sights[v], len(markers_m)
@@ -530,7 +531,7 @@ def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) 
 def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
     """Return the level of two cameras, the median angle between a's rays and b's planes, and the number of points.
 
-    The planes contain both centres and one of b's rays.
+    Each plane contains both centres and one of b's rays.
     """
     line = b.centre_m - a.centre_m
     plane_of_b, plane_of_a = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
@@ -608,7 +609,7 @@ def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tup
     return sight.later(best), best
 
 
-# -- cameras out of step -----------------------------------------------------------------------------------------------
+# Cameras out of step
 
 
 def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
@@ -649,27 +650,27 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
     return 0.0 if mean[best] > MAX_OFFSET_RATIO * mean[reach] else float(offsets[best])
 
 
-# -- camera parameters that are estimated in the fit -------------------------------------------------------------------
+# Camera parameters that are estimated in the fit
 
 FIT_ROUNDS = 5
 """Largest number of solutions in the search for time offsets."""
 CLOSE_FRAMES = 0.05
-"""Time offsets this small are left to the solver, which treats the motion as straight over such a time."""
+"""Largest time offset, in frames, that is left to the solver, which treats the motion as straight over this time."""
 UNCHANGED_FACTOR = 1.1
 """Growth of a camera's median reprojection error up to which refined poses count as no worse for it.
 
-Some cameras may lose a little of what one camera gains.
+The errors of some cameras may grow a little if those of another camera decrease.
 """
 BETTER_FACTOR = 1.02
 """Ratio of a camera's error before the refinement to the error after it, above which the camera has improved."""
 OUTLIER_FACTOR = 5.0
 """Ratio of a camera's error to the median over the cameras, above which the camera is an outlier as a whole."""
 MAX_ROTATION_FACTOR = 4.0
-"""Ratio of a rotation to the expected one, above which a camera is not at the pose in the file."""
+"""Ratio of a rotation to the expected one, above which a camera has left the pose in the file."""
 MAX_SIGMA_FRAMES = 1.0
 """Largest uncertainty of an estimated offset in frames.
 
-A less certain offset is refused, and so is an offset that would still change by more.
+A less certain offset is refused, as is an offset that would still change by more.
 """
 
 SolveSources = Callable[[tuple[Source, ...]], TrajectorySolution]
@@ -682,7 +683,7 @@ def solve_time_offsets(
     sigma_px: float,
     keypoint_sigma_m: float,
 ) -> tuple[tuple[Source, ...], TrajectorySolution]:
-    """Return sources on the frames of one clip with estimated time offsets, and their solution.
+    """Estimate the time offsets of sources; return the sources on the frames of one clip, and their solution.
 
     Parameters
     ----------
@@ -739,10 +740,10 @@ def why_not_refined(
 ) -> tuple[Finding, ...]:
     """Return the reasons to keep the calibrated cameras, or nothing if the refined poses are to be used.
 
-    A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards. If no camera fits better,
-    the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a wrong size
-    of the animal can hide them. If `may_fit_worse` is true, the fixed cameras may fit better for another reason, and
-    then only a camera that becomes an outlier as a whole counts.
+    A camera that leaves its pose may become an outlier as a whole, which lowers a robust cost. If no camera fits
+    better, the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a
+    wrong size of the animal can hide them. If `may_fit_worse` is true, the fixed cameras may fit better for another
+    reason, and then only a camera that becomes an outlier as a whole counts.
     """
     fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
     names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
@@ -775,7 +776,7 @@ def pair_is_turned(refined: TrajectorySolution) -> bool:
 
 
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
-    """Return the finding on two cameras whose poses were refined although nobody requested it.
+    """Return the finding on two cameras whose poses were refined without a request by the user.
 
     It names the camera that was turned more. It is a warning if one of the cameras is more likely turned or moved than
     well calibrated.
@@ -793,7 +794,7 @@ def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
 
 
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:
-    """Return the median distance between detections and reprojected markers, (V,).
+    """Return the median distance between detections and reprojected markers, (V,), pixels.
 
     It is infinite if most detections have no pose, and 1 without detections.
     """

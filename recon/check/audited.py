@@ -1,4 +1,4 @@
-"""Points of a file to audit, and the body parts that their names indicate."""
+"""Define the points of a file to audit, and derive the body parts from their names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from recon.base.arrays import Array, Bools, Brief, Index, Integers
 NAMES_KNOWN = 0.6
 """Fraction of a file's points, or of a skeleton's markers, with matching names above which the skeleton is used."""
 LEAST_NAMES = 4
-"""Smallest number of matching names with which a skeleton is used: two or three names match several animals."""
+"""Smallest number of matching names with which a skeleton is used, because two or three match several animals."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
 _STANDING = re.compile(rf"{_FOOT.pattern}|fetlock|pastern|digit|heel|hock|tarsus|carpus|knee")
 _LOWEST = re.compile(r"(?i)paw|hoof|toe|foot|feet|hand|claw")
@@ -69,12 +69,12 @@ class AuditedPoints(Brief):
 
     @cached_property
     def known(self) -> Bools:
-        """Mask of the known points, (T, K)."""
+        """Return a mask of the known points, (T, K)."""
         return np.asarray(np.isfinite(self.positions).all(axis=2))
 
     @cached_property
     def extent(self) -> float:
-        """Median size of the animal: the largest side of the box around its points; NaN without points."""
+        """Return the median size of the animal: the largest side of the box around its points; NaN without points."""
         counts = self.known.sum(axis=1)
         rows = counts >= max(3, 0.5 * counts.max(initial=0))
         if not rows.any():
@@ -84,14 +84,14 @@ class AuditedPoints(Brief):
 
     @cached_property
     def follows(self) -> Bools:
-        """Mask of frames that follow the frame before without a gap in the numbers, (T,); False for the first."""
+        """Return a mask (T,) of frames that follow the frame before without a gap in numbers; False for the first."""
         steps = np.diff(self.frames)
         usual = np.median(steps) if len(steps) else 1
         return np.append(False, steps == usual)
 
     @cached_property
     def stands(self) -> Bools:
-        """Mask of points (K,) that can stand still while the animal walks: the lower limbs, and unnamed points."""
+        """Return a mask of points (K,) that can stand still while the animal walks: lower limbs, and unnamed points."""
         return np.array([bool(_STANDING.search(name)) or not _WORD.search(name) for name in self.names])
 
     def named(self, indices: Sequence[int] | Index) -> tuple[str, ...]:
@@ -113,7 +113,7 @@ class Measure:
 
 
 def resolution_of(values: Array) -> float:
-    """Return the smallest step between numbers, 0 if they have full precision."""
+    """Return the smallest step between numbers, in their unit; 0 if they have full precision."""
     sample = values[np.isfinite(values)]
     sample = sample[:: max(1, len(sample) // 4000)]
     for decimals in range(DECIMALS + 1):

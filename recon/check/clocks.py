@@ -21,10 +21,10 @@ It is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera ta
 """
 
 RAY_SIGMAS = 3.0
-"""Standard deviations by which the drift that rays show has to be below half of the reported one to refute it.
+"""Number of standard deviations by which the drift shown by rays must be below half of an estimate to refute it.
 
-A rough skeleton's wrong lengths look like a drift of 2.5 frames in an exact pair, where rays show 0.2 ± 0.2. If a clock
-does drift, by 1 frame, rays show 1.1 ± 0.05 (simulated pairs of `tests/check/test_clocks.py`).
+The wrong lengths of a rough skeleton look like a drift of 2.5 frames in an exact pair, where rays show 0.2 ± 0.2. If a
+clock does drift, by 1 frame, rays show 1.1 ± 0.05 (simulated pairs of `tests/check/test_clocks.py`).
 """
 
 
@@ -45,7 +45,7 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution) -> dict[int, Step
 def drift_findings(
     clip: ClipProblem, solution: TrajectorySolution, names: Sequence[str], fps: float
 ) -> Iterator[Finding]:
-    """Yield a finding on the camera whose clock drifts most surely from the others', unless rays refute the drift.
+    """Yield a finding on the camera whose clock drifts most significantly, unless rays refute the drift.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def drift_findings(
     names
         The cameras' names.
     fps
-        Their common frame rate.
+        The cameras' common frame rate, frames per second.
     """
     segment = solution.longest_segment
     if segment is None:

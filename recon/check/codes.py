@@ -72,10 +72,10 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
 def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_sigma_m: float = 0.0) -> Finding:
     """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
 
-    The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. Below
-    that the finding is at most a warning. It is a note if the effect is no larger than the fit's own error, unless
-    `is_gross` says that the inputs contradict each other grossly. An effect on positions below the standard deviation
-    `position_sigma_m`, which the fit states for them, is no larger than the fit's own error either.
+    The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. With a
+    smaller effect, the finding is at most a warning. It is a note if the effect is no larger than the fit's own error,
+    unless `is_gross` is true because the inputs contradict each other grossly. An effect on positions below the
+    standard deviation `position_sigma_m`, which the fit states for them, is no larger than the fit's own error either.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
@@ -122,7 +122,7 @@ def sentence(item: Finding, named: bool = True) -> str:
 def effect_text(numbers: Mapping[str, Any]) -> str:
     """Return the effect of a finding on the result, as a sentence after a space, or "" if it is unknown.
 
-    With another frame rate, which changes poses and positions little, it is the effect on the speed.
+    For another frame rate, which changes poses and positions little, the sentence states the effect on the speed.
     """
     if {*SPEEDS} <= numbers.keys():
         speed_text, other_text = (_speed_text(numbers[name]) for name in SPEEDS)
@@ -147,7 +147,7 @@ def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
 
 
 def names_text(names: Sequence[str]) -> str:
-    """Return the first few names as a list for a text."""
+    """Return the first `NAMED` names as text, and the number of the others."""
     rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + rest
 

@@ -12,4 +12,7 @@ EFFECT_OF_NOTE = 0.25
 It is 3.5 cm for a cheetah, about the error of the fit itself.
 """
 MANY_FRAMES = 1 / 3
-"""Fraction of the frames, or of the detections, above which leaving them out makes a different clip."""
+"""Fraction of the frames, or of the detections, above which faulty ones are reported.
+
+The rest would no longer represent the clip.
+"""

@@ -2,8 +2,8 @@
 
 Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks as large, but flatter, and moves 1.5
 times as far in depth. One second of the clip is solved again with other focal lengths, from the solution moved along
-the optical axis. A parabola through the costs, taken as negative log-likelihoods of errors that last, estimates the
-focal length.
+the optical axis. The costs count as negative log-likelihoods of persistent errors, and the minimum of a parabola
+through them estimates the focal length.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ Correct views are from -1.2 to 0.9, views of 1.5 times the focal length from -2.
 2.2. Some correct clips that are short or partly hidden are at 1.5.
 """
 SEEN = 0.25
-"""Least share of the frames in which each foot is detected: without legs, size and distance are hardly known."""
+"""Smallest fraction of the frames in which each foot is detected; without legs, size and distance are uncertain."""
 BEYOND = 0.2
-"""Largest distance of the estimate from the values that were tried, in logarithms."""
+"""Largest distance between the logarithm of the estimate and the logarithms that were tried."""
 INSIDE_90 = 0.5 * NORMAL_90**2
-"""Cost above the least at which a focal length is at the end of its 90 % interval."""
+"""Excess over the smallest cost at which a focal length is at the end of its 90 % interval."""
 _UNKNOWN_SIGMA = 0.3
 """Standard deviation of an estimate if the parabola has no minimum."""
 _TOLERANCE, _ITERATIONS = 1e-3, 12
@@ -63,7 +63,7 @@ class FocalTest:
     """An estimate of the focal length."""
 
     log_factor: float
-    """Logarithm of the likeliest focal length relative to the given one."""
+    """Logarithm of the most likely focal length relative to the given one."""
     sigma: float
     """Standard deviation of `log_factor` due to the errors of the detections."""
     effects_m: dict[str, float]
@@ -81,7 +81,8 @@ class FocalTest:
 def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
     """Return a warning if another focal length is likely, a note if it is possible, and None otherwise.
 
-    The effects of both widen the intervals of the verdict. `noise_px` (T, J) is the noise of the fit.
+    The effects of a warning and of a note widen the intervals of the verdict. `noise_px` (T, J) is the noise of the
+    fit.
     """
     test = focal_test(baseline, noise_px)
     if test is None or abs(test.deviation) <= POSSIBLE:
@@ -158,7 +159,7 @@ def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
 
 
 def _lowest(costs: Mapping[float, float]) -> tuple[float, float]:
-    """Return the minimum of a parabola through the least cost and its neighbours, and its standard deviation."""
+    """Return the minimum of a parabola through the smallest cost and its neighbours, and the standard deviation."""
     values = sorted(costs)
     least = min(values, key=costs.__getitem__)
     middle = min(max(values.index(least), 1), len(values) - 2)

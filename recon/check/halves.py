@@ -1,7 +1,7 @@
 """Test whether the fore half and the hind half of an animal belong together: another animal may run close behind.
 
-The alternative is a hind half that is early or late. Its time offset from the rest is a factor on the markers' motion
-in the picture, and one step of the fit estimates it with its standard deviation.
+The alternative is a hind half that is early or late. The half's time offset from the rest multiplies the markers'
+motion in the picture, and one step of the fit estimates this offset with its standard deviation.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ LEAST_FRAMES = 3
 DISAGREES = 3.0
 """Distance from its marker, in standard deviations of the noise, beyond which a detection disagrees with the pose."""
 TIMES = 2.0
-"""Ratio of the halves' fractions of such detections, above which the half with more of them is another animal's.
+"""Ratio of the halves' fractions of such detections, above which one half is named as another animal's.
 
-It is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
+The ratio is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
 """
 
 

@@ -65,9 +65,9 @@ def input_findings(
     """Return the findings on the keypoints that a motion was fitted to.
 
     The tests are, in this order: copies; motions that no animal makes; for each camera, another picture, then swaps;
-    for a single camera, another one of its file, the animal's halves, the lens, the stretch and the focal length; for
-    several cameras, their clocks; and the frame rate. A test is left out if an earlier finding explains what it would
-    find.
+    for a single camera, another camera of its file, the animal's halves, the lens, the stretch and the focal length;
+    for several cameras, their clocks; and the frame rate. A test is left out if an earlier finding explains what it
+    would find.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def input_findings(
         if _feet_glide(moves) or not (is_explained or other_pictures):
             rates = _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
     if other_pictures or _has_error(rates):
-        moves = []  # they follow from the other fault
+        moves = []  # impossible motions follow from the other fault
     return (*copied, *exchanged, *other_pictures.values(), *elsewhere, *drifting, *rates, *moves)
 
 
@@ -144,7 +144,7 @@ def _is_unlike_prior(solution: TrajectorySolution, fps: float) -> bool:
 
 
 def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | None]) -> dict[int, Finding]:
-    """Return findings on keypoints of another camera, or of another picture of the camera, by the view's number."""
+    """Return findings on keypoints of another camera, or of another picture than the camera's, by the view's index."""
     findings = {}
     for number, source in enumerate(motion.sources):
         camera, named_camera = source.camera.name, named[number]
@@ -169,8 +169,8 @@ def _explain_by_only_view(
 ) -> list[Finding]:
     """Return `moves`, or findings on a single camera's view that explain them.
 
-    A jolting path, and nothing else, may be explained by a hind half that is another animal's. If there are no moves,
-    the lens, the stretch and the focal length are tested as well.
+    If the path jolts and nothing else was found, the hind half may be another animal's. If there are no moves, the
+    lens, the stretch and the focal length are tested as well.
     """
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
@@ -229,7 +229,7 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
     return replace(motion, solution=replace(motion.solution, flags=tuple(flags)))
 
 
-# -- copied coordinates ------------------------------------------------------------------------------------------------
+# Copied coordinates
 
 SHARE = 0.2
 """Smallest fraction of identical coordinates that is not chance; hand labels in whole pixels have some."""
@@ -240,7 +240,7 @@ FEWEST = 4
 STRAIGHT_PX = 0.01
 """Largest deviation, in pixels, of an interpolated point from the line between its neighbours.
 
-A point on a cubic has a fourth difference as small as that.
+The fourth differences of points on a cubic are also below this limit.
 """
 STRAIGHT = 0.02
 """Largest such deviation relative to the point's path."""
@@ -255,12 +255,12 @@ LONG = 1.45
 """Ratio to the steps around it above which a step is long.
 
 In 32 real views at most 0.12 of the steps are long, also with half of their points missing, a side hidden, or an animal
-that comes into the picture. The share is 0.2 if a quarter of the frames is left out.
+that comes into the picture. The fraction is 0.2 if a quarter of the frames is left out.
 """
 SHORT = 0.5
 """Ratio to the steps around it below which a step is short."""
 SHARE_LONG = 0.13
-"""Share of long steps above which frames were left out, if less than half as many steps are short."""
+"""Fraction of long steps above which frames were left out, if less than half as many steps are short."""
 ALONE = 1.3
 """Smallest ratio of a long step to both its neighbours if a frame was left out.
 
@@ -268,7 +268,7 @@ Swinging legs, seen on their own or by a camera that follows, are fast for sever
 chosen on simulated cameras and noise (cheetahs, dogs).
 """
 SHARE_ALONE = 0.4
-"""Smallest share of long steps that have this ratio."""
+"""Smallest fraction of the long steps that have this ratio if frames were left out."""
 AROUND = 7
 """Number of steps of a keypoint that are compared."""
 LEAST_STEP_PX = 5.0
@@ -397,12 +397,12 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 
 
-# -- impossible motions ------------------------------------------------------------------------------------------------
+# Impossible motions
 
 LEAST_S = 0.25
 """Shortest motion that is tested, in seconds."""
 STILL = 0.95
-"""Smallest share of frames in which an animal that stands still is slower than `STILL_M_S`."""
+"""Smallest fraction of frames in which an animal that stands still is slower than `STILL_M_S`."""
 STILL_M_S = 0.3
 """Largest speed of an animal that stands still; a trunk length per second if its trunk is shorter than 0.3 m."""
 STILL_RAD_S = 0.6
@@ -416,7 +416,7 @@ BACKWARDS = 0.9
 SLOWEST = 0.1
 """Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
 LOWEST = 0.2
-"""Fraction of a foot's frames, those in which it is lowest, in which it is on the ground.
+"""Fraction of a foot's frames in which the foot counts as on the ground: those in which it is lowest.
 
 On a belt or under a camera that pans, feet move in these frames at 0.72 to 1.01 of the speed of `SLOWEST` (24 clips of
 cheetahs, `python benchmarks/wrong_inputs.py --only inputs`). If a dog stands, steps or turns on the spot, they move at
@@ -430,13 +430,13 @@ It is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a tread
 SLIDE_LEGS_S = 0.5
 """Smallest speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding."""
 STAYS_SHARE = 0.3
-"""Speed of the body relative to the feet below which the body stays where it is, as on a treadmill."""
+"""Speed of the body, relative to its speed over the feet, below which it stays where it is, as on a treadmill."""
 SLIDE_M_S = -2.5
 """Backward speed that standing feet do not reach; in 32 real views of running cheetahs the lowest is -0.7 m/s."""
 GLIDE_M_S = 8.0
 """Forward speed that standing feet do not reach; in these views the highest is 4.1 m/s."""
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
-"""Costs per 1/90 s, half squared standard deviations, from which the body's path is not that of an animal.
+"""Costs per 1/90 s, in half squared standard deviations, above which the body's path is not that of an animal.
 
 They are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rendered film (benchmarks/wrong_inputs.py).
 """
@@ -508,7 +508,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
     return along.mean(axis=1), along[:, motion.feet]
 
 
-# -- gross outliers ----------------------------------------------------------------------------------------------------
+# Gross outliers
 
 GROSS = "in frames whose detections are gross outliers"
 """Reason for leaving out the detections of a frame."""
@@ -519,8 +519,8 @@ MOST = 0.5
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
     """Return the log-likelihood gain of each frame's keypoints if they lie anywhere in the picture, (T,).
 
-    The gain is over keypoints that lie at their markers (T, J, 3) with noise (T, J), and NaN without keypoints or a
-    pose.
+    The gain is relative to keypoints at their markers (T, J, 3) with noise (T, J), pixels. It is NaN without keypoints
+    or a pose.
     """
     projected, valid = view.project(view.shift_to_exposure(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])

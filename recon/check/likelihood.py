@@ -2,8 +2,8 @@
 
 A hypothesis is a `ClipProblem` with other keypoints or another camera. One second of the clip is solved again under the
 hypothesis and compared with the same second as given. This takes as long as a fit, so callers first look for cheap
-evidence. Errors of a detector last, and the keypoints of one limb have similar errors: an error that lasts is common,
-and an error that jumps is not (`negative_log_density`).
+evidence. Errors of a detector persist over frames, and the keypoints of one limb have similar errors. An error that
+persists is therefore common, and an error that jumps is not (`negative_log_density`).
 
 The hypotheses in this module are: a different picture (keypoints from 0 to 1, turned over, of a smaller video, without
 lens distortion), a picture that zooms, and a different frame rate, at which angles swing as in the prior.
@@ -36,9 +36,9 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse
 
 _TOLERANCE = 3e-3
-"""Relative decrease of the cost at which a minimum in this module ends."""
+"""Relative decrease of the cost at which a search in this module ends."""
 _ITERATIONS = 12
-"""Largest number of iterations of a minimum in this module."""
+"""Largest number of iterations of a search in this module."""
 CLEAR = float(np.log(1000.0))
 """Log-likelihood gain above which a hypothesis is examined further."""
 MARGIN = 25.0
@@ -48,8 +48,10 @@ This value and the next were chosen on real clips (docs/benchmarks.md, left-righ
 model.
 """
 SURE = 30.0
-"""Log-likelihood gain that is required of a swap over one that contradicts it, of a whole clip with all swaps undone,
-and of another frame rate.
+"""Log-likelihood gain above which evidence is clear.
+
+It is required of a swap over a swap that contradicts it, of a whole clip with all swaps undone over the clip as given,
+and of another frame rate over the given one.
 """
 OWN_SHARE = 0.4
 """Fraction of the information of a limb's keypoints that is independent.
@@ -129,8 +131,8 @@ def _view_negative_log_density(clip: ClipProblem, states: Array) -> float:
 def negative_log_density(view: View, projected: Array, sigma_px: Array, correlation_frames: float) -> float:
     """Return the negative log-density of a view's keypoints around projected markers (T, J, 2), except for a constant.
 
-    The noise is (T, J). Part of each error is carried over from the frame before, so that correlated neighbouring
-    frames count only once.
+    `sigma_px` (T, J) is the noise. A part of each error is carried over from the frame before, so that correlated
+    neighbouring frames count only once.
     """
     errors = (projected - view.xy_px) / sigma_px[..., None]
     autocorrelation = (correlation_frames - 1) / (correlation_frames + 1)
@@ -187,8 +189,8 @@ class Baseline:
     def points_elsewhere_m(self, rows: slice) -> Array | None:
         """Return the markers (T, J, 3) in the world, triangulated from the other views; None without two of them.
 
-        The clip is triangulated in parts of `TRIANGULATED_S`, and only the parts that contain any of the rows, because
-        the whole of a long clip takes longer than the search for swaps. The rest is NaN.
+        Only parts of about `TRIANGULATED_S` that contain some of the rows are triangulated, because triangulating the
+        whole of a long clip would take longer than the search for swaps. All other frames are NaN.
         """
         if len(self.other_views) < 2:
             return None
@@ -208,8 +210,8 @@ class Baseline:
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
     """Fit a view and its mirrored version together, and return the projected markers (T, J, 2) and their noise (T, J).
 
-    Markers for which the versions differ, `is_exchanged` (J,), count half in each of them. Both results are in pixels,
-    NaN in frames without states.
+    Markers in which the two versions differ, `is_exchanged` (J,), have half of their weight in each version. Both
+    results are in pixels, NaN in frames without states.
     """
     clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
@@ -241,24 +243,24 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
 
 
 def best_seen(view: View, fps: float) -> slice:
-    """Return the rows of the `TESTED_S` seconds with the most detections, without empty rows at both ends."""
+    """Return the rows of the `TESTED_S` seconds with the most detections, without empty rows at either end."""
     counts = view.present.sum(axis=1)
     part = densest_window(counts, round(TESTED_S * fps))
     seen = part.start + np.flatnonzero(counts[part])
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
 
 
-# -- the picture -------------------------------------------------------------------------------------------------------
+# The picture
 
 SMALLER = (2, 3, 4)
-"""Factors by which a video may be smaller than the camera's calibration says."""
+"""Factors by which a video may be smaller than the picture that the camera was calibrated for."""
 UPRIGHT = 0.7
-"""Smallest height of the trunk above the feet, relative to their distance, that suggests no other picture.
+"""Height of the trunk above the feet, relative to their distance, below which turned pictures are tried.
 
-It is 0.83 or more in 32 real views.
+The height is 0.83 or more in 32 real views.
 """
 NEARLY_ALL = 99.0
-"""Percentile of the points that have to lie in a part of the picture."""
+"""Percentage of the points that must lie within a part of the picture."""
 OPPOSITE_SHARE = 0.5
 """Gain of a turn to the opposite side, relative to the best gain, above which no turn is named.
 
@@ -415,7 +417,7 @@ def smaller(camera: Camera, times: float) -> Camera:
     return replace(camera, matrix=scale * camera.matrix + shift, image_size_px=size_px)
 
 
-# -- the lens ----------------------------------------------------------------------------------------------------------
+# The lens
 
 ZOOM = 0.2
 """Logarithm of the zoom per second that is tried first, and the smallest that is reported.
@@ -427,7 +429,7 @@ LARGEST = 5.0
 _LENS_ITERATIONS = 6
 """Largest number of iterations of a fit with another lens."""
 LASTING = 0.25
-"""Fraction of the first and of the last third of a second in which a lasting keypoint is seen.
+"""Fraction of the first third and of the last third of a second above which a keypoint counts as lasting.
 
 A zoom is tested with these keypoints, and only if all feet are among them: an animal that leaves the picture does not
 grow, and feet that are not seen do not slide.
@@ -519,7 +521,7 @@ def with_calibration_at_either_end(item: Finding) -> Finding:
     return replace(item, numbers={**numbers, "position_effect_m": max(effect_m, off_m)})
 
 
-# -- the frame rate ----------------------------------------------------------------------------------------------------
+# The frame rate
 
 RATE_STEP = 2**0.5
 """Factor between two frame rates that are tried; a parabola through three of them gives the rate in between."""
@@ -541,7 +543,7 @@ An animal that stands or turns therefore does not count as slow motion.
 FAR = 1.5
 """Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.
 
-Below it, a different rate is at most a warning unless poses or positions change, too. Animals that turn swing their
+Below it, a different rate is at most a warning unless poses or positions change as well. Animals that turn swing their
 legs 1.45 times slower than animals that run straight ahead.
 """
 RATE_S = 5.0
@@ -557,7 +559,7 @@ def frame_rate_finding(
 ) -> Finding | None:
     """Return a finding on the frame rate if a file states another one, or if the angles suggest another one.
 
-    The rate of the swing is compared with the motions that the prior knows.
+    The rate of the swing is compared with the motions of the prior.
 
     Parameters
     ----------
@@ -568,7 +570,7 @@ def frame_rate_finding(
     stated_hz
         Frame rate stated in a file, or None.
     by_motion
-        Whether angles that swing at another rate are a finding, too.
+        Whether angles that swing at another rate are a finding as well.
     """
     if stated_hz is not None and not 1 / NEARLY < stated_hz / clip.fps < NEARLY:
         return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)
@@ -607,8 +609,9 @@ def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str
 def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
     """Return the factor on the frame rate at which angles swing as the prior expects, and its log-likelihood gain.
 
-    Rates in steps of `RATE_STEP` are tried downhill, on a few frames; the minimum is that of the parabola through the
-    last three. The factor is 1 if the given rate is the best, or if the best rate is the last that was tried.
+    Rates in steps of `RATE_STEP` are tried in the direction of lower cost, on a few frames; the minimum is that of the
+    parabola through the last three. The factor is 1 if the given rate is the best, or if the best rate is the last that
+    was tried.
     """
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, thin_states, correlation_frames = clip.thinned(step), states[::step], clip.correlation_frames

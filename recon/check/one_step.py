@@ -1,8 +1,8 @@
 """Estimate one more unknown of a fit by one Gauss-Newton step from its solution.
 
-A hypothesis on an input is often a number that the fit took as known, such as the stretch of the picture or the drift
-of a camera's clock. One step, with the poses and all other unknowns free, estimates this number and its standard
-deviation, at the cost of one step of the fit.
+A hypothesis about an input is often a number that the fit assumed to be known, such as the stretch of the picture or
+the drift of a camera's clock. One step, with the poses and all other unknowns free, estimates this number and its
+standard deviation, at the cost of one step of the fit.
 """
 
 from __future__ import annotations
@@ -77,18 +77,18 @@ class _ExtendedReprojection(Reprojection):
 def one_steps(
     clip: ClipProblem, solution: TrajectorySolution, unknowns: Mapping[int, ByUnknown], fixed: Sequence[str] = ()
 ) -> dict[int, Step]:
-    """Return the estimates of unknowns, each of one camera and with the others at 0, in a clip's longest segment.
+    """Estimate unknowns, each of one camera and with the others at 0, in the longest segment of a clip.
 
     Parameters
     ----------
     clip
-        The problem of the whole clip, with the prior's weight and the knowledge of the ground.
+        The problem of the whole clip, which states the prior's weight and whether the ground is near z = 0.
     solution
         The solution.
     unknowns
         The derivatives with respect to each unknown, by the number of the camera whose detections depend on it.
     fixed
-        Names of shared unknowns that are taken as known.
+        Names of shared unknowns that are assumed to be known.
 
     Returns
     -------

@@ -1,9 +1,9 @@
-"""Test whether a clip was filmed by another camera of the camera file than the given one.
+"""Test whether another camera of the camera file, rather than the given one, filmed a clip.
 
-The camera is chosen by name, and a wrong choice makes no bad fit: the animal looks alike from everywhere. Its position
-and direction in the world are wrong by metres and tens of degrees. The cameras of a file differ a little in height,
-tilt, roll and lens, so gravity, the ground and the gait tell which of them filmed the clip. One second is solved again
-with each of the other cameras, from the solution moved in front of that camera.
+The camera is chosen by name. A wrong choice need not make the fit worse, because the animal looks similar to every
+camera, but the animal's position and direction in the world are then wrong by metres and tens of degrees. The cameras
+of a file differ a little in height, tilt, roll and lens, so gravity, the ground and the gait show which of them filmed
+the clip. One second is solved again with each of the other cameras, from the solution moved in front of that camera.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT, YAW
 
 GAIN = 3.0
-"""Log-likelihood gain of another camera, with errors within the correlation time counted once, that is reported.
+"""Log-likelihood gain above which another camera is reported; errors within the correlation time count once.
 
 The gain is 0.5 at most in 32 correct views, 2.0 if they show less of the animal or the ground rises by 3 %, and 2.2 in
 a simulated run on such ground. It is higher than this limit in 70 of 136 fits with another camera of the file
@@ -35,7 +35,8 @@ a simulated run on such ground. It is higher than this limit in 70 of 136 fits w
 def other_camera_finding(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> Iterator[Finding]:
     """Yield a finding if other cameras of the file explain a view better than its own.
 
-    It names those that explain the view about as well as the best of them. `noise_px` (T, J) is the noise of the fit.
+    The finding names the cameras that explain the view about as well as the best of them. `noise_px` (T, J) is the
+    noise of the fit.
     """
     gains = gains_of(baseline, noise_px, cameras)
     best = max(gains.values(), default=-math.inf)
@@ -46,7 +47,7 @@ def other_camera_finding(baseline: Baseline, noise_px: Array, cameras: Sequence[
 
 
 def gains_of(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> dict[str, float]:
-    """Return the log-likelihood gain of each of other cameras over that of a view, by name.
+    """Return the log-likelihood gain of each of the other cameras over a view's own camera, by name.
 
     The result is empty if the camera moves, or if the second of the clip with the most detections has fewer than three
     frames or a frame without a pose. `noise_px` (T, J) is the noise of the fit.
@@ -66,7 +67,7 @@ def gains_of(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> 
 
 
 def _turned(states: Array, turn: Array) -> Array:
-    """Return states (T, D), relative to a camera's centre, turned by a rotation about it but upright as before."""
+    """Return states (T, D), relative to a camera's centre, turned about it by a rotation but still upright."""
     turned = states.copy()
     turned[:, ROOT] = states[:, ROOT] @ turn.T
     turned[:, YAW] += math.atan2(turn[1, 0], turn[0, 0])

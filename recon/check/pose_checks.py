@@ -30,7 +30,7 @@ DRIFT_FRAMES = 5
 NEAR = 0.02
 """Weight of a pair's length relative to its variation in the search for bones.
 
-It connects close points, but not feet that stand side by side.
+This weight connects close points, but not feet that stand side by side.
 """
 LEAST_KNOWN = 0.3
 """Fraction of frames in which a pair must be known to count as a bone."""
@@ -44,7 +44,7 @@ FLIGHT_FRAMES = 5
 SIGMAS = 2.0
 """Largest deviation of the acceleration, in standard deviations, that is consistent with gravity."""
 RATIO = 1.5
-"""Factor by which the acceleration may differ from gravity, apart from its uncertainty, without a finding."""
+"""Factor by which the acceleration may differ from gravity, in addition to its uncertainty, without a finding."""
 OWN_MOTION = 0.02
 """Motion of the trunk relative to the centre of mass in a flight, in leg lengths."""
 RANGE_DEG: Mapping[str, tuple[float, float]] = {
@@ -71,11 +71,11 @@ def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
     yield from _ranges(points)
 
 
-# -- lengths ----------------------------------------------------------------------------------------------------------
+# Lengths
 
 
 def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
-    """Return the pairs of points connected as by bones: the tree of the steadiest distances."""
+    """Return the pairs of points that bones seem to connect: the tree of pairs whose distances vary least."""
     values, K = points.positions, len(points.names)
     spread = np.zeros((K, K))
     for i in range(K - 1):
@@ -152,7 +152,7 @@ def _unit_for(times: float) -> str:
     return min(candidates, key=lambda unit: abs(np.log10(max(times, 1e-12) / candidates[unit])))
 
 
-# -- the upward direction, and the animal's left ----------------------------------------------------------------------
+# The upward direction, and the animal's left
 
 
 def _upward(points: AuditedPoints) -> Array | None:
@@ -204,11 +204,11 @@ def _left(points: AuditedPoints) -> Array | None:
     return left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12)
 
 
-# -- the ground and gravity -------------------------------------------------------------------------------------------
+# The ground and gravity
 
 
 def leg_length_m(points: AuditedPoints) -> float:
-    """Return the usual height of the trunk above the lowest foot, or NaN if unknown."""
+    """Return the usual height of the trunk above the lowest foot, m, or NaN if unknown."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return np.nan
@@ -306,7 +306,7 @@ def _slide(points: AuditedPoints) -> Iterator[Measure]:
     yield Measure("feet_slide", float(max(backwards, forwards)), None, numbers)
 
 
-# -- joints -----------------------------------------------------------------------------------------------------------
+# Joints
 
 
 def _ranges(points: AuditedPoints) -> Iterator[Measure]:

@@ -1,8 +1,8 @@
-"""Check a motion by itself with cheap rules: `RULES` for both methods, `TRAJECTORY_RULES` for the trajectory method.
+"""Check a motion without another fit: `RULES` for both methods, `TRAJECTORY_RULES` for the trajectory method.
 
 A rule is a function that takes a motion and yields its findings. Rules apply to a motion that has a pose in some frame;
-`no_pose` is for all others. Checks that fit the clip again are in `recon.check.inputs`, and those that compare cameras
-in `recon.check.agreement`.
+`no_pose` applies to all other motions. Checks that fit the clip again are in `recon.check.inputs`, and those that
+compare cameras in `recon.check.agreement`.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ A fit's own noise estimate can hide a misfit. Correct views have 0.5 to 1.4, als
 missing; frames in random order have 5 to 9. The limit is about twice the largest.
 """
 UNEXPLAINED_SHARE = 0.1
-"""Share of outliers above which a motion that the prior does not know is not that of an animal.
+"""Fraction of outliers above which a motion that is unlike the prior's is not that of an animal.
 
-A gait that the prior does not know has misfits of up to 5, but hardly more outliers (running dogs, with a prior of
+A gait that the prior does not contain has misfits of up to 5, but hardly more outliers (running dogs, with a prior of
 walking dogs).
 """
 AMBIGUOUS_SHARE = 0.1
@@ -58,7 +58,7 @@ KEYPOINT_LEAST = 10
 OUT_OF_STEP_SIGMAS = 3.0
 """Difference between the time offsets of two cameras, in expected standard deviations, above which it is an error."""
 FARTHEST = 100.0
-"""Distance between cameras, in animal sizes, that only another unit can explain."""
+"""Distance between cameras, in animal sizes, above which the calibration must be in another unit."""
 FEW_FRAMES = 12
 """Number of frames below which a clip shows little more than a single frame."""
 SIZE_SIGMAS = 2.5
@@ -66,16 +66,17 @@ SIZE_SIGMAS = 2.5
 SIZE_SIGMAS_MOST = 4.0
 """Largest deviation of a grown animal's size, in standard deviations of the expected size."""
 LOG_SIZE_MOST = math.log(2.0)
-"""Largest deviation of the logarithm of a grown animal's size, whatever the standard deviation."""
+"""Largest deviation of the logarithm of a grown animal's size, for any standard deviation."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Factor within which a camera's height suggests a unit, because an animal's size, and so the height, is uncertain."""
 UNEXPLAINED = ("fit_explains_little", "motion_unexplained")
 """Codes of fits that do not explain the detections."""
 FROM_MOTION = (*MOVES, "path_jolts")
-"""Codes of causes that are read off the fitted motion.
+"""Codes of causes that are inferred from the fitted motion.
 
-A motion that does not explain the detections shows no cause: frames in the wrong order look like a treadmill.
+A motion that does not explain the detections is no evidence of a cause: frames in the wrong order look like a
+treadmill.
 """
 SUBJECT_SIGMAS = 3.0
 """Deviation of an animal's lengths from those of its kind, in standard deviations of the existing sizes."""
@@ -84,7 +85,7 @@ SUBJECT_SIGMAS = 3.0
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
     """Return all findings of a motion, its own and those of the rules, in the order of a summary.
 
-    Findings of `FROM_MOTION` are left out if a fit does not explain the detections.
+    Findings with codes of `FROM_MOTION` are left out if the fit does not explain the detections.
     """
     solution = motion.solution
     given_findings = [*motion.findings, *solution.findings()]
@@ -97,11 +98,11 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     return sort_findings(findings)
 
 
-# -- both methods ------------------------------------------------------------------------------------------------------
+# Both methods
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if many detections are outliers, including those of frames that were left out as a whole."""
+    """Yield a finding if many detections are outliers, including detections of frames that were left out as a whole."""
     used = sum(int(picture.present.sum()) for picture in motion.pictures)
     gross = sum(source.cleaning.left_out.count(GROSS) for source in motion.sources)
     count = _outliers(motion)[0] + gross
@@ -133,7 +134,7 @@ def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
 
 
 def _detector_noise_px(motion: Motion) -> list[Array]:
-    """Return the usual errors of detectors, (T, J) for each camera, infinite if unknown."""
+    """Return the usual errors of detectors, pixels, (T, J) for each camera, infinite if unknown."""
     solution, T, J = motion.solution, len(motion.frames), len(motion.body.markers)
     noise_px = np.full((len(solution.views), T, J), np.inf)
     if isinstance(solution, TrajectorySolution):
@@ -184,7 +185,7 @@ def likelihoods_low(motion: Motion) -> Iterator[Finding]:
 
 
 def many_left_out(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if more than a third of the detections do not count, for several reasons together."""
+    """Yield a finding if more than a third of the detections are outliers or were left out, for any reasons."""
     if [*likelihoods_low(motion), *many_outliers(motion)]:
         return
     used, rejected = (sum(source.cleaning.total(name) for source in motion.sources) for name in ("used", "rejected"))
@@ -258,7 +259,7 @@ def frames_flagged(motion: Motion) -> Iterator[Finding]:
         yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
 
 
-# -- trajectory method -------------------------------------------------------------------------------------------------
+# The trajectory method
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
@@ -318,8 +319,8 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
     """Yield a finding on the first segment whose feet do not stand near z = 0.
 
-    The camera file is in another unit if the camera's height is too large by about the number of those units in a
-    metre. It is in metres if the height is too small by the number of the given units in a metre.
+    If the camera's height is too large by about the number of some unit in a metre, the camera file is in that unit. If
+    the height is too small by the number of the given units in a metre, the file is in metres.
     """
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
@@ -408,7 +409,7 @@ RULES: tuple[Rule, ...] = (
 
 
 def _outliers(motion: Motion) -> tuple[int, float]:
-    """Return the number of detections that the pose does not explain, and their share of all."""
+    """Return the number of detections that the pose does not explain, and their fraction of all detections."""
     count = sum(int(picture.outliers.sum()) for picture in motion.pictures)
     detections = sum(int(picture.present.sum()) for picture in motion.pictures)
     return count, count / max(detections, 1)

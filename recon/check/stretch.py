@@ -30,7 +30,7 @@ They are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x is scaled
 x is scaled by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
 """
 SEEN = 0.25
-"""Least share of the frames in which each foot is detected: without legs an animal's height is not known."""
+"""Smallest fraction of the frames in which each foot is detected; without legs, the animal's height is unknown."""
 
 
 def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:

@@ -1,4 +1,4 @@
-"""Undo left-right swaps in a clip, and decide whether that makes the clip more likely."""
+"""Undo left-right swaps in a clip, and decide whether the clip becomes more likely without them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def swap_improves(mended: TrajectorySolution, original: TrajectorySolution) -> b
 
 
 def downgrade_swap(swap: Finding) -> Finding:
-    """Return a swap as a possible one, because undoing it does not make the whole clip more likely."""
+    """Return a swap as a possible swap, because undoing it does not make the whole clip more likely."""
     if swap.code != "left_right_swap":
         return swap
     return finding("left_right_swap_possible", swap.frames, swap.camera, **swap.numbers)
@@ -30,7 +30,7 @@ def downgrade_swap(swap: Finding) -> Finding:
 def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources with the detected swaps undone, and the findings, marked as undone."""
+    """Return the sources with the detected swaps undone, and the findings with these swaps marked as undone."""
     mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
     for i, swap in enumerate(findings):
         if swap.code != "left_right_swap" or swap.frames is None:

@@ -4,8 +4,8 @@ A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candid
 by two cheap signs. At the beginning and end of a swap, the keypoints of both sides jump at the same time, unless the
 legs cross there. A fit in which each keypoint of a leg may belong to either side shows which side is more likely in
 each frame. Stretches are left out if two or more other cameras see their sides as given. The most likely stretches are
-then undone, one at a time, and the second of the clip around each is solved again. A stretch is a swap if undoing it
-makes the clip clearly more likely (`exceeds_margin`) than before, and than undoing any contradicting stretch. If two
+then undone one by one, and one second of the clip around each stretch is solved again. A stretch is a swap if undoing
+it makes the clip clearly more likely (`exceeds_margin`) than before, and than undoing any contradicting stretch. If two
 contradicting stretches are equally likely, neither is chosen.
 """
 
@@ -29,20 +29,20 @@ JUMP = -3.0
 LIKELY = 15.0
 """Log-likelihood gain above which the search tries a swap of a stretch of frames."""
 REFITTED = 3
-"""Number of stretches that are tried at a time."""
+"""Largest number of stretches that are tried in each round of the search."""
 STRETCHES = 4
 """Largest number of swaps that the search finds in a clip."""
 LOOKS = -10.0
 """Smallest log-likelihood gain at which a swap of the whole clip is tried.
 
-A clip is to be checked by eye if it is likelier with the swap undone, but by less than the margin, or if only its
-appearance suggests a swap (`LIKELY`), because nothing else shows a mirrored video. In 32 correct clips, undoing loses 6
-or more or is not tried, and gains 9 in appearance at most.
+The user is asked to check the clip by eye if it is more likely with the swap undone, but by less than the margin, or if
+only its appearance suggests a swap (`LIKELY`), because nothing else shows a mirrored video. In 32 correct clips,
+undoing the swap is not tried or lowers the log-likelihood by 6 or more, and the gain from appearance is at most 9.
 """
 LEAST_S = 0.25
 """Shortest clip, in seconds, whose sides can be tested as a whole.
 
-It is less than a stride; the clip must also show a leg.
+This is less than a stride. The clip must also show a leg.
 """
 OF_LEG = 3
 """Number of a leg's last markers that show its side; the upper markers hardly do."""
@@ -154,14 +154,14 @@ def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) 
 
 
 def try_undone(baseline: Baseline, stretch: _Stretch) -> _SwapTrial:
-    """Exchange a stretch, and solve its part of the clip again."""
+    """Exchange the sides in a stretch, and solve its part of the clip again."""
     part = _part(baseline.view, stretch.rows, baseline.clip.fps)
     refit = likelihood.refit_view(baseline.with_view(with_exchanged(baseline.view, stretch)).part(part))
     return _SwapTrial(stretch, refit, refit.gain_over(baseline.refit(part)))
 
 
 def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
-    """Return the baseline with a stretch exchanged, and the resulting motion."""
+    """Return the baseline with the sides exchanged in a stretch, and with the resulting motion."""
     states = baseline.states.copy()
     states[_part(baseline.view, trial.stretch.rows, baseline.clip.fps)] = trial.refit.states
     clip = baseline.with_view(with_exchanged(baseline.view, trial.stretch))
@@ -189,9 +189,9 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
 
 
 def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
-    """Return whether other cameras see the markers on the sides that a view has as given.
+    """Return whether other cameras confirm the sides in a stretch of a view as given.
 
-    Their points show the sides without a fit, which would have to be made for each stretch.
+    Points triangulated from other cameras show the sides without a fit for each stretch.
     """
     view, clip, rows = baseline.view, baseline.clip, stretch.rows
     # a delayed view lies between the points of two frames
@@ -232,7 +232,7 @@ def _part(view: View, rows: slice, fps: float) -> slice:
 
 
 def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
-    """Return stretches of a kind that hardly overlap, the likeliest first: gain, kind, first and stop."""
+    """Return stretches of one kind that hardly overlap, most likely first, as gain, kind, and first and stop frame."""
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
@@ -256,7 +256,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """Return the log-likelihood gain of each frame if its keypoints are exchanged, (T,), by kind; "all" is all legs."""
+    """Return each frame's log-likelihood gain if its keypoints are exchanged, (T,), by kind; "all" means all legs."""
     legs = {name: permutation != np.arange(len(permutation)) for name, permutation in kinds.items() if name != "all"}
     in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
     permutation, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), baseline.view.xy_px

@@ -1,10 +1,10 @@
 """List the detections that are worth correcting by hand, in order.
 
 The first detections are far from their expected positions or were left out: either they or the pose are wrong. Missing
-and uncertain detections follow. Both groups are sorted by how much the expected error of the pose would fall if they
-were corrected (`recon.fit.correction_gain`); in the first group, detections that are almost certainly wrong
+and uncertain detections follow. Both groups are sorted by how much the expected error of the pose would decrease if
+they were corrected (`recon.fit.correction_gain`); in the first group, detections that are almost certainly wrong
 (`GROSS_SIGMAS`) come before the others. In the second group a correction also improves the neighbouring frames, because
-errors last for about `ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint nearby.
+errors persist for about `ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint nearby.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class ToCorrect:
     """Distance from the detected to the expected position; NaN without a detection."""
     reason: Reason
     error_fall_m: float
-    """Expected fall of the pose's root mean square error after a correction; NaN if the method cannot compute it."""
+    """Expected decrease of the pose's root mean square error after a correction, m; NaN if it cannot be computed."""
 
 
 def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
@@ -75,7 +75,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     if gain_m2 is None:
         gain_m2 = np.full(found_px.shape[:3], np.nan)
     expected_px = np.array([picture.reprojected_px for picture in pictures])
-    distance_px = np.hypot(*np.moveaxis(found_px - expected_px, -1, 0))  # distant points may be too large to square
+    distance_px = np.hypot(*np.moveaxis(found_px - expected_px, -1, 0))  # squares of very distant points overflow
     inside = np.array([_inside(picture) for picture in pictures])
     outliers = np.array([picture.outliers for picture in pictures])
     is_left_out = reason_code > _USED
@@ -109,7 +109,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
 
 
 _USED, _UNLIKELY, _LEFT_OUT = 0, 1, 2
-"""What the fit did with a detection: used it, found its likelihood too low, or left it out."""
+"""Codes for a detection: used in the fit, left out for its low likelihood, or left out for another reason."""
 
 
 def _reason(code: int, is_outlier: bool, is_detected: bool) -> Reason:
@@ -121,7 +121,7 @@ def _reason(code: int, is_outlier: bool, is_detected: bool) -> Reason:
 
 
 def _all_detections(source: Source) -> tuple[Array, Array, Array]:
-    """Return all detections, used or left out: (T, J, 2) pixels, (T, J) likelihood, and a code for their use."""
+    """Return all detections, used or left out: pixels (T, J, 2), likelihoods (T, J), and codes of their use (T, J)."""
     keypoints = source.keypoints
     found_px, likelihood = keypoints.xy_px.copy(), np.where(keypoints.present, keypoints.confidence, np.nan)
     codes = np.zeros(keypoints.present.shape, dtype=int)
@@ -138,7 +138,7 @@ def _all_detections(source: Source) -> tuple[Array, Array, Array]:
 
 
 def _inside(picture: Picture) -> Bools:
-    """Return a mask of expected keypoints inside the picture, (T, J), since only these can be marked by hand."""
+    """Return a mask of expected keypoints inside the picture, (T, J), because only these can be marked by hand."""
     width, height = picture.camera.image_size_px
     x, y = np.moveaxis(picture.reprojected_px, -1, 0)
     return (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -150,7 +150,7 @@ def _by_gain(
     """Return the chosen cells (v, t, j): gross errors first, and both parts sorted by gain, the largest first.
 
     Cells of equal or unknown gain are in order of distance. Distance alone is a poor order, because the robust loss
-    ignores what is very far, so that its correction changes the pose little.
+    ignores very distant detections, whose correction changes the pose little.
     """
     keys = np.where(chosen, -distance_px, 0.0), -np.nan_to_num(gain_m2), ~is_gross, ~chosen
     order = np.lexsort([key.ravel() for key in keys])

@@ -21,9 +21,9 @@ from recon.clip import frame_ranges
 DIGITS = 1e-9
 """Difference, relative to the animal's size, that counts as rounding."""
 IDENTICAL_SHARE = 0.05
-"""Fraction of frames in which two points may be identical, if these are at least `FEWEST` frames."""
+"""Largest fraction of frames in which two points may be identical; `FEWEST` frames are always allowed."""
 STRUCTURAL = 0.9
-"""Fraction of frames above which two identical points of one side are two names of one point.
+"""Fraction of frames above which two identical points of one side count as two names of one point.
 
 Examples are hips and spine.
 """
@@ -41,7 +41,10 @@ STANCE = 1.0
 Feet stand still, and such coordinates do not show small movements.
 """
 COARSE = 1e-4
-"""Resolution, relative to the animal's size; in finer coordinates, a standing foot moves, too."""
+"""Resolution, relative to the animal's size, above which coordinates are coarse.
+
+In finer coordinates, a standing foot moves as well.
+"""
 JUMP = 0.2
 """Smallest jump of a point, relative to the animal's size."""
 JUMP_SPREADS = 10.0
@@ -69,11 +72,11 @@ CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 FREEDOM = 3
 """Degrees of freedom of the distribution of these changes."""
 OUTLIERS = np.array([0.02, 0.1, 0.25])
-"""Shares of outliers that are tried."""
+"""Fractions of outliers that are tried."""
 OUTLIER_RANGE = 5.0
 """Width of the range of changes over which outliers are uniformly distributed."""
 MISSING = np.array([0.1, 0.2, 0.3, 0.4])
-"""Shares of missing frames that are tried."""
+"""Fractions of missing frames that are tried."""
 MOST_INTERVALS = 3
 """Largest number of frame intervals of one step."""
 NORMALISED = 1.5
@@ -289,7 +292,7 @@ def _speed_changes(tracks: Array, follows: Bools) -> Array:
 
 
 def missing_gain(changes: Array) -> tuple[float, float]:
-    """Return the logarithm of the Bayes factor of missing frames over none, and the expected share of longer steps.
+    """Return the log Bayes factor of missing frames over none, and the expected fraction of longer steps.
 
     Parameters
     ----------
@@ -298,11 +301,11 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 
     Notes
     -----
-    If no frames are missing, the speed changes by errors of Student's t with `FREEDOM` degrees of freedom, and by
-    outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
-    proportional to p^(n - 1), and a change also has the logarithm of n over the n before. The sum over all n is that
-    of a hidden Markov chain (forward algorithm; L. Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989).
-    Both likelihoods are means over the errors' scale, the share of outliers, and p, with all values equally likely.
+    If no frames are missing, the speed changes by errors of Student's t with `FREEDOM` degrees of freedom,
+    and by outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
+    proportional to p^(n - 1), and a change also has the logarithm of n over the n before. The sum over all n is that of
+    a hidden Markov chain (forward algorithm; L. Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989).
+    Both likelihoods are means over the errors' scale, the fraction of outliers, and p, with all values equally likely.
     """
     known = changes[np.isfinite(changes)]
     sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIERS)
@@ -339,7 +342,7 @@ def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
     return np.asarray((1 - outliers) * density + outliers / OUTLIER_RANGE, dtype=float)
 
 
-# -- left and right ---------------------------------------------------------------------------------------------------
+# Left and right
 
 
 def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
@@ -389,7 +392,7 @@ def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
 
 
 def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
-    """Return the pairs of all points, and of the fore and hind limbs if the names tell them apart."""
+    """Return the pairs of all points, and of the fore and hind limbs if the names distinguish them."""
     parts = {"all points": np.arange(len(left))}
     for limb, rows in points.roles.limbs.items():
         pairs = np.array([p for p, k in enumerate(left) if k in rows], dtype=int)
@@ -398,11 +401,11 @@ def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
     return parts
 
 
-# -- the picture ------------------------------------------------------------------------------------------------------
+# The picture
 
 
 def _normalised(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of whether coordinates go from 0 to 1."""
+    """Yield 1 if the coordinates go from 0 to 1 like fractions of the picture, otherwise 0."""
     numbers = points.positions[points.known]
     if len(numbers) and points.resolution < 1:
         is_small = (numbers >= -0.5).all() and (numbers < NORMALISED).all()

@@ -18,13 +18,13 @@ from recon.fit import constants
 from recon.fit.terms import StanceVelocity
 
 MAX_SIGMA_RAD = np.radians(10.0)
-"""Largest uncertainty of the upward direction, which is that of a camera assumed to be level."""
+"""Largest accepted standard deviation of the upward direction; a camera that is assumed to be level has as much."""
 POSTURE_RAD = np.radians(15.0)
 """Standard deviation of the angle between up and the direction from the feet to the body, averaged over a clip."""
 FOOT_SHARE = 1 / 15
 """Height of standing feet above the ground as a fraction of the body's height above them.
 
-It gives `GROUND_FOOT_M` for a cheetah.
+The height is then `GROUND_FOOT_M` for a cheetah.
 """
 MIN_STANDING = 3
 """Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""
@@ -44,9 +44,9 @@ class _Upward(NamedTuple):
 def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
     """Return the upward direction estimated from the standing feet of an animal seen by several cameras, or None.
 
-    The direction is the normal of the plane through the standing feet: slow feet that lie in a plane with other slow
-    feet. The body, which is above the feet, stabilises the plane if they stand on one line. The result is None if the
-    feet do not determine the plane.
+    The direction is the normal of the plane through the standing feet, which are slow feet that lie in a plane with
+    other slow feet. The body, which is above the feet, stabilises the plane if they stand on one line. The result is
+    None if the feet do not determine the plane.
 
     Parameters
     ----------

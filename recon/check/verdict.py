@@ -70,7 +70,7 @@ NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
-"""Least variance; below it a variance due to the size alone is rounding."""
+"""Smallest variance, m^2; smaller values are rounding errors of a variance that is due to the size alone."""
 _MEAN_OF_SIGMA = 0.8
 """Mean absolute deviation of a normal quantity from its mean, in standard deviations."""
 
@@ -93,12 +93,12 @@ class Evidence:
     end_on: float
     """Cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
     unseen: float
-    """Share of the joints' variance that is not due to the pixels; 0 for a method that solves each frame on its own."""
+    """Fraction of the joints' information that is not from the pixels; 0 for a method that solves frames separately."""
     position_sigma_m: float
     """Posterior standard deviation of the position, with the uncertainty of one camera's focal length."""
 
     slowness: float = 1.0
-    """`RATE_HZ` relative to the frame rate, 1 at least; 1 without a learned prior."""
+    """`RATE_HZ` relative to the frame rate, at least 1; 1 without a learned prior."""
 
     @property
     def factors(self) -> dict[str, float]:
@@ -179,8 +179,8 @@ def _frame_evidence(motion: Motion) -> _FrameEvidence:
 def frame_rms_m(motion: Motion) -> Array:
     """Return the expected RMS distance of the joints from their true positions in each frame, (T,), both centred.
 
-    It varies over the frames as the expected error of the verdict varies over clips, and its mean agrees with that
-    error. Without an expected error it is the posterior's.
+    The distance varies over the frames as the expected error of the verdict varies over clips, and its mean agrees with
+    that error. Without an expected error, it is the distance that the posterior expects.
     """
     verdict, posed = motion.verdict, motion.solved
     if verdict is None or verdict.pose_m is None or not posed.any():
@@ -291,7 +291,7 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
 
 
 class _UnusableClip(Problem):
-    """Problem of a clip whose verdict forbids its use, with a sentence of its own."""
+    """Problem of a clip whose verdict forbids its use, with a message of its own."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")
@@ -307,7 +307,7 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     folder
         Its folder, which the error names.
     anyway
-        Whether to return the motion whatever its verdict is.
+        Whether to return the motion even if its verdict is "do not use".
 
     Raises
     ------
@@ -322,12 +322,12 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
 
 
 def verdict_fields(motion: Motion) -> dict[str, Any] | None:
-    """Return the verdict as JSON has it; None for a motion without one."""
+    """Return the fields of the verdict for JSON; None for a motion without a verdict."""
     return None if motion.verdict is None else asdict(motion.verdict)
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
-    """Return the verdict in words; nothing for a motion without one."""
+    """Return the verdict in words; an empty tuple for a motion without a verdict."""
     return () if verdict is None else verdict.lines
 
 

@@ -122,7 +122,7 @@ class Camera(Brief):
         matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
         return cls(name, matrix, np.zeros(0), "pinhole", (width, height))
 
-    # ---- projection ----
+    # Projection
 
     def project(self, points_m: npt.ArrayLike) -> tuple[Array, Bools]:
         """Project points of the camera frame to pixels.
@@ -193,15 +193,15 @@ class Camera(Brief):
         """Return whether detections at pixels (..., 2) are possible.
 
         A detection is possible if the pixel has a ray and is not further outside the picture than the picture's own
-        width and height, since trackers and interpolation carry points over the edge. NaN gives False. If the camera
-        zooms, `unzoomed_px` (..., 2) are the pixels for the camera's own matrix.
+        width and height, because trackers and interpolation carry points beyond the edge. NaN gives False. If the
+        camera zooms, `unzoomed_px` (..., 2) are the pixels for the camera's own matrix.
         """
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
         seen[seen] = self.rays((uv if unzoomed_px is None else unzoomed_px)[seen])[1]
         return seen
 
-    # ---- pixels to rays ----
+    # Pixels to rays
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
         """Return unit rays in the camera frame through pixels.
@@ -225,7 +225,7 @@ class Camera(Brief):
         rays[~valid] = np.nan
         return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
 
-    # ---- parts ----
+    # Parts
 
     @cached_property
     def lens(self) -> Lens:
@@ -237,7 +237,7 @@ class Camera(Brief):
         (fx, s, ox), (_, fy, oy), _ = self.matrix.tolist()
         return fx, s, ox, fy, oy
 
-    # ---- pose ----
+    # Pose
 
     @property
     def has_extrinsics(self) -> bool:
@@ -251,7 +251,7 @@ class Camera(Brief):
 
     @property
     def up(self) -> Array:
-        """Upward unit vector (3,), camera frame.
+        """Return the upward unit vector (3,) in the camera frame.
 
         The vector follows from the pose if the world's z axis points up. Otherwise the camera's x axis is assumed to be
         level and the tilt is `tilt_rad`, which gives (0, -1, 0) for a level camera.
@@ -262,7 +262,7 @@ class Camera(Brief):
 
     @property
     def centre_world(self) -> Array:
-        """Centre of projection, shape (3,), world frame, metres. Raises ValueError if the pose is unknown."""
+        """Return the centre of projection (3,) in the world frame, metres. Raises ValueError if the pose is unknown."""
         return self.camera_to_world(np.zeros(3))
 
     def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
@@ -290,12 +290,12 @@ class Camera(Brief):
         return replace(self, rotation=turn @ rotation, translation_m=turn @ translation + correction[3:])
 
     def with_focal_scale(self, log_scale: float) -> Camera:
-        """Return the camera with focal lengths times exp(log_scale)."""
+        """Return the camera with its focal lengths multiplied by exp(log_scale)."""
         matrix = self.matrix.copy()
         matrix[:2, :2] *= math.exp(log_scale)
         return replace(self, matrix=matrix)
 
-    # ---- plain data ----
+    # Plain data
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain strings, numbers and lists, without an unknown pose or a zero tilt."""

@@ -8,8 +8,9 @@
   its z axis is known to point up, otherwise the level frame of the first camera.
 - reference: the frame of results: the camera files' world if there is one, otherwise the first camera's frame.
 
-Rotations are Euler angles with their derivatives, which scipy's `Rotation` does not give. R = Rx(xi) Ry(psi) Rz(zeta)
-throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in radians.
+Rotations are given by Euler angles, with derivatives, which scipy's `Rotation` does not provide. R = Rx(xi) Ry(psi)
+Rz(zeta) throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in
+radians.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _CROSS_TWICE = _CROSS @ _CROSS
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:
-    """Return two level unit vectors (3,) in the camera frame: right and away.
+    """Return two level unit vectors (3,) in the camera frame, to the right and away from the camera.
 
     The first points to the picture's right, or down if right is up; the second points away from the camera. `up` (3,)
     is the upward unit vector in the camera frame.

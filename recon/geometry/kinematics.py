@@ -58,7 +58,7 @@ _FRAMES_AT_ONCE = 4096
 """Frames in a block without Jacobians, to limit memory."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
-"""Indices x, y, z, x, y, of which a cross product needs slices."""
+"""Indices of x, y, z, x, y; the factors of a cross product are slices of them."""
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
 
 ROOT = slice(0, 3)
@@ -141,13 +141,15 @@ class _Plan:
         """(K,): the column of a frame that each rotation turns about."""
         pitched = [k for k, (i, axis) in enumerate(rotations) if axis == "y" and (i, "x") in rotations]
         self.pitched = np.array(pitched, dtype=np.intp)
-        """The axes that are turned back by the angles `rolls`, with the columns `z_axes`."""
+        """The pitch axes of joints that also roll: the segment's y axis is turned back by the angle `rolls`."""
         self.rolls = self.pitched + 1
         self.z_axes = 2 * (S + 1) + axes[pitched, 1]
 
         pairs = _pairs_of(tree, paths, carriers, points)
         self.marker, self.turning, self.arm, self.centre = pairs.T.copy()
-        """(M,) each: marker and rotation of each pair. The marker moves by axis x (arm - centre), two points."""
+        """(M,) each: marker and rotation of each pair; the marker moves by axis x (arm - centre), where both are
+        points.
+        """
         marker, moving_angle, self.merge = self.marker, self.turning, None
         """(P, M): sums the M pairs to the P pairs of a marker and an angle of the state. None: identity."""
         if any(segment.joint == "summed" for segment in segments):
@@ -287,7 +289,7 @@ class Tree(Brief):
     markers: tuple[Marker, ...]
 
     def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
-        """Return the tree with the offset of each segment and marker times a factor for its name."""
+        """Return the tree with the offset of each segment and marker multiplied by a factor for its name."""
 
         def longer(item: _Placed) -> _Placed:
             return replace(item, offset_m=tuple(float(factor_of(item.name)) * value for value in item.offset_m))
@@ -295,12 +297,15 @@ class Tree(Brief):
         return Tree(tuple(map(longer, self.segments)), tuple(map(longer, self.markers)))
 
     def scaled(self, size: float) -> Tree:
-        """Return the tree with all lengths times a factor."""
+        """Return the tree with all lengths multiplied by a factor."""
         return self.lengthened(lambda _: size)
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Names (D,): x_m, y_m, z_m, then <segment>_yaw etc.; phi_6 and theta_6 for the summed joint of segment J6."""
+        """Return the names of the state's unknowns, (D,).
+
+        They are x_m, y_m, z_m, then <segment>_yaw etc., and phi_6 and theta_6 for the summed joint of segment J6.
+        """
         names = [
             f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{_NAMES[axis]}"
             for s in self.segments
@@ -310,17 +315,17 @@ class Tree(Brief):
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Axis of each angle of the state, "x", "y", "z" or "s" for a slide along z, (D - 3,)."""
+        """Return the axis of each angle of the state, (D - 3,): "x", "y", "z", or "s" for a slide along z."""
         return tuple(axis for _, axis in self.rotations)
 
     @cached_property
     def n_state(self) -> int:
-        """Number D of unknowns of a frame."""
+        """Return D, the number of unknowns of a frame."""
         return len(self.state_names)
 
     @cached_property
     def rotations(self) -> list[tuple[int, str]]:
-        """Index of the segment, and axis, of every angle of the state."""
+        """Return the index of the segment and the axis of every angle of the state."""
         return [(i, axis) for i, s in enumerate(self.segments) for axis in AXES[s.joint]]
 
     @cached_property
@@ -342,7 +347,7 @@ class Tree(Brief):
         segments = tuple((s.name, s.parent, s.joint, s.rotation, any(s.offset_m)) for s in self.segments)
         return segments, tuple((m.name, m.segment, any(m.offset_m)) for m in self.markers)
 
-    # -- kinematics ------------------------------------------------------------------------------------------------
+    # Kinematics
 
     def _frames(self, state: Array) -> tuple[Array, Array, Array]:
         """Return the frames, and cosine and sine of the angles, for states (N, D).
@@ -379,7 +384,7 @@ class Tree(Brief):
         return self._frames(state)[0][:, 1:].transpose(3, 1, 2, 0)
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Return the markers for states (N, D), without derivatives; all offsets are times `size`, a scalar or (N,)."""
+        """Return the markers for states (N, D), without derivatives; `size`, a scalar or (N,), scales all offsets."""
         sizes, relative = np.ones(len(state)) * size, np.empty((len(state), len(self.markers), 3))
         for first in range(0, len(state), _FRAMES_AT_ONCE):
             block = slice(first, first + _FRAMES_AT_ONCE)
@@ -462,7 +467,7 @@ def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array
     axes : (D - 3, 3)
         Axes of the angles.
     curvature : function
-        From weights (J, 3) to the weighted sum (D - 3, D - 3) of the markers' second derivatives.
+        Function from weights (J, 3) to the weighted sum (D - 3, D - 3) of the markers' second derivatives.
     """
     return derivatives_of(tree, tree.moved(state[None], np.ones(1)))
 

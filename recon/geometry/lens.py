@@ -31,7 +31,7 @@ _LARGEST_RADIUS = 1e8
 
 
 class Lens:
-    """A lens model with its coefficients; the base class holds what all models share."""
+    """Base class of lens models: a model with its coefficients."""
 
     name: ClassVar[str]
     """Name in recon's own files and options."""
@@ -53,7 +53,7 @@ class Lens:
 
     @cached_property
     def max_radius(self) -> float:
-        """Radius sqrt(a^2 + b^2) up to which the distorted radius increases, or inf."""
+        """Return the radius sqrt(a^2 + b^2) up to which the distorted radius increases, or inf."""
         return math.inf
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
@@ -75,7 +75,7 @@ class Lens:
 
     @cached_property
     def _radial(self) -> tuple[Array, Array]:
-        """Distorted radii along a line through the centre, and the angles of their rays from the optical axis."""
+        """Return distorted radii along a line through the centre, and their rays' angles to the optical axis, rad."""
         angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
         r, zero = np.tan(angles), np.zeros(_ANGLES)
         ahead, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
@@ -88,7 +88,7 @@ class Lens:
         # the tangential part can move pixels beyond the largest radius that the radial part reaches
         scale = np.where(radius_d < radii_d[-1], scale, 0.95 * scale)
         a, b, tolerance = scale * xd, scale * yd, 1e-14 * (1 + radius_d)
-        # Newton's method on the whole distortion, from the inverse of its radial part.
+        # Newton's method for the whole distortion starts from the inverse of the radial part.
         error = determinant = np.full(a.shape, np.inf)
         for _ in range(30):
             x, y, d_aa, d_ab, d_bb = self.distort(a, b, a * a + b * b)
@@ -197,7 +197,7 @@ def lens_named(text: str) -> str | None:
     return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
 
 
-# -- functions that the models share -----------------------------------------------------------------------------------
+# Functions that the models share
 
 
 def _first_positive_root(coefficients: npt.ArrayLike) -> float:
