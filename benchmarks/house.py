@@ -91,8 +91,6 @@ def public_classes(tree: ast.Module) -> list[str]:
     return [node.name for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
-# -- rules on names and imports ----------------------------------------------------------------------------------------
-
 _WORDS = """
 again alike also another apart aside away before behind beside both each even far found given held here how its more
 most much now of off once one only other others own said so some still such than that their then there these they
@@ -270,9 +268,6 @@ def check(where: bool) -> bool:
     return not broken
 
 
-# -- circles ----------------------------------------------------------------------------------------------------------
-
-
 @cache
 def parsed(source: str) -> ast.Module:
     """Return the syntax tree of a source text, which is parsed once."""
@@ -369,9 +364,6 @@ def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
         if name not in number:
             visit(name)
     return found
-
-
-# -- measurements on running code -------------------------------------------------------------------------------------
 
 
 def output_of(*arguments: str) -> str:

@@ -47,9 +47,6 @@ Command = tuple[str, list[str]]
 """Name, which is also the folder of the results, and arguments of `recon`."""
 
 
-# -- commands ---------------------------------------------------------------------------------------------------------
-
-
 def sample_commands(samples: Path) -> Iterator[Command]:
     """Yield the commands on the samples."""
 
@@ -145,9 +142,6 @@ def run_commands(plan: Path) -> None:
             (Path(name) / FAILED).write_text(message)
 
 
-# -- comparison -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Comparison:
     """Comparison of one file of both results."""
@@ -217,9 +211,6 @@ def result_files(folder: Path) -> set[str]:
     """Return the files of a command's results that are compared."""
     paths = [path for path in folder.rglob("*") if path.suffix in (".csv", ".json", ".npz") or path.name == FAILED]
     return {str(path.relative_to(folder)) for path in paths if path.name not in ("manifest.json", ".recon.json")}
-
-
-# -- both checkouts ---------------------------------------------------------------------------------------------------
 
 
 def commit_of(checkout: Path) -> str:

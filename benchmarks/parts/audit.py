@@ -103,9 +103,6 @@ def files() -> Iterator[File]:
     yield File("markers.trc", "trc", cut)
 
 
-# -- faults -----------------------------------------------------------------------------------------------------------
-
-
 def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
     """Return new points with the same names."""
     frames, fps = more.get("frames", points.frames), more.get("fps", points.fps)

@@ -37,9 +37,6 @@ SAMPLE = samples_folder() / "whole.csv"
 CAMERA = samples_folder() / "camera.toml"
 
 
-# -- clips --------------------------------------------------------------------------------------------------------
-
-
 def make_clips(folder: Path, count: int, broken: int) -> None:
     """Write clip_000.csv and so on into two folders, with broken clips spread evenly among them."""
     sample = read_keypoints(SAMPLE)
@@ -115,9 +112,6 @@ BREAK: tuple[Callable[[Path], object], ...] = (
 )
 
 
-# -- running the command ------------------------------------------------------------------------------------------
-
-
 def command(patterns: list[Path], out: Path, *more: object) -> list[str]:
     code = "from recon.cli.app import main; main()"
     given = [*patterns, "--camera", CAMERA, "--fps", 60, "--out", out, "--json", "--quiet", *more]
@@ -157,9 +151,6 @@ def count(rows: dict[str, dict], status: str) -> int:
     return sum(row["status"] == status for row in rows.values())
 
 
-# -- memory -------------------------------------------------------------------------------------------------------
-
-
 def children(pid: int) -> list[int]:
     found = []
     for path in Path(f"/proc/{pid}/task").glob("*/children"):
@@ -182,9 +173,6 @@ def watch(process: subprocess.Popen[bytes], out: Path) -> Iterator[tuple[int, fl
     while process.poll() is None:
         yield ended(out), rss_mb(process.pid), [rss_mb(child) for child in children(process.pid)]
         time.sleep(1.0)
-
-
-# -- the tables ---------------------------------------------------------------------------------------------------
 
 
 def throughput_and_memory(clips: Path, work: Path, total: int) -> None:

@@ -98,9 +98,6 @@ def marker_gait(clip: Clip) -> Gait:
     return gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
 
 
-# -- how the skeleton was measured ---------------------------------------------------------------------------------
-
-
 def lengths(clips: Sequence[Clip]) -> Rows:
     """Return distances that are constant over the clips: from joint to parent, and within chest and pelvis."""
     names = clips[0].names
@@ -191,9 +188,6 @@ def misfits(solved: Sequence[SegmentFit]) -> Rows:
         }
         for one in solved
     ]
-
-
-# -- side views ----------------------------------------------------------------------------------------------------
 
 
 def side_view(clip: Clip, reference: str = "Hips") -> tuple[Camera, float]:

@@ -160,9 +160,6 @@ def sizes(runs: Sequence[Run]) -> list[dict]:
     return rows
 
 
-# -- other detections ---------------------------------------------------------------------------------------------
-
-
 def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rng: np.random.Generator) -> View:
     """Return the truth's projections plus parts of the detections' deviations from them.
 
@@ -213,9 +210,6 @@ def levelled(run: Run, runs: Sequence[Run]) -> dict:
     return {"run": run.folder.name[:28], **shown(rig_errors(rig, own))}
 
 
-# -- out of step --------------------------------------------------------------------------------------------------
-
-
 def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
     """Shift cameras by whole frames, and compare the estimated offsets with those of the unshifted clips."""
     cameras, rng = cameras_of(clips[0])["all"], np.random.default_rng(0)
@@ -262,9 +256,6 @@ def began_later(view: View, frames: float) -> View:
     return replace(view, xy_px=xy_px, confidence=np.where(inside[:, None], view.confidence[at], 0.0))
 
 
-# -- touched ------------------------------------------------------------------------------------------------------
-
-
 def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
     """Return how far clips disagree on the cameras' poses if every second camera is turned in the last clip.
 
@@ -291,9 +282,6 @@ def turned(view: View, degrees: float) -> View:
         np.nan_to_num(rays, nan=1.0) @ Rotation.from_euler("y", degrees, True).as_matrix().T
     )
     return replace(view, xy_px=np.where((valid & view.present)[..., None], xy_px, np.nan))
-
-
-# -- simulated clips ----------------------------------------------------------------------------------------------
 
 
 def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):

@@ -85,8 +85,6 @@ def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
     return found
 
 
-# -- the samples -----------------------------------------------------------------------------------------------------
-
 FORMULA_FPS = 3600
 
 
@@ -149,9 +147,6 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
         f"{np.median(np.abs(off)):.1f}, {np.max(np.abs(off)):.1f}" if off else "-"
     )
     return row
-
-
-# -- force plates and motion capture ---------------------------------------------------------------------------------
 
 
 Events = list[tuple[float, float, bool]]

@@ -119,9 +119,6 @@ def methods(chain: SerialChain) -> dict[str, Method]:
     return every
 
 
-# -- steps and targets -----------------------------------------------------------------------------------------------
-
-
 def step_times_s(chain: SerialChain) -> dict[str, float]:
     """Return the processor time of a step at random configurations within the limits, by method, seconds.
 
@@ -195,9 +192,6 @@ def print_alphas() -> None:
             cells.append((f"{np.median(steps):.0f}" if steps else "") + ("" if all_of_them else f" ({len(steps)})"))
         print_row([name, *cells])
     print(flush=True)
-
-
-# -- closed paths ----------------------------------------------------------------------------------------------------
 
 
 def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
@@ -276,9 +270,6 @@ def print_circle() -> None:
         starts = zip(every.values(), middles, strict=True)
         rows.append([name, *(circle_closure(chain, q, name) for chain, q in starts)])
     print_table(["method", *every], rows)
-
-
-# -- real strides ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,9 +414,6 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
     ("damped, lambda", lambda _: fits()["damped"], " m"),
     ("selectively damped, gamma_max", lambda _: fits()["selectively-damped"], " rad"),
 )
-
-
-# -- held-out strides ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

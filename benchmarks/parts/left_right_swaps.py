@@ -421,9 +421,6 @@ def print_folds(table: pd.DataFrame) -> None:
         print_row([run, f"{best:.0f}", *shares, f"{part['mended'].max():.2f}", *found, told])
 
 
-# -- other animals -----------------------------------------------------------------------------------------------------
-
-
 def dog_rows(folder: Path) -> list[dict[str, Any]]:
     body, clips = dog.body_of(), dog.read_clips(folder)
     solved, plain, rows = dog.solve(clips), prior_from_body(body), []

@@ -109,9 +109,6 @@ def compared(cases: Sequence[Case], priors: Sequence[MotionPrior], plain: Motion
             yield row(case, prior, alone_mm)
 
 
-# -- the dog ---------------------------------------------------------------------------------------------------------
-
-
 def dogs(folder: Path) -> None:
     body, clips = dog.body_of(), dog.read_clips(folder)
     solved = dog.solve(clips)
@@ -137,9 +134,6 @@ def _seen(camera: Camera, points_m: np.ndarray, seed: int) -> View:
 
 def learned(body: Body, segments: Sequence[tuple[str, np.ndarray, float]], name: str) -> MotionPrior:
     return fit_prior(body, segments, name, apart=APART if body.name == trajectory.SKELETON else ())
-
-
-# -- cheetahs --------------------------------------------------------------------------------------------------------
 
 
 def segments_of(folder: Path) -> list[tuple[str, np.ndarray, float]]:

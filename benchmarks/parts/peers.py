@@ -57,9 +57,6 @@ MEASURES = (
 Change = Callable[[Sequence[View]], list[View]]
 
 
-# -- cases -------------------------------------------------------------------------------------------------------------
-
-
 def with_pixels(view: View, xy_px: np.ndarray) -> View:
     """Return a view with other detections."""
     return replace(view, xy_px=xy_px, confidence=np.isfinite(xy_px[..., 0]).astype(float))
@@ -131,9 +128,6 @@ CASES: dict[str, tuple[str, Change]] = {
 }
 
 
-# -- programs ----------------------------------------------------------------------------------------------------------
-
-
 def by_recon(views: Sequence[View], fps: float) -> Result:
     """Return the result of recon for files with these detections and cameras."""
     with tempfile.TemporaryDirectory() as name:
@@ -159,9 +153,6 @@ def by_recon(views: Sequence[View], fps: float) -> Result:
     joints_m = np.full((len(views[0].xy_px), *motion.joints_m.shape[1:]), np.nan)
     joints_m[motion.frames] = motion.joints_m
     return joints_m, taken_s, motion.verdict.level if motion.verdict is not None else ""
-
-
-# -- scores ------------------------------------------------------------------------------------------------------------
 
 
 def without_offsets(errors_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:

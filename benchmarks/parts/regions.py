@@ -120,9 +120,6 @@ def heaviness(found: Sequence[Fit]) -> None:
     print_table(["cameras", *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
 
 
-# -- what is stated, drawn ---------------------------------------------------------------------------------------------
-
-
 def drawn(
     setting: ClipProblem, solved: SegmentFit, rng: np.random.Generator
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -69,9 +69,6 @@ CAMERA_FROM_LEVEL = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 Rows = list[dict]
 
 
-# -- one fit --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Job:
     """One view and how it is fitted."""
@@ -297,9 +294,6 @@ def summary(label: str, found: Sequence[Fit]) -> dict:
         row["median of all views mpjpe_mm"] = float(np.median([f.mpjpe_mm for f in found]))
         row["worst seen view mpjpe_mm"] = max(f.mpjpe_mm for f in found if f.visible >= VISIBLE)
     return row
-
-
-# -- tables ---------------------------------------------------------------------------------------------------------
 
 
 def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
@@ -592,9 +586,6 @@ def times(runs: Sequence[Path]) -> dict[str, Rows]:
     return {"time of a clip, one thread": rows}
 
 
-# -- simulated clips ------------------------------------------------------------------------------------------------
-
-
 def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np.ndarray]:
     """Return views of an animal that runs in a circle, and its joints (T, J, 3), world frame.
 
@@ -699,9 +690,6 @@ def long_hole() -> dict[str, Rows]:
             }
         )
     return {"robustness: 40 of 200 simulated frames without detections": rows}
-
-
-# -- the command ----------------------------------------------------------------------------------------------------
 
 
 def print_table(title: str, rows: Rows) -> None:

@@ -1,17 +1,17 @@
-"""Make chains from Denavit-Hartenberg parameters in both conventions, and answer `recon robot`.
+"""Build chains from Denavit-Hartenberg parameters in both conventions, and answer `recon robot`.
 
-Transforms between two links, from left to right::
+The transform between two links is, in the two conventions::
 
     modified (Craig)  T_{i-1, i} = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
     standard          T_{i-1, i} = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
 
-A revolute joint adds q to theta, a sliding joint adds q to d. As in printed tables, a row holds a and alpha of the link
-before the joint in the modified convention, and of the link after the joint in the standard convention.
+A revolute joint adds q to theta, and a sliding joint adds q to d. As in printed tables, a row holds a and alpha of the
+link before the joint in the modified convention, and of the link after the joint in the standard convention.
 
-Answers are what `--json` prints, in metres and radians; command-line options are in degrees. The configurations that
-put the end of a chain at a given position are found from many random starts (with a fixed seed) by MINPACK's
-Levenberg-Marquardt with the exact Jacobian. Equal solutions count once. More starts can find more solutions: nothing
-proves that the list is complete.
+The answers are the data that `--json` prints, in metres and radians; command-line options are in degrees. The
+configurations that put the end of a chain at a given position are found from many random starts (with a fixed seed) by
+MINPACK's Levenberg-Marquardt with the exact Jacobian. Equal solutions count once. The list may be incomplete, because
+more starts can find more solutions.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ class DHRow:
 
     __pydantic_config__ = FileTable.model_config
     a_m: Length = 0.0
-    """Length of the link."""
+    """Length of the link, metres."""
     alpha_rad: Length = 0.0
-    """Twist of the link."""
+    """Twist of the link, rad."""
     d_m: Length = 0.0
-    """Offset along the joint's axis at q = 0."""
+    """Offset along the joint's axis at q = 0, metres."""
     theta_rad: Length = 0.0
-    """Angle about the joint's axis at q = 0."""
+    """Angle about the joint's axis at q = 0, rad."""
     slides: StrictBool = False
-    """Whether q adds to d instead of theta."""
+    """Whether q is added to d instead of theta."""
     limits: Limits | None = None
-    """Lower and upper limit of q."""
+    """Lower and upper limit of q, rad or metres."""
 
 
 class _DHFile(FileTable):
@@ -68,7 +68,7 @@ class _DHFile(FileTable):
 
 
 def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
-    """Return the chain of a table in a TOML file (docs/robot.md), its convention and its rows.
+    """Load a table from a TOML file (docs/robot.md), and return its chain, its convention and its rows.
 
     Raises InputError if the file cannot be used.
     """
@@ -77,7 +77,7 @@ def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
 
 
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
-    """Return the chain of the rows, starting at the base.
+    """Build a chain from the rows, starting at the base.
 
     Raises ValueError if there are no rows, or if the convention is unknown.
     """
@@ -147,19 +147,19 @@ def _transform(R: ArrayLike, p: Array) -> RigidTransform:
 
 
 def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:
-    """Return the point of the axis through `origin` along z that is nearest to `point`."""
+    """Return the point (3,) on the axis through `origin` along z that is nearest to `point` (3,)."""
     return origin + ((point - origin) @ z) * z
 
 
 def _across(z: Array) -> Array:
-    """Return a unit vector at right angles to z: in the plane of z and x, or z and y."""
+    """Return a unit vector perpendicular to z, in the plane of z and the x axis, or of z and the y axis."""
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
     x = x - (x @ z) * z
     return x / np.linalg.norm(x)
 
 
 def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:
-    """Return a screw: a translation along an axis and a rotation about the same axis."""
+    """Return a screw motion, which is a translation along an axis and a rotation about the same axis."""
     shift = distance_m * np.eye(3)["xyz".index(axis)]
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
@@ -199,8 +199,6 @@ class TableSettings(Settings):
     """Roll, pitch and yaw of the end for --place, degrees, as in 0,90,0. (default: any)"""
 
 
-# -- answers ----------------------------------------------------------------------------------------
-
 ENDLESS = "the joints can move without moving the end: this is one of infinitely many solutions"
 STARTS = 100
 """Number of random starts of the search for configurations."""
@@ -211,7 +209,7 @@ REACHED = 1e-7
 
 
 def pose_answer(settings: PoseSettings) -> dict[str, Any]:
-    """Return the answer of `recon robot pose`: the angles of each leg for a moved and turned body on planted feet."""
+    """Answer `recon robot pose` with the angles of each leg for a moved and turned body on planted feet."""
     machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
     turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
     body_frame = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
@@ -232,7 +230,7 @@ def pose_answer(settings: PoseSettings) -> dict[str, Any]:
 
 
 def table_answer(settings: TableSettings) -> dict[str, Any]:
-    """Return the answer of `recon robot dh`: the chain's table, and its forward or inverse kinematics if asked for.
+    """Answer `recon robot dh` with the chain's table, and its forward or inverse kinematics if requested.
 
     The chain comes from a table of parameters (TOML), from a leg of a robot, or from a URDF or MJCF file, by default
     the chain to the file's only leaf.
@@ -261,7 +259,7 @@ def table_answer(settings: TableSettings) -> dict[str, Any]:
 
 
 def _numbers(option: str, text: str) -> list[float]:
-    """Return the numbers of a text such as "1,2.5,-3"; raise InputError if it has anything else."""
+    """Parse a text such as "1,2.5,-3" to numbers; raise InputError if it holds anything else."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -304,7 +302,7 @@ def _pose_answer(transform: RigidTransform) -> dict[str, Any]:
 
 
 def _in_limits(chain: SerialChain, q: Array) -> Array:
-    """Return angles changed by whole turns, nearest to the middle of the joints' limits, if there are any."""
+    """Return joint angles, shifted by whole turns to be nearest to the middle of the limits of joints that have any."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
     middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
     return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
@@ -343,7 +341,7 @@ def all_solutions(
     turns = ~np.asarray(chain.sliding, bool)
 
     def equations(q: Array) -> tuple[Array, Array]:
-        """Return residuals (12 + n,) and their derivatives; the last n are 0, since MINPACK needs at least n."""
+        """Return residuals (12 + n,) and their derivatives; the last n are 0, because MINPACK needs n or more."""
         R, p = chain.pose(q)
         J = chain.geometric_jacobian(q)
         error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))

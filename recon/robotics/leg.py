@@ -1,9 +1,10 @@
-"""Compute the joint angles of a robot's leg of three joints in closed form.
+"""Compute the joint angles of a robot's three-joint leg in closed form.
 
-A leg of three joints has a closed form: swing, flap and knee, with offsets at the knee and the foot. Leg axes have
-their origin at the hip: x lateral (outwards), y forward, z up, as seen at the right front leg. For the other legs x, y
-or both are mirrored, and the angles have the same meaning. Symbols: a swing, b flap, s knee; l1 thigh, l2 shin, uo
-offset at the knee, lo at the foot. In the plane of the leg the foot is P forward of the hip and Q below:
+The joints are swing, flap and knee, with offsets at the knee and the foot. Leg axes have their origin at the hip; at
+the right front leg, x is lateral (outwards), y forward and z up. For the other legs x, y or both are mirrored, and the
+angles have the same meaning. In the formulas, a, b and s are the angles of swing, flap and knee. l1 and l2 are the
+lengths of thigh and shin, and uo and lo the offsets at the knee and the foot. In the plane of the leg, the foot is P
+forward of the hip and Q below the hip:
 
     P = lo cos s + l2 sin s + uo        Q = l1 + l2 cos s - lo sin s
 
@@ -11,8 +12,8 @@ If the swing joint comes first and carries the flap joint (as in the Sony Aibo):
 
     x = Q sin b        y = Q cos b sin a + P cos a        z = P sin a - Q cos a cos b
 
-If the flap joint comes first and the swing joint is `lateral_m` = d further out (as in most robots of today), Y and Z
-are the position in the plane that the flap joint turns:
+If the flap joint comes first and the swing joint is `lateral_m` = d further out (as in most modern robots), Y and Z are
+the position in the plane that the flap joint turns:
 
     Y = Q sin a + P cos a        Z = P sin a - Q cos a
     x = d cos b - Z sin b        y = Y        z = d sin b + Z cos b
@@ -22,9 +23,10 @@ The inverse starts at the knee, from P^2 + Q^2 = n^2, the squared distance of th
     s = atan2(q, p) -+ acos(-r / sqrt(p^2 + q^2))
     p = 2 (uo lo + l1 l2)    q = 2 (l2 uo - l1 lo)    r = lo^2 + l2^2 + uo^2 + l1^2 - n^2
 
-The two signs are the two ways to bend the knee. The solution beyond the stretched leg, atan2(q, p), is used, so that
-the knee never bends backwards. The other angles follow from linear pairs. Two flap angles reach a foot, one with the
-leg pointing down and one with the leg pointing up; the one within 90 degrees of down is used.
+The two signs are the two ways to bend the knee. The solution with s above that of the stretched leg, atan2(q, p), is
+used, so that the knee never bends backwards. The other angles follow from pairs of linear equations. Two flap angles
+reach a foot, one with the leg pointing down and the other with the leg pointing up. The angle within 90 degrees of down
+is used.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ from recon.ik.chain import SerialChain, joint_chain
 LEG_ANGLES = ("swing", "flap", "knee")
 Length = Annotated[float, Field(strict=True, gt=-1e6, lt=1e6, allow_inf_nan=False)]
 PositiveLength = Annotated[float, Field(strict=True, gt=1e-6, lt=1e6, allow_inf_nan=False)]
-"""Numbers in the file of a robot or a recipe, mostly metres or radians. The limits only reject damaged files."""
+"""Number in the file of a robot or a recipe, mostly in metres or radians. The limits only reject damaged files."""
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -65,7 +67,7 @@ its own foot.
 class Leg:
     """A leg with a thigh and a shin.
 
-    Feet have shape (..., 3), in leg axes. Angles are swing, flap and knee, shape (..., 3), radians.
+    Feet have the shape (..., 3), in leg axes, metres. Angles are swing, flap and knee, shape (..., 3), rad.
     """
 
     __pydantic_config__ = FileTable.model_config
@@ -74,11 +76,11 @@ class Leg:
     thigh_m: PositiveLength
     shin_m: PositiveLength
     knee_offset_m: Length = 0.0
-    """Offset forwards, at right angles to the thigh."""
+    """Forward offset, perpendicular to the thigh."""
     foot_offset_m: Length = 0.0
-    """Offset forwards, at right angles to the shin."""
+    """Forward offset, perpendicular to the shin."""
     lateral_m: Length = 0.0
-    """Distance from the flap joint out to the swing joint, if the flap joint comes first."""
+    """Outward distance from the flap joint to the swing joint, if the flap joint comes first."""
     mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factor 1 or -1 for each leg axis: 1 as in the right front leg, -1 mirrored."""
 
@@ -89,7 +91,7 @@ class Leg:
 
     @cached_property
     def chain(self) -> SerialChain:
-        """Return the leg as a chain of joints from the hip down, not mirrored."""
+        """Return the leg without mirroring as a chain of joints from the hip down."""
         out, swing, flap = (self.lateral_m, 0.0, 0.0), (1, 0, 0), (0, -1, 0)
         return joint_chain(
             [(0, 0, 0), out, (0.0, self.knee_offset_m, -self.thigh_m)],
@@ -99,19 +101,19 @@ class Leg:
 
     @property
     def stretched_rad(self) -> float:
-        """Return the knee angle at which the foot is farthest from the swing joint."""
+        """Return the knee angle at which the foot is farthest from the swing joint, rad."""
         p, q, _ = self._pqr
         return float(np.arctan2(q, p))
 
     @property
     def distances_m(self) -> tuple[float, float]:
-        """Return the smallest and the largest distance of the foot from the swing joint."""
+        """Return the smallest and the largest distance of the foot from the swing joint, metres."""
         upper, lower = np.hypot(self.thigh_m, self.knee_offset_m), np.hypot(self.shin_m, self.foot_offset_m)
         return float(abs(upper - lower)), float(upper + lower)
 
     @property
     def _pqr(self) -> tuple[float, float, float]:
-        """Return p, q and r + n^2 of the inverse of the knee, as defined in the module's docstring."""
+        """Return p, q and r + n^2 of the formula for the knee in the module's docstring."""
         l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
         return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
 
@@ -150,7 +152,7 @@ class Leg:
         return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return the distance (...) of feet from the edge of the reach, negative outside.
+        """Return the distance (...) of feet from the edge of the reach, metres, negative outside.
 
         Only for a leg whose swing joint comes first.
         """

@@ -1,6 +1,6 @@
-"""Read a robot's model from a URDF or MJCF file with MuJoCo (extra robots).
+"""Read a robot's model from a URDF or MJCF file with MuJoCo (install the extra `robots`).
 
-Meshes are not read: they need more files, and kinematics does not need them.
+Meshes are not read, because they need more files and kinematics does not use them.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ MjModel: TypeAlias = Any
 MjSpec: TypeAlias = Any
 """MuJoCo's model and specification. The package mujoco has no types."""
 LARGEST = 1e6
-"""Largest plausible length or angle: larger numbers mean a damaged file."""
+"""Largest plausible length or angle; larger numbers indicate a damaged file."""
 LEAST_MASS_KG = 1e-6
-"""Mass of links without one in the file; kinematics does not depend on it."""
+"""Mass given to links that have none in the file; kinematics does not depend on masses."""
 LEAST_INERTIA_KG_M2 = 1e-9
-"""Moment of inertia of links without one in the file; kinematics does not depend on it."""
+"""Moment of inertia given to links that have none in the file; kinematics does not depend on inertia."""
 
 
 def require_mujoco(source: str | Path) -> ModuleType:
@@ -45,8 +45,8 @@ def require_mujoco(source: str | Path) -> ModuleType:
 def read_model(path: str | Path, free: bool = False) -> MjModel:
     """Return MuJoCo's model of a file, with its fixed joints and without its meshes.
 
-    If `free` is true, the root of the model moves freely in the world. Raises InputError for other kinds of files, and
-    if MuJoCo is not installed.
+    If `free` is true, the root of the model moves freely in the world. Raises InputError if the file is not a URDF or
+    MJCF file, or if MuJoCo is not installed.
     """
     path = Path(path)
     mujoco = require_mujoco(path)
@@ -65,9 +65,10 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
         if free and not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
             spec.worldbody.first_body().add_freejoint()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # warnings about moving parts without mass: kinematics needs no masses
+            # MuJoCo warns about moving parts without mass, but kinematics needs no masses.
+            warnings.simplefilter("ignore")
             model = spec.compile()
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # MuJoCo raises these also if it runs out of memory
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # MuJoCo also raises these if it runs out of memory
         detail = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
     for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
@@ -77,9 +78,10 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
 
 
 def rates_of(path: Path) -> dict[str, float]:
-    """Return the joints' maximum rates from a URDF file; MuJoCo does not keep them.
+    """Read the joints' maximum rates from a URDF file, because MuJoCo does not keep them.
 
-    The result is empty for MJCF, which has no rates. Raises InputError for limits that are not numbers.
+    The result has rad/s or m/s by joint, and is empty for MJCF, which has no rates. Raises InputError for limits that
+    are not numbers.
     """
     try:
         stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
@@ -98,7 +100,7 @@ def rates_of(path: Path) -> dict[str, float]:
 
 
 def body_names(model: MjModel) -> list[str]:
-    """Return the names of all bodies except the world; a body without a name is called by its number, "body 3"."""
+    """Return the names of all bodies except the world; a body without a name is named after its number, "body 3"."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 
@@ -109,12 +111,12 @@ def root_of(model: MjModel) -> int:
 
 
 def leaves_of(model: MjModel) -> list[int]:
-    """Return the indices of the bodies without a child."""
+    """Return the indices of the bodies that have no child."""
     return [k for k in range(1, model.nbody) if k not in model.body_parentid[1:]]
 
 
 def foot_of(model: MjModel, leaf: int) -> Array:
-    """Return the position (3,) of the foot in the axes of a leaf.
+    """Return the position (3,) of the foot in the axes of a leaf, metres.
 
     The foot is at the leaf's origin if no joint moves the leaf. Otherwise, as at the ends of legs in MJCF files, the
     foot is the centre of the leaf's farthest sphere, or of its farthest shape if there is no sphere.
@@ -136,7 +138,7 @@ def bodies_to(model: MjModel, tip: int) -> list[int]:
 
 
 def moving(model: MjModel, bodies: list[int]) -> list[int]:
-    """Return the indices of the joints of bodies, in the order of the bodies."""
+    """Return the indices of the joints that move the given bodies, in the order of the bodies."""
     return [j for k in bodies for j in range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])]
 
 

@@ -1,12 +1,12 @@
-"""Check with MuJoCo's inverse dynamics whether a robot can do a motion: limits, torques and ground forces.
+"""Check with MuJoCo's inverse dynamics whether a robot can perform a motion: limits, torques and ground forces.
 
-A robot from a URDF or MJCF file is used without its meshes. A robot that is described by dimensions and masses becomes
-a body with inertia, links that are capsules as thick as `LEGS_APART` says, and feet that are points.
+A robot from a URDF or MJCF file is used without its meshes. A robot that is described by dimensions and masses is
+modelled as a body with inertia, links that are capsules with the thickness `LEGS_APART`, and point feet.
 
-For every frame, the forces of the standing feet are chosen within the friction cone such that the unmet part of the
-forces that the body's motion requires is smallest. This unmet part, as a fraction of the weight, is the margin
-`forces`. It covers friction, the centre of pressure (feet push only where they stand) and flights that are not free
-fall. `carried` moves the base until every rule is kept; `followed` simulates a robot that follows the resulting motion.
+In every frame, the forces of the standing feet are chosen within the friction cone so that they meet the forces that
+the body's motion requires as well as possible. The unmet part, as a fraction of the weight, is the margin `forces`. It
+covers friction, the centre of pressure (feet push only where they stand) and flight phases that are not free fall.
+`carried` moves the base until every rule is kept; `followed` simulates a robot that follows the resulting motion.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FRICTION = 0.8
 RATE_HZ = 100.0
 """Frames per second at which a motion is checked and changed."""
 FOOT_M = 1e-3
-"""Radius of the balls that stand for feet that are points."""
+"""Radius of the balls that represent point feet."""
 GAINS = (100.0, 2.0)
 """Stiffness and damping of a joint, N m / rad and N m s / rad."""
 TIMESTEP_S = 5e-4
@@ -49,25 +49,25 @@ TORQUES_HZ = 500.0
 STEP_S = 1e-4
 """Time between two velocities whose difference gives an acceleration."""
 STEP = 1e-5
-"""Change of a state for a numerical derivative."""
+"""Step of a numerical derivative with respect to the state."""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
 """Forces (5, 3) whose non-negative combinations fill the friction cone: a pyramid and its axis."""
 TRIES = 5
 """Maximum number of attempts to find forces that also keep the torque limits."""
 STRETCHED = 0.05
-"""Fraction of a leg's best direction below which the foot is considered unable to move in a direction."""
+"""Mobility of a foot in one direction, relative to its best direction, below which it counts as unable to move."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
 """Factors on times and lengths in the order in which they are tried. Shorter strides come first, since a slower robot
 has to leap higher to be in the air for the same fraction of a stride.
 """
 DEGREE = 5
-"""Degree of the polynomials by which forces rise and fall."""
+"""Degree of the polynomials that describe how forces rise and fall."""
 MOST = 10.0
 """Largest coefficient of these polynomials, as a fraction of the weight."""
 TURNS = 12
 """Largest number of steps."""
 HOPELESS = 50.0
-"""Excess over the limits after three steps above which further steps do not help."""
+"""Excess over the limits after three steps above which further steps are not worth trying."""
 UNIT = 0.02
 """Unmet part of the weight that gives a residual of 1, as a fraction of the weight."""
 TORQUE = 0.05
@@ -75,15 +75,15 @@ TORQUE = 0.05
 WITHIN = 0.02
 """Excess of a rate or an angle that gives a residual of 1, as a fraction of its limit."""
 NEAR = 3.0
-"""Weight of the base's deviation, in fractions of the standing height and in rad."""
+"""Weight of the base's deviation, which is in fractions of the standing height and in rad."""
 AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
 """Fractions of the limits that the optimisation aims at."""
 WIDER_RAD = 0.4
-"""Angle by which joints may exceed their limits in intermediate steps."""
+"""Angle, rad, by which joints may exceed their limits in intermediate steps."""
 
 
 class Rule(NamedTuple):
-    """A rule that every frame has to keep, and how its margin is printed."""
+    """A rule that every frame has to keep, with the title and the unit for printing its margin."""
 
     title: str
     unit: str
@@ -93,28 +93,28 @@ class Rule(NamedTuple):
     advice: str = ""
     """Option that helps if the rule is broken."""
     per_unit: float = 1.0
-    """Factor from the margin to the printed value."""
+    """Factor that converts the margin to the printed value."""
 
 
 RULES = {
     "joint_limits": Rule("joints within their limits", "rad", -1e-6, "a smaller --scale"),
-    "joint_rates": Rule("reserve of the joint rates", "share", -1e-6, "--fit-limits, or a larger --slower"),
-    "torques": Rule("reserve of the torques", "share", 0.0, "--fit-limits, or a larger --slower"),
-    "forces": Rule("missing force of the standing feet", "weight", -0.1, "--fit-limits"),
+    "joint_rates": Rule("reserve of the joint rates", "of limit", -1e-6, "--fit-limits, or a larger --slower"),
+    "torques": Rule("reserve of the torques", "of limit", 0.0, "--fit-limits, or a larger --slower"),
+    "forces": Rule("missing force of the standing feet", "of weight", -0.1, "--fit-limits"),
     "legs_apart": Rule("colliding legs", "m", 0.0, "a smaller --scale"),
     "ground": Rule("lowest point above the ground", "m", -1e-3, "a smaller --scale"),
 }
 
 
 def simulated(robot: Quadruped) -> MjModel:
-    """Return MuJoCo's model of a robot whose base moves freely; raise InputError if the robot has no masses."""
+    """Build MuJoCo's model of a robot whose base moves freely; raise InputError if the robot has no masses."""
     if Path(robot.source).suffix.lower() in SUFFIXES:
         return read_model(robot.source, free=True)
     return described(robot).compile()
 
 
 def described(robot: Quadruped) -> MjSpec:
-    """Return MuJoCo's description of a robot given by its dimensions; raise InputError if the robot has no masses."""
+    """Build MuJoCo's description of a robot given by its dimensions; raise InputError if the robot has no masses."""
     mujoco = require_mujoco(robot.source)
     if robot.masses is None:
         raise InputError(Problem(robot.source, "masses", "none", "masses and max_torque_n_m (docs/robot.md)"))
@@ -154,7 +154,7 @@ class _Demand(NamedTuple):
     """
 
     needed: Array
-    """(N, 6 + J): required forces, moments and torques, without the forces from the ground."""
+    """(N, 6 + J): required forces (N), moments and torques (N m), without the forces from the ground."""
     moves: Array
     """(N, 4, 3, 6 + J): derivatives of the feet's positions."""
 
@@ -194,7 +194,7 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, se
 
 
 def _apart(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
-    """Return the deepest penetration (K,) of two parts as a negative distance, or 0 if none touch."""
+    """Return the deepest penetration (K,) of two parts as a negative distance, metres, or 0 if no parts touch."""
     mujoco = require_mujoco(motion.robot.source)
     data, distances = mujoco.MjData(model), np.zeros(len(time_s))
     for k, coordinates in enumerate(_places(model, motion.robot, motion.states(time_s))):
@@ -222,7 +222,7 @@ def _units(motion: RobotMotion, model: MjModel, torques: float) -> Array:
     weight = float(model.body_subtreemass[root_of(model)]) * float(np.linalg.norm(model.opt.gravity))
     limits = model.jnt_actfrcrange[[model.joint(name).id for name in motion.robot.joints], 1]
     of_base = np.array([1, 1, 1, *[1 / motion.robot.stand_m] * 3]) / weight
-    return np.concatenate([of_base, torques / np.where(limits > 0, limits, np.inf)])  # a file may not state a limit
+    return np.concatenate([of_base, torques / np.where(limits > 0, limits, np.inf)])  # the file may lack a limit
 
 
 def balanced(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
@@ -246,13 +246,13 @@ def balanced(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
 
 
 def _states(motion: RobotMotion, time_s: Array) -> tuple[Array, Array, Array]:
-    """Return states (K, 6 + J) of the robot's tree at times (K,), and their first and second derivatives."""
+    """Return the states (K, 6 + J) of the robot's tree at times (K,), and their first and second derivatives."""
     states, rates, second_rates = (motion.states(time_s, order) for order in range(3))
     return states, rates, second_rates
 
 
 def check(motion: RobotMotion, model: MjModel) -> tuple[Array, dict[str, Array]]:
-    """Return times (K,), and the margins (K,) of a motion by the names of `RULES`."""
+    """Check a motion, and return times (K,), seconds, and the margins (K,) by the names of `RULES`."""
     duration = float(motion.time_s[-1] - motion.time_s[0])
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
@@ -287,7 +287,7 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     time_s : (K,)
         Times.
     off_m : (K,)
-        Distance of the base from its position in the motion.
+        Distance of the base from its position in the motion, metres.
     """
     mujoco, robot = require_mujoco(motion.robot.source), motion.robot
     model = simulated(robot)
@@ -329,8 +329,8 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
 
     The base's path is a cubic spline with one knot per frame. The forces of each stance are within the friction cone;
     they rise from 0 and fall to 0 as sums of Bernstein polynomials. Path and forces are found together by least squares
-    over three terms: the required forces that the feet do not provide; the excess of torques, rates and angles over
-    their limits; the deviation of the base. The solver is Levenberg-Marquardt with derivatives of the whole robot's
+    over three terms: the required forces that the feet do not provide, the excess of torques, rates and angles over
+    their limits, and the deviation of the base. The solver is Levenberg-Marquardt with derivatives of the whole robot's
     dynamics.
 
     Parameters
@@ -387,8 +387,9 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
 class _Carrying:
     """Least-squares problem of `carried` over K frames.
 
-    Rows are the unmet part of the base's required forces; torques, rates and angles as fractions of their limits; the
-    coefficients of the foot forces (`pushes`); and the base's deviation. Columns are the base's path and the pushes.
+    The rows are the unmet part of the base's required forces; torques, rates and angles as fractions of their limits;
+    the coefficients of the foot forces (`pushes`); and the base's deviation. The columns are the base's path and the
+    pushes.
     """
 
     def __init__(self, motion: RobotMotion, model: MjModel) -> None:
@@ -401,7 +402,7 @@ class _Carrying:
         self.everywhere = self._spline(motion.time_s)
         self.units = _units(motion, model, 1.0)
         lower, upper, self.fastest = robot.limits()
-        lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # a file may not state limits
+        lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # the file may lack limits
         self.middle, self.half = (lower + upper) / 2, (upper - lower) / 2
         wider = {}
         for label, leg in robot.legs.items():
@@ -435,7 +436,7 @@ class _Carrying:
         return columns[:, :m]
 
     def _forces(self, pushes: Array) -> Array:
-        """Return the forces (K, 4, 3) on the feet."""
+        """Return the forces (K, 4, 3) on the feet for the coefficients `pushes`."""
         forces, ends = np.zeros((len(self.time_s), len(LEGS), 3)), 0
         for foot, grown in self.stances:
             begin, ends = ends, ends + len(SLOPES) * grown.shape[1]
@@ -443,7 +444,7 @@ class _Carrying:
         return forces
 
     def values(self, motion: RobotMotion, demand: _Demand, moved: Array, pushes: Array) -> Array:
-        """Return the rows' values for a motion and the forces that the motion requires."""
+        """Return the values of all rows for a motion and the forces that it requires."""
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (demand.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), demand.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
@@ -573,7 +574,7 @@ def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
 
 
 def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
-    """Return, for each rule, the fraction of frames that keep the rule and the smallest margin, for the report."""
+    """Return the fraction of frames that keep each rule, and the rule's smallest margin, for the report."""
     return {
         name: {"share": float(np.mean(margins[name] >= rule.least)), "least": float(margins[name].min())}
         for name, rule in RULES.items()

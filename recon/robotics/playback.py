@@ -1,10 +1,17 @@
 """Write a robot's motion, next to the animal that the robot follows, as a rerun recording.
 
-Entities: `world/robot`, legs and body; `world/robot/feet`, the standing feet; `world/animal`, the animal scaled to the
-robot's size, with a view of its own; `world/support`, the polygon of three or more standing feet; `world/ground`,
-`world/path` and `world/step`, which do not move; `world/followed` and `world/animal/followed`, invisible points that
-the views follow; `angles/<leg>` in degrees; `<leg>`, whether the leg is in stance. Timelines: `frame`, the sample, and
-`time`, the robot's time.
+The entities are:
+
+- `world/robot`: legs and body
+- `world/robot/feet`: the standing feet
+- `world/animal`: the animal scaled to the robot's size, with a view of its own
+- `world/support`: the polygon of three or more standing feet
+- `world/ground`, `world/path` and `world/step`: static objects
+- `world/followed` and `world/animal/followed`: invisible points that the views follow
+- `angles/<leg>`: joint angles in degrees
+- `<leg>`: whether the leg is in stance
+
+The timelines are `frame`, the index of the sample, and `time`, the robot's time.
 """
 
 from __future__ import annotations
@@ -26,7 +33,7 @@ from recon.show.view import laid_out, scene, state_rows, time_view
 ROBOT = scene.DETECTION
 STEP = (58, 62, 72)
 GRID_LINES = 60
-"""Maximum number of lines of the grid across the path."""
+"""Maximum number of grid lines across the path."""
 
 
 def write_robot(
@@ -51,13 +58,13 @@ def write_robot(
     step : tuple, optional
         A step across a path along x: the x of its edge, and its height, m.
     plots : sequence of TimePlot
-        Plots in front of the plots of angles, which then share one panel.
+        Plots to show before the plots of angles, which then share one panel.
     title : str
-        Title; by default that of the robot.
+        Title of the recording; by default the robot's title.
     """
     scene.require_whole()
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
-    # Centre of each view, near the ground, and half the extent of the view: for the robot and for the animal.
+    # The views of robot and animal are centred near the ground, and show half_m on either side.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
     clouds, animal_middle = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
     if step is not None:
@@ -112,7 +119,7 @@ def _write_ground(log: scene.Log, low: Array, high: Array, size: float) -> None:
 
 
 def _write_step(log: scene.Log, edge_m: float, height_m: float, low: Array, high: Array, size: float) -> None:
-    """Write the step as a solid block, as wide as the ground and as far as the robot goes."""
+    """Write the step as a solid block that covers the width of the ground and ends where the robot stops."""
     low, high = np.append(low, 0.0), np.append(high, height_m)
     low[0] = edge_m
     log.fix("world/step", rr.Boxes3D(mins=[low], sizes=[high - low], colors=STEP, fill_mode="solid"))
@@ -130,7 +137,7 @@ def _write_robot(motion: RobotMotion, log: scene.Log) -> None:
     polygons = scene.strips([_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)])
     log.draw("world/support", rr.LineStrips3D, polygons, colors=scene.TRAIL, radii=0.008 * size)
     log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=scene.PATH, radii=0.008 * size))
-    if motion.robot.source.lower().endswith(".urdf"):  # the robot's own shapes, as rerun reads them
+    if motion.robot.source.lower().endswith(".urdf"):  # rerun reads the shapes from the robot's own file
         urdf = rr.urdf.UrdfTree.from_file_path(motion.robot.source, "shapes")
         urdf.log_urdf_to_recording(log.stream)
         for name, angles in zip(motion.robot.joints, motion.angles_rad.T, strict=True):

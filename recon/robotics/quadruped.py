@@ -1,12 +1,12 @@
-"""Describe four-legged robots: hips, and legs with the names, limits and rates of their joints.
+"""Describe four-legged robots by their hips, and by the names, limits and rates of their joints.
 
 Robots are read from files: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. The built-in robots are the
 files in `robots`.
 
-Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
-own: for robots described by their dimensions, such as the built-in ones, the angles of the closed form with signs; for
-URDF and MJCF, the angles of the file. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a
-positive pitch puts the nose down.
+In body axes, x is forward, y left and z up; in the world, z is up. Legs are LF, RF, LH, RH (left or right, fore or
+hind). Joint angles follow the robot's own convention. Robots described by their dimensions, such as the built-in ones,
+have the angles of the closed form with signs; robots from URDF and MJCF have the angles of the file. Yaw, pitch and
+roll turn about z, y and x in this order, so that a positive pitch puts the nose down.
 """
 
 from __future__ import annotations
@@ -34,25 +34,23 @@ from recon.robotics.models import bodies_to, body_names, foot_of, leaves_of, mod
 LEGS = ("LF", "RF", "LH", "RH")
 """Labels of the legs in the order of all arrays: left or right, fore or hind."""
 IK_TOLERANCE_M = 1e-5
-"""Distance from its target within which a foot has reached it."""
+"""Distance from its target, metres, within which a foot counts as having reached the target."""
 _BISECTIONS = 12
-"""Number of bisections of the height to which a leg can lift its foot."""
-
-
-# -- legs and robots ---------------------------------------------------------------------------------------------------
+"""Number of bisections in the search for the height to which a leg can lift its foot."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotLeg:
-    """A leg of n joints, in order from the hip down; feet are points in body axes."""
+    """A leg of n joints, in order from the hip down; feet are points in body axes, metres."""
 
     chain: SerialChain
     """Chain of the joints in body axes, with names and limits. Its end effector is the foot."""
     neutral_m: Array
-    """(3,): foot of the standing leg."""
+    """(3,): foot of the standing leg, metres."""
     home_rad: Array | None = None
-    """(n,): angles of the standing leg, from which the angles of a leg without a closed form are solved; None if the
-    leg cannot stand.
+    """(n,): angles of the standing leg, rad, or None if the leg cannot stand.
+
+    A leg without a closed form is solved from these angles.
     """
     closed: Leg | None = None
     """Closed form of the leg, in leg axes."""
@@ -66,11 +64,11 @@ class RobotLeg:
 
     @cached_property
     def hip_m(self) -> Array:
-        """Return the position (3,) of the first joint in body axes."""
+        """Return the position (3,) of the first joint in body axes, metres."""
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
-        """Return the distance (..., n) of each angle from its nearer limit, negative outside, NaN for NaN angles."""
+        """Return the distance (..., n) of each angle from its nearer limit, rad; negative outside, NaN for NaN."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
@@ -80,7 +78,7 @@ class RobotLeg:
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return the distance (T,) of feet (T, 3) from the edge of the closed form's reach, negative outside."""
+        """Return the distance (T,) of feet (T, 3) from the edge of the closed form's reach, m, negative outside."""
         assert self.closed is not None
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
@@ -103,7 +101,7 @@ class RobotLeg:
 
 @dataclass(frozen=True)
 class Masses:
-    """Masses of a robot and the torques of its motors, those of a leg in the order of its joints."""
+    """Masses and maximum torques of a robot; those of a leg are in the order of its joints."""
 
     __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
@@ -122,10 +120,10 @@ class Quadruped:
     legs: Mapping[str, RobotLeg]
     """Legs by label: LF, RF, LH, RH, in this order."""
     stand_m: float
-    """Standing height of the hips."""
+    """Standing height of the hips, metres."""
     source: str = ""
     masses: Masses | None = None
-    """Masses, for a robot that is described by its dimensions."""
+    """Masses of a robot that is described by its dimensions; None if they are not known."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -133,7 +131,7 @@ class Quadruped:
         return tuple(name for leg in self.legs.values() for name in leg.joints)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Return the lower limits, upper limits and fastest rates (joints,) of the joints of all legs."""
+        """Return the lower limits, upper limits and maximum rates of the joints of all legs, (joints,) each."""
         names = ("lower_rad", "upper_rad", "max_rate_rad_s")
         chains = [leg.chain for leg in self.legs.values()]
         lower, upper, rate = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
@@ -166,12 +164,12 @@ class Quadruped:
 
     @cached_property
     def ground_m(self) -> float:
-        """Return the height of the ground in body axes when the robot stands: the mean height of its feet."""
+        """Return the height of the ground in body axes when the robot stands, which is the mean height of its feet."""
         return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
 
     @cached_property
     def folding_m(self) -> Array:
-        """Return the height (4,) to which each leg can lift its foot when the robot stands, in the order of `LEGS`."""
+        """Return the height (4,) to which each leg of the standing robot can lift its foot, in the order of `LEGS`."""
         heights = []
         for leg in self.legs.values():
             reached_m, unreached = 0.0, -float(leg.neutral_m[2])
@@ -185,14 +183,14 @@ class Quadruped:
 
 def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
     """Return angles (n,) within the limits that put the end effector at `foot_m`, or None if a search from q fails."""
-    # Rates should not limit a single position, so every iteration lasts as long as the slowest joint needs for a turn.
+    # Rates must not limit a single position, so every iteration lasts as long as the slowest joint needs for a turn.
     interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
     run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
     return run.q[-1] if run.reached else None
 
 
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
-    """Return the angles (n,) of the standing leg, or None if no angles are found.
+    """Search for the angles (n,) of the standing leg, and return None if there are none.
 
     The search starts from the middle of the limits, then from random angles within the limits.
     """
@@ -204,9 +202,6 @@ def standing(chain: SerialChain, foot_m: Array) -> Array | None:
 
 def _to_leg_axes(v: Array) -> Array:
     return np.stack([-v[..., 1], v[..., 0], v[..., 2]], axis=-1)
-
-
-# -- the body on its feet ----------------------------------------------------------------------------------------------
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
@@ -230,8 +225,6 @@ def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike)
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
     return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]
 
-
-# -- robot files: TOML with dimensions and limits, URDF or MJCF --------------------------------------------------------
 
 STAND = 0.7
 """Standing height of the hips as a fraction of the stretched leg's length, for a robot from a URDF or MJCF file."""
@@ -282,7 +275,7 @@ def builtin_robots() -> tuple[str, ...]:
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """Return a built-in robot by name, or a robot from a file: .toml, .urdf or .xml (MJCF).
+    """Load a built-in robot by name, or a robot from a file (.toml, .urdf, or .xml for MJCF).
 
     Raises InputError if the file is not valid, if the robot cannot stand, or if joints share a name.
     """
@@ -340,12 +333,12 @@ def _cannot_stand(source: str, label: str) -> Problem:
 
 
 def _quadruped_of_model(path: Path) -> Quadruped:
-    """Return a robot from a URDF or MJCF file.
+    """Build a robot from a URDF or MJCF file.
 
     The legs are the four chains of at least three moving joints that end in a leaf. The positions of the hips decide
-    which leg is which. If several leaves hang on the same joints, the lowest one is the foot. The hips stand at `STAND`
-    of the stretched legs' length, each foot below the second joint of its leg. Raises InputError if the number of
-    chains is not four.
+    which leg is which. If several leaves hang on the same joints, the lowest leaf is the foot. The hips stand at the
+    fraction `STAND` of the stretched legs' length, with each foot below the second joint of its leg. Raises InputError
+    if the number of chains is not four.
     """
     model = read_model(path)
     names, chain_of_leaf = body_names(model), {}
@@ -373,7 +366,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     neutral = hips - [0.0, 0.0, stand]
     legs = {}
     for label, chain, foot in zip(labels, chains, neutral, strict=True):
-        # The search takes a second, and the other legs usually fail too: stop at the first.
+        # The search takes a second, and if one leg fails, the others usually fail too, so stop at the first failure.
         if (home := standing(chain, foot)) is None:
             raise InputError(_cannot_stand(str(path), label))
         legs[label] = RobotLeg(chain, foot, home)

@@ -1,25 +1,26 @@
 """Turn an animal's motion into a reference for legged robots, and put the reference on a quadruped.
 
-The reference has the animal's size and timing. World: z up, the ground at 0, x along the travel. The base is the middle
-of the trunk. Height, pitch and roll of the base are deviations from their means, since a robot has a standing pose of
-its own. Roll is the roll of the lines between the hips and between the shoulders. Height, angles and heading are
-smoothed over `SMOOTH_S`: errors of a fit last a few frames, and a heavy body does not move that fast.
+The reference has the animal's size and timing. In its world, z is up, the ground is at 0, and x is the direction of
+travel. The base is the middle of the trunk. Height, pitch and roll of the base are deviations from their means, because
+a robot has a standing pose of its own. The roll is measured from the lines between the hips and between the shoulders.
+Height, angles and heading are smoothed over `SMOOTH_S`, because errors of a fit last a few frames and a heavy body does
+not move that fast.
 
-Feet are in heading axes (x forwards, y left, level), relative to the base and to each foot's middle position: halfway
-between the foremost and the rearmost position, and the mean position sideways. Heights of feet are above the ground,
-minus the mean height in stance, because a marker is above the sole.
+Feet are in heading axes (x forward, y left, horizontal), relative to the base and to each foot's middle position, which
+is halfway between the foremost and the rearmost position, and the mean position sideways. Heights of feet are above the
+ground, minus the mean height in stance, because a marker is above the sole.
 
 One factor, the scale, turns the animal's lengths into the robot's. The robot's base follows the scaled path of the
 animal at the robot's own height. The scaled deviations of height, pitch and roll are added, limited to `LIFT`,
 `PITCH_RAD` and `ROLL_RAD` by a tanh. A foot's position is its neutral position under the hip, plus the scaled
-displacement of the animal's foot from its middle position. A foot stands when the animal's foot stands. It is lifted as
-high as the animal's foot, scaled, but a tanh limits the lift to the fraction `CLEARANCE` of the height by which the leg
+displacement of the animal's foot from its middle position. A foot stands when the animal's foot stands. Its lift is
+that of the animal's foot, scaled, but a tanh limits the lift to the fraction `CLEARANCE` of the height by which the leg
 can be folded.
 
 By default, the scale is the largest one up to stand_m / leg_m at which all feet are within reach and joint limits, in
-the clip and in the repeating stride. By default, the motion is slowed down just as much as the limits of the joints'
-rates require, and never sped up. If the scale is given, a foot out of reach is moved towards its neutral position until
-it is within reach.
+the clip and in the repeating stride. By default, the motion is slowed down only as much as the rate limits of the
+joints require, and is never sped up. If the scale is given, a foot out of reach is moved towards its neutral position
+until it is within reach.
 
 In stance a foot stays at the stance's mean position, on the ground. In swing, the animal's path is shifted smoothly
 from the previous foothold to the next. The robot's foot leaves the ground for this path, and returns from it, within
@@ -50,14 +51,12 @@ from recon.gait.gait import Gait
 from recon.gait.stances import Tracks
 from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
 
-# -- an animal's motion as a reference -------------------------------------------------------------------------------
-
 SMOOTH_S = 0.02
 """Standard deviation of the Gaussian that smooths height, angles and heading."""
 MIN_SAMPLES = 40
-"""Smallest number of samples of a reference: four frames."""
+"""Smallest number of samples of a reference, which is four frames."""
 HARMONICS = 8
-"""Number of harmonics of a closed stride; the low number smooths the seam where the stride was cut."""
+"""Number of harmonics of a closed stride, low enough to smooth the seam where the stride was cut."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,20 +64,21 @@ class Reference:
     """Motion that a robot follows, at N evenly spaced times."""
 
     time_s: Array
-    """(N,): times."""
+    """(N,): times, seconds."""
     base_m: Array
-    """(N, 3): x and y in the world; z is the height's deviation from its mean."""
+    """(N, 3): x and y in the world, and the height's deviation from its mean, metres."""
     roll_pitch_yaw_rad: Array
-    """(N, 3): roll, pitch and yaw of the trunk."""
+    """(N, 3): roll, pitch and yaw of the trunk, rad."""
     feet_m: Array
-    """(N, 4, 3): feet in heading axes, in the order of `LEGS`."""
+    """(N, 4, 3): feet in heading axes, metres, in the order of `LEGS`."""
     standing: Bools
     """(N, 4): whether each foot stands."""
     leg_m: float
-    """Length of the animal's legs."""
+    """Length of the animal's legs, metres."""
     advance_m: Array | None = None
-    """(2,): displacement from the first to the last sample of a closed stride, which are equal otherwise; None for a
-    clip.
+    """(2,): displacement from the first to the last sample of a closed stride, metres; None for a clip.
+
+    The two samples are equal otherwise.
     """
 
 
@@ -93,8 +93,7 @@ class StrideWindow:
     between which all feet come closest to returning.
     """
     gap_percent: float
-    """Distance between the feet's positions at both ends, in percent of the extent of the feet's paths, mean over the
-    feet.
+    """Distance between a foot's positions at both ends, as a percentage of the extent of its path, mean over the feet.
     """
 
 
@@ -112,11 +111,8 @@ class Animal:
     """(N,): samples of the analysis's fine grid from which the reference is made."""
 
 
-# -- the clip --------------------------------------------------------------------------------------------------------
-
-
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
-    """Return an animal's motion as a reference for robots.
+    """Convert an animal's motion to a reference for robots.
 
     Parameters
     ----------
@@ -170,7 +166,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
 
 
 def _longest_complete(motion: Motion, tracks: Tracks, trunk: Array) -> Index:
-    """Return the rows of the longest stretch in which all feet and the trunk are known; raise InputError if short."""
+    """Return the rows of the longest stretch that shows all feet and the trunk; raise InputError if it is too short."""
     columns = np.column_stack([tracks.foot_m.reshape(len(tracks.time_s), -1), tracks.body_m, trunk])
     ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
     rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
@@ -190,9 +186,9 @@ def _standing(gait: Gait, time_s: Array) -> Bools:
 
 
 def _centre_feet(feet_m: Array, heights_m: Array, standing: Bools) -> None:
-    """Move the path of each foot, feet_m (N, 4, 3), in place: its middle to 0, and its stances to height 0.
+    """Shift the path of each foot, feet_m (N, 4, 3), in place so that its middle is at 0 and its stances at height 0.
 
-    `heights_m` (N, 4) are above the ground.
+    `heights_m` (N, 4) are the heights above the ground.
     """
     feet_m[..., 0] -= (feet_m[..., 0].min(axis=0) + feet_m[..., 0].max(axis=0)) / 2
     feet_m[..., 1] -= feet_m[..., 1].mean(axis=0)
@@ -201,9 +197,9 @@ def _centre_feet(feet_m: Array, heights_m: Array, standing: Bools) -> None:
 
 
 def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:
-    """Return roll, pitch and yaw (N, 3) of the trunk.
+    """Return roll, pitch and yaw (N, 3) of the trunk, rad.
 
-    The roll is that of the lines between the first joints of left and right limbs.
+    The roll is measured from the lines between the first joints of left and right limbs.
     """
     motion, ahead = analysis.motion, to_world.apply(trunk)
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
@@ -220,14 +216,11 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
     return np.column_stack([np.arctan2(in_body[:, 2], in_body[:, 1]), pitch, yaw])
 
 
-# -- a stride --------------------------------------------------------------------------------------------------------
-
-
 def stride_window(animal: Animal) -> StrideWindow:
-    """Return the given stride, or a complete one, or the part of the clip after which all feet nearly return.
+    """Return the given stride, a complete stride, or the part of the clip after which all feet nearly return.
 
-    The complete stride is the first one of the foot with the most strides. If no foot lands twice, the stride lasts at
-    least from the first touch-down to the end of the clip.
+    The complete stride is the first stride of the foot with the most strides. If no foot lands twice, the stride lasts
+    at least from the first touch-down to the end of the clip.
     """
     feet, time = animal.reference.feet_m, animal.reference.time_s
     complete = [s for s in animal.gait.strides if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9]
@@ -257,7 +250,7 @@ def stride_window(animal: Animal) -> StrideWindow:
 
 
 def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
-    """Return the window as a stride that repeats and goes straight on.
+    """Turn the window into a stride that repeats and goes straight on.
 
     The gap between the ends is spread evenly over the stride, and `HARMONICS` harmonics are kept. A foot without stance
     in the window stands at the phases at which it stands elsewhere in the clip.
@@ -297,18 +290,17 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
     )
 
 
-# -- on a robot -------------------------------------------------------------------------------------------------------
-
 PITCH_RAD = 0.25
-"""Largest pitch of the body."""
+"""Largest pitch of the body, rad."""
 ROLL_RAD = 0.15
-"""Largest roll of the body."""
+"""Largest roll of the body, rad."""
 LIFT = 0.15
-"""Largest rise of the body as a fraction of the standing height of the hips."""
+"""Largest rise of the body, as a fraction of the standing height of the hips."""
 CLEARANCE = 0.7
-"""Largest lift of a foot as a fraction of the height by which its leg can be folded."""
+"""Largest lift of a foot, as a fraction of the height by which its leg can be folded."""
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
-"""Distances by which the hind feet may pass outside the fore feet, in the order in which they are tried."""
+"""Distances by which the hind feet may pass outside the fore feet, as fractions of the hips' standing height, in the
+order in which they are tried."""
 LEGS_APART = 0.15
 """Smallest distance between the lines of two legs, as a fraction of the hips' standing height, like `SPREADS`. Legs are
 about this thick.
@@ -336,26 +328,26 @@ class KeptMotion:
     scale: float
     slower: float
     time_s: Array
-    """(N,): times of the robot."""
+    """(N,): times of the robot, seconds."""
     angles_rad: Array
-    """(N, joints): joint angles."""
+    """(N, joints): joint angles, rad."""
     position_m: Array
-    """(N, 3): position of the body in the world."""
+    """(N, 3): position of the body in the world, metres."""
     quaternion_xyzw: Array
     """(N, 4): rotation of the body in the world."""
     feet_m: Array
-    """(N, 4, 3): intended positions of the feet in the world."""
+    """(N, 4, 3): intended positions of the feet in the world, metres."""
     standing: Bools
     """(N, 4): whether each foot stands."""
     short: Bools
     """(N, 4): whether each foot was out of reach."""
     advance_m: Array | None = None
-    """(2,): displacement over a repeating stride, as in `Reference`."""
+    """(2,): displacement over a repeating stride, metres, as in `Reference`."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(KeptMotion):
-    """Arrays of a robot's motion and the robot."""
+    """A robot and the arrays of its motion."""
 
     robot: Quadruped = field(kw_only=True)
 
@@ -365,7 +357,7 @@ class RobotMotion(KeptMotion):
         return RigidTransform.from_components(self.position_m, Rotation.from_quat(self.quaternion_xyzw))
 
     def leg_angles(self, label: str) -> Array:
-        """Return the angles (N, n) of one leg."""
+        """Return the joint angles (N, n) of one leg, rad."""
         counts = [len(leg.joints) for leg in self.robot.legs.values()]
         return np.split(self.angles_rad, np.cumsum(counts)[:-1], axis=1)[LEGS.index(label)]
 
@@ -396,24 +388,24 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def rate_share(self) -> Array:
-        """Return the fastest rate of each joint (joints,) between two samples as a fraction of its limit."""
+        """Return the fastest rate of each joint (joints,) between two samples, as a fraction of the joint's limit."""
         rates = np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
         return np.abs(rates).max(axis=0) / self.robot.limits()[2]
 
     @cached_property
     def margin_rad(self) -> Array:
-        """Return the smallest distance of each joint (joints,) from its limits, negative beyond a limit."""
+        """Return the smallest distance of each joint (joints,) from its limits, rad, negative beyond a limit."""
         lower, upper, _ = self.robot.limits()
         return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
 
     def points(self, label: str) -> Array:
-        """Return the hip, the joints and the foot of a leg in the world (N, ., 3)."""
+        """Return the hip, the joints and the foot of a leg in the world (N, points, 3), metres."""
         along = self.robot.legs[label].chain.positions(self.leg_angles(label))
         return feet_in_world(self.pose, np.zeros(3), along)
 
     @cached_property
     def apart_m(self) -> float:
-        """Return the smallest distance between the fore and hind leg of a side, from nine points along each link."""
+        """Return the smallest distance between fore and hind leg of a side, metres, from nine points on each link."""
         share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
             points = self.points(label)[::_EVERY]
@@ -424,9 +416,9 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def slip_m(self) -> Array:
-        """Return the largest slip of each foot (4,) in any stance, from the joint angles at and between samples.
+        """Return the largest slip of each foot (4,) in any stance, metres.
 
-        The slip of a foot that never stands is 0.
+        The slip is computed from the joint angles at and between samples, and is 0 for a foot that never stands.
         """
         fine = np.linspace(self.time_s[0], self.time_s[-1], 2 * len(self.time_s) - 1)
         feet = self.robot.tree.pose(self.states(fine)).points_m[:, self.robot.foot_markers]
@@ -435,7 +427,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def closing_percent(self) -> float:
-        """Return the largest difference of an angle between both ends of a repeating stride, % of the angle's range."""
+        """Return the largest change of an angle between the ends of a repeating stride, in percent of its range."""
         return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
 
 
@@ -448,9 +440,9 @@ class Retargeting:
     clip: RobotMotion
     """Motion over the whole clip."""
     stride: RobotMotion
-    """A stride that repeats."""
+    """Motion of a stride that repeats."""
     spread_m: float
-    """Distance by which each hind foot is outside its neutral position."""
+    """Distance by which each hind foot is outside its neutral position, metres."""
 
 
 def retarget(
@@ -465,15 +457,15 @@ def retarget(
     Parameters
     ----------
     animal : Animal
-        The motion and its reference.
+        The animal's motion and the reference made from it.
     robot : Quadruped
-        The robot.
+        The robot that follows the reference.
     scale : float, optional
         Factor on lengths; by default the largest that fits.
     slower : float, optional
         Factor on times; by default as large as the joints' rates require.
     window : StrideWindow, optional
-        The stride; by default that of `stride_window`.
+        The stride that repeats; by default that of `stride_window`.
     """
     window = window or stride_window(animal)
     moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
@@ -483,7 +475,7 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """Return a clip and one of its strides as robot motions, and the spread of the hind feet; see `retarget`."""
+    """Put a clip and one of its strides on a robot, and return both motions and the spread of the hind feet, metres."""
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for share in SPREADS:
@@ -530,7 +522,7 @@ def place(
 ) -> tuple[RigidTransform, Array, Bools]:
     """Return T_world_body (N), the feet in the world (N, 4, 3), and which feet stand (N, 4).
 
-    The feet are on their footholds in stance.
+    Feet in stance are on their footholds.
     """
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
@@ -540,7 +532,7 @@ def place(
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m
-    # legs that cannot bend still get a positive limit, to avoid a division by 0
+    # legs that cannot bend get a small positive limit, to avoid a division by 0
     room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)
     ways[..., 2] = np.where(ways[..., 2] > 0, _within(ways[..., 2], room), ways[..., 2])
     standing = reference.standing
@@ -557,7 +549,7 @@ def place(
 
 
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
-    """Return the motion of a robot from its poses T_world_body (N) and its feet (N, 4, 3) in the world.
+    """Build the motion of a robot from its poses T_world_body (N) and its feet (N, 4, 3) in the world.
 
     `standing` (N, 4) marks the feet that stand. Feet out of reach are moved into reach.
     """
@@ -572,7 +564,7 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
 def within_reach(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
     """Return angles (T, n) for feet (T, 3) in body axes, and which feet (T,) are out of reach.
 
-    A foot out of reach is moved towards its neutral position by as little as possible.
+    A foot out of reach is moved towards its neutral position as little as possible.
     """
     angles = leg.angles(feet_m)
     short = ~np.asarray(np.isfinite(angles).all(axis=1))
@@ -590,11 +582,8 @@ def within_reach(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
 
 
 def _within(values: Array, limit: float | Array) -> Array:
-    """Return values with their sizes limited by a tanh, which hardly changes values far below the limit."""
+    """Limit the magnitudes of values by a tanh, which hardly changes values far below the limit."""
     return limit * np.tanh(values / limit)
-
-
-# -- footholds -------------------------------------------------------------------------------------------------------
 
 
 def stances(standing: Bools) -> list[tuple[int, int]]:
@@ -633,18 +622,18 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
 
 
 class _Swings(NamedTuple):
-    """Times of N samples of a foot relative to its stances, (N,) each."""
+    """Times of N samples of a foot relative to its stances, seconds, (N,) each."""
 
     last_standing: Array
-    """Index of the last standing sample so far, -1 without any."""
+    """Index of the last standing sample so far, -1 if there is none."""
     next_standing: Array
-    """Index of the next standing sample, N without any."""
+    """Index of the next standing sample, N if there is none."""
     since_s: Array
     """Time since the last standing sample."""
     until_s: Array
     """Time until the next standing sample."""
     duration_s: Array
-    """Duration of the swing, or that of the longest swing for samples in stance and swings that the clip cuts."""
+    """Duration of the swing; for samples in stance and swings that the clip cuts, that of the longest swing."""
 
 
 def _swings(time_s: Array, standing: Bools) -> _Swings:
@@ -678,8 +667,7 @@ def swinging(motion: RobotMotion) -> Array:
 def moved_by(motion: RobotMotion, shifts: Array, robot: Quadruped | None = None) -> RobotMotion:
     """Return a motion with its base moved by `shifts` (N, 6): position, yaw, pitch and roll.
 
-    Standing feet stay where they are; swinging feet move with the base. `robot` may be the same robot with other
-    limits.
+    Standing feet stay in place, and swinging feet move with the base. `robot` may be the same robot with other limits.
     """
     yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + shifts[:, 3:].T
     pose, loose = body_pose(motion.pose.translation + shifts[:, :3], roll, pitch, yaw), swinging(motion)[..., None]

@@ -1,21 +1,21 @@
-"""Write a reconstruction on a quadruped robot: joint angles, base, footholds, report, playback and an ensemble.
+"""Write the files of `recon retarget`: a reconstruction on a robot, its report and playback, and an ensemble.
 
 Every sample of an ensemble is a whole clip, drawn from the posterior (`recon.fit.posterior`) and put on the robot at
 the scale and pace of the fitted motion. Each sample is a file in the layout of `--format`. All samples together are in
 `samples.npz`: `time_s` (N,); for K samples `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4),
-`joint_positions` (K, N, joints) and `contacts` (K, N, 4); the names of joints and contacts; and, as `source`, where the
-motion comes from, with the verdict on the fit.
+`joint_positions` (K, N, joints) and `contacts` (K, N, 4); the names of joints and contacts; and `source`, the origin of
+the motion with the verdict on the fit.
 
-Programs that train policies read motions with velocities, at a rate of their own. Positions and velocities are both
-computed from the states of the robot's tree and their derivatives (`RobotMotion.states`), so that they agree exactly.
+Programs that train policies read motions with velocities, at a frame rate of their own. Positions and velocities are
+both computed from the states of the robot's tree and their derivatives (`RobotMotion.states`), so they agree exactly.
 
-Bodies are the base; the links, named after the joints that move them (without "_joint"); and the feet. A link's frame
-is at its joint, and parallel to the base's frame when all angles are 0. World: z up, the ground at 0. The rate is the
-one nearest to the requested rate that fits a whole number of frames into the duration. The last frame of a stride
-equals its first, one stride later.
+The bodies are the base, the links (named after the joints that move them, without "_joint") and the feet. A link's
+frame is at its joint, and parallel to the base's frame when all angles are 0. In the world, z is up and the ground is
+at 0. The frame rate is the rate nearest to the requested one that fits a whole number of frames into the duration. The
+last frame of a stride equals its first frame, one stride later.
 
-Layouts: AMP's JSON has 61 numbers a frame, legs in the order RF, LF, RH, LH, quaternions xyzw, and velocities and toes
-in the base's axes. Isaac Lab's NPZ and mjlab's have quaternions wxyz and velocities in the world.
+AMP's JSON has 61 numbers per frame, legs in the order RF, LF, RH, LH, quaternions xyzw, and velocities and toes in the
+base's axes. The NPZ files of Isaac Lab and mjlab have quaternions wxyz and velocities in the world.
 
 References
 ----------
@@ -58,9 +58,9 @@ from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
 
 MOST_SAMPLES = 10_000
-"""Largest number of samples of a motion."""
+"""Largest number of motions that --samples draws."""
 RATE_HZ = 50.0
-"""Default rate of the tables for trainers."""
+"""Default frame rate of files for programs that train policies, frames per second."""
 
 
 class RetargetSettings(Settings):
@@ -102,13 +102,13 @@ REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3
 """Number of strides in the playback of a stride."""
 SLIP_M = 0.002
-"""Slip in a stance above which the report has a note."""
+"""Slip in a stance above which the report has a note, metres."""
 
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
     """Carry out `recon retarget`: write tables, report and playback into a folder.
 
-    Returns the motions, and report.json.
+    Returns the motions and the content of report.json.
     """
     out, folder = settings.out, settings.folder
     names = [f"{start}{table}.csv" for start in ("", "stride_") for table in ("joints", "base", "feet")]
@@ -165,7 +165,7 @@ def _write_samples(
     folder: Path,
     origin: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Write motions drawn from the uncertainty of the animal's, and return their entry of the report."""
+    """Write motions drawn from the posterior of the animal's motion, and return their entry in the report."""
     motions = drawn(done, settings, count, model if settings.fit_limits else None)
     entry = write_ensemble(motions, settings, folder, origin)
     if model is not None:
@@ -174,10 +174,10 @@ def _write_samples(
 
 
 def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[str, Any]]:
-    """Return the clip and the stride with moved bases, after the first change that keeps every rule, and this change.
+    """Change the clip and the stride until they keep every rule, and return both and the change.
 
-    The changes are those of `physics.CHANGES`. If none keeps every rule, the result is for the one that keeps them in
-    most frames.
+    The changes of duration and size in `physics.CHANGES` are tried in turn, each with the base moved by
+    `physics.carried`. The first that keeps every rule is used, or else the one that keeps the rules in most frames.
     """
     tried: list[tuple[float, Retargeting, Retargeting]] = []
     for slower, scale in physics.CHANGES:
@@ -216,9 +216,6 @@ def checked(done: Retargeting, model: MjModel, folder: Path | None = None) -> di
             title = f"{motion.robot.title}, {name}"
             save(physics.margins_figure(time, margins, physics.RULES, title), folder, f"{prefix}check")
     return answers
-
-
-# -- the report --------------------------------------------------------------------------------------------------------
 
 
 def report_of(done: Retargeting) -> dict[str, Any]:
@@ -268,34 +265,31 @@ def _notes(done: Retargeting) -> list[str]:
     notes = [rejection_text(stride) for stride in done.animal.gait.rejected_strides]
     if window.source == "return":
         notes.append(
-            "the clip has no complete stride: the repeating stride is the part after which the feet come closest to "
-            f"where they started; the gap of {window.gap_percent:.0f} % of the feet's paths was closed"
+            "the clip has no complete stride, so the repeating stride is the part after which the feet come closest to "
+            f"where they started; its gap of {window.gap_percent:.0f} % of the feet's paths was closed"
         )
     parts = {"clip": done.clip, "stride": done.stride}
     for name, part in parts.items():
         if part.short.any():
             feet = ", ".join(label for label, short in zip(LEGS, part.short.T, strict=True) if short.any())
             share = 100 * part.short.any(axis=1).mean()
-            notes.append(f"{name}: {feet} out of reach for {share:.0f} % of the time, and moved into reach")
+            notes.append(f"{name}: {feet} out of reach for {share:.0f} % of the time; moved into reach there")
         fast = [joint for joint, share in zip(part.robot.joints, part.rate_share, strict=True) if share > 1 + 1e-9]
         if fast:
             worst = part.rate_share.max()
-            notes.append(f"{name}: up to {worst:.1f} times the rate limit: {', '.join(fast)}")
+            notes.append(f"{name}: {', '.join(fast)} at up to {worst:.1f} times the rate limit")
         if part.slip_m.max() > SLIP_M:
             notes.append(f"{name}: feet slip by up to {1000 * part.slip_m.max():.1f} mm in stance")
     if min(part.apart_m for part in parts.values()) < LEGS_APART * done.clip.robot.stand_m:
         near = [1000 * part.apart_m for part in parts.values()]
         notes.append(
-            f"fore and hind leg of a side come within {near[0]:.0f} mm of each other in the clip, {near[1]:.0f} mm in "
-            "the stride, measured between the centre lines of their links"
+            f"fore and hind leg of a side come within {near[0]:.0f} mm of each other in the clip and {near[1]:.0f} mm "
+            "in the stride, measured between the centre lines of their links"
         )
     stands = done.clip.standing.any(axis=0)
     if not stands.all():
         notes.append(f"no stance was found for {', '.join(np.array(LEGS)[~stands])}")
     return notes
-
-
-# -- files -------------------------------------------------------------------------------------------------------------
 
 
 def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
@@ -309,7 +303,7 @@ def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
 
 
 def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
-    """Write tables of joints, base and feet into an existing folder."""
+    """Write tables of joints, base and feet into an existing folder, with a prefix before their names."""
     time, joints = motion.time_s[:, None], motion.robot.joints
     names = ["time_s", *joints, *control_columns(joints)]
     states = (motion.states(motion.time_s, derivative)[:, 6:] for derivative in (1, 2))
@@ -328,7 +322,7 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
 
 
 def companion(done: Retargeting) -> tuple[Array, Motion]:
-    """Return the animal, scaled to the robot's size and shifted to the robot's left, at the samples of the clip."""
+    """Return the animal's points (N, J, 3), scaled to the robot and shifted to its left, and the animal's motion."""
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
     points = np.stack([animal.analysis.moved(name).series.value[animal.rows] for name in fitted.names], axis=1)
@@ -359,11 +353,8 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
     )
 
 
-# -- an ensemble of motions that the data allow ------------------------------------------------------------------------
-
-
 def drawn(done: Retargeting, settings: RetargetSettings, count: int, model: MjModel | None = None) -> list[RobotMotion]:
-    """Return clips drawn from the posterior of the animal's motion, at the same scale and pace as the fitted motion.
+    """Draw clips from the posterior of the animal's motion, at the same scale and pace as the fitted motion.
 
     If MuJoCo's model of the robot is given, the clips have the stances of the fitted clip, and their bases are moved by
     `physics.carried`. Raises the errors of `problem_of`.
@@ -386,8 +377,8 @@ def write_ensemble(
 ) -> dict[str, Any]:
     """Write the files of an ensemble into an existing folder, and return the spread of the samples.
 
-    The spread holds the standard deviations of the base's position (m, by axis) and of the joint angles (rad), medians
-    over the clip, for the report.
+    The spread holds medians over the clip of the standard deviations of the base's position (m, by axis) and of the
+    joint angles (rad), for the report.
     """
     first = motions[0]
     places = np.stack([motion.position_m for motion in motions])
@@ -416,15 +407,14 @@ def write_ensemble(
     }
 
 
-# -- files for programs that train policies ----------------------------------------------------------------------------
-
 KEPT, SCHEMA, OLDER_VERSIONS = "robot.npz", {"name": "recon.robot", "version": 2}, (1,)
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """Number of joints of a leg in AMP's layout."""
 STEP_S = 1e-6
-"""Time between two positions whose difference gives a velocity. They lie on a tangent, so the velocity is exact to
-round-off.
+"""Time between two positions whose difference gives a velocity.
+
+The positions lie on a tangent, so the velocity is exact to round-off.
 """
 
 
@@ -474,7 +464,7 @@ class RobotSamples:
 def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
     """Return the names of all bodies, and the indices of the feet in the order of `LEGS`.
 
-    A foot is called FL_foot if the names of the leg's joints start with FL_.
+    A foot is named FL_foot if the names of its leg's joints start with FL_.
     """
     names, feet = ["base"], []
     for label, leg in robot.legs.items():
@@ -483,9 +473,6 @@ def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
         feet.append(len(names) + len(leg.joints))
         names += [*(name.removesuffix("_joint") for name in leg.joints), f"{head if has_common_head else label}_foot"]
     return names, feet
-
-
-# -- files -------------------------------------------------------------------------------------------------------------
 
 
 def _amp(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
@@ -540,8 +527,8 @@ _NPZ = {
         "body_ang_vel_w",
     ),
 }
-"""Names of the arrays by layout: joint names, angles and rates; positions, quaternions, velocities and angular
-velocities of bodies.
+"""Names of the arrays in each layout, in this order: joint names, angles and rates; positions, quaternions, velocities
+and angular velocities of the bodies.
 """
 
 
@@ -592,15 +579,12 @@ def write_for_trainer(
 ) -> float:
     """Write a file in one of `FORMATS`, and return the file's frame rate.
 
-    The file states where the motion comes from. Raises InputError like `RobotSamples`, and if the format cannot hold
-    the robot.
+    The file states the origin of the motion. Raises InputError if fewer than two frames fit, or if the format cannot
+    hold the robot.
     """
     samples = RobotSamples(motion, rate_hz, option)
     FORMATS[name][1](samples, path, origin)
     return samples.rate_hz
-
-
-# -- motions kept for `recon convert` ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -613,7 +597,7 @@ class _Kept:
 
 
 def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str, Any], path: Path) -> None:
-    """Write both motions unchanged, so that `convert` can make files in any of `FORMATS` at any rate."""
+    """Write both motions unchanged, so that `convert` can later write files in any of `FORMATS` at any rate."""
     names = [field.name for field in fields(KeptMotion)]
     save_record(
         _Kept(robot, origin, *(KeptMotion(**picked(motion, *names)) for motion in (clip, stride))), path, SCHEMA
@@ -621,7 +605,7 @@ def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
-    """Return the clip, the stride, and the origin that the file states; raise InputError if the file cannot be used."""
+    """Read the clip, the stride and their origin from a file; raise InputError if the file cannot be used."""
     expected = "motions of a robot, written by `recon retarget`"
     arrays = load_record(_Kept, path, SCHEMA, expected, older_versions=OLDER_VERSIONS)
     named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)
@@ -649,8 +633,8 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
 def convert(folder: Path, out: Path, name: str, rate_hz: float | None, output: outputs.Output) -> str:
     """Carry out `recon convert` for a folder of `recon retarget`, and return a sentence about the files.
 
-    The clip is written to `out`, the repeating stride to a file next to it, both or neither. `name` is one of
-    `FORMATS`.
+    The clip is written to `out`, and the repeating stride to a file next to it. Either both files are written or
+    neither. `name` is one of `FORMATS`.
     """
     stride = out.with_name(f"stride_{out.name}")
     names = out.name, stride.name

@@ -1,11 +1,11 @@
-"""Plan a climb frame by frame: feet follow given paths, potential fields move the torso, and rules set the margins.
+"""Plan a climb frame by frame: feet follow given paths, and potential fields move the torso.
 
-Before each footfall all four feet are planted, and the torso shifts over the three feet that will stay down, as fast as
-its caps allow. Then the foot rises, crosses and sinks at the speeds of these phases, while the torso stays in the
-equilibrium of its fields. Whenever the caps delay the torso, the foot waits.
+Before each footfall, all four feet are planted, and the torso shifts over the three feet that will stay down, as fast
+as the caps on its speed allow. Then the foot rises, crosses and sinks at the speeds of these phases, while the torso
+stays in the equilibrium of its fields. Whenever the caps delay the torso, the foot waits.
 
 r is a leg's vector from hip to foot in body axes; X and Y are the lateral and the forward axis. Every leg has three
-fields of the same form: the slope of a potential well of a coordinate q.
+fields of the same form: each is the slope of a potential well of a coordinate q.
 
     radial  q = |r|                        the hip is pushed along r
     swing   q = atan2(forwards, down)      along X x r, in the plane whose normal is lateral
@@ -14,13 +14,12 @@ fields of the same form: the slope of a potential well of a coordinate q.
 The balance field pulls the centre of mass towards the horizontal centroid of the planted feet, at distance d, with
 gain tanh(sharpness d).
 
-The publication does not say how an angle's force depends on the length of the leg, nor how it turns the torso. Here
-each field is the gradient of one energy in all the torso's degrees of freedom, so that an equilibrium exists: the force
-of an angle is slope (X x r) / |X x r|^2, and its moment is that of the same force at the foot.
+The publication does not say how an angle's force depends on the length of the leg, nor how it turns the torso. Here,
+each field is the gradient of an energy in all degrees of freedom of the torso, so an equilibrium exists. The force of
+an angle is slope (X x r) / |X x r|^2, and its moment is that of the same force at the foot.
 
 Recipe files number the legs as the published footfalls do: left front, left rear, right front, right rear. Positions in
-these files are given to the right and forwards. In Python, legs are in the order of `LEGS`; x is forwards, y left and z
-up.
+these files are (right, forward). In Python, legs are in the order of `LEGS`; x is forward, y left and z up.
 
 References
 ----------
@@ -64,7 +63,7 @@ NONE = -1
 AROUND = (0, 2, 3, 1)
 """Indices into `LEGS`, counterclockwise as seen from above."""
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
-"""Direction of y away from the body, 1 or -1, at each of `LEGS`."""
+"""Sign of the outward y direction, 1 or -1, for each of `LEGS`."""
 MAX_WAIT = 400
 """Maximum number of frames that a foot waits."""
 MAX_EVALUATIONS = 100
@@ -80,7 +79,7 @@ TRUST_RAD = 0.5
 SHIN_POINTS = (0.25, 0.5, 0.75)
 """Points of a shin that must not touch the ground or the step, as fractions of the distance from foot to knee."""
 ROUNDING_M = 1e-9
-"""Depth below the surface that still counts as standing on it: rounding errors."""
+"""Depth below the surface that still counts as standing on it, because of rounding errors."""
 RECIPES = Path(__file__).parent / "recipes"
 IN_FILES = (0, 2, 1, 3)
 """Indices into `LEGS` by the leg numbers of recipe files; the inverse is the same."""
@@ -95,7 +94,7 @@ Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]
 
 
 def _all_legs(value: object) -> tuple[object, object, object, object]:
-    """Return one number per leg from one number for all legs or from two for the front and the rear legs."""
+    """Expand one number for all legs, or two for the front and the rear legs, to one number per leg."""
     front, rear = value if isinstance(value, list) and len(value) == 2 else (value, value)
     return (front, front, rear, rear)
 
@@ -172,14 +171,14 @@ class Step(FileTable):
 
 
 class _Footfall(FileTable):
-    """One footfall."""
+    """One footfall: the leg and the displacement of its foot."""
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Leg that moves, as an index into `LEGS`."""
     forward_m: Length
     up_m: Length
     sideways_m: Length = 0.0
-    """Displacement to the right."""
+    """Displacement to the right, metres."""
 
     @property
     def vector_m(self) -> Array:
@@ -208,7 +207,7 @@ class _Swing(FileTable):
 
 
 class _Pace(FileTable):
-    """Limits of the torso's shift and turn per frame."""
+    """Caps on the torso's shift and turn per frame."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength
@@ -223,7 +222,7 @@ class Recipe(FileTable):
     """Number of the torso's degrees of freedom."""
     fps: Gain
     stance_m: Annotated[tuple[tuple[Length, Length], ...], Field(min_length=4, max_length=4)]
-    """Initial positions of the feet, (right, forward), in the leg order of recipe files."""
+    """Initial positions of the feet, (right, forward), metres, in the leg order of recipe files."""
     step: Step
     swing: _Swing
     motion: _Pace
@@ -238,18 +237,18 @@ class Recipe(FileTable):
 
     @property
     def feet_m(self) -> Array:
-        """Return the initial positions (4, 3) of the feet."""
+        """Return the initial positions (4, 3) of the feet in the world, metres."""
         right, forward = np.array(self.stance_m)[list(IN_FILES)].T
         return np.column_stack([forward, -right, np.zeros(4)])
 
 
 def bundled() -> list[str]:
-    """Return the names of the recipes in the package."""
+    """Return the names of the built-in recipes."""
     return sorted(p.stem for p in RECIPES.glob("*.toml"))
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """Return a recipe of the package by name, or one from a file; raise InputError if it cannot be used."""
+    """Load a built-in recipe by name, or a recipe from a file; raise InputError if it cannot be used."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     return validated(Recipe, table, path)
@@ -267,9 +266,6 @@ def raised(recipe: Recipe, height_m: float) -> Recipe:
     return recipe.model_copy(update={"step": step, "primitives": tuple(map(higher, recipe.primitives))})
 
 
-# -- a climb -----------------------------------------------------------------------------------------------------------
-
-
 RULES = {
     "reach": Rule("foot within the leg's reach", "mm", per_unit=1e3),
     "limits": Rule("joints within their limits", "deg", per_unit=180 / np.pi),
@@ -284,7 +280,7 @@ RULES = {
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """A planned climb of T frames. World: x forward, y left, z up."""
+    """A planned climb of T frames, in a world with x forward, y left and z up."""
 
     recipe: Recipe
     motion: RobotMotion
@@ -299,7 +295,7 @@ class Climb:
 
     @property
     def pitch_rad(self) -> Array:
-        """Return the pitch (T,), positive with the nose up."""
+        """Return the pitch (T,), rad, positive with the nose up."""
         return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
 
     @cached_property
@@ -336,20 +332,20 @@ class Climb:
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
     def problems(self) -> list[str]:
-        """Return a sentence for each broken rule, none for a valid climb."""
+        """Return one line of text for each broken rule; the list is empty for a valid climb."""
         step, feet = self.recipe.step, self.motion.feet_m
         least = ((RULES[name], *margin_and_frame) for name, margin_and_frame in self.least.items())
         problems = [f"{rule.title}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
         deepest = -float(step.distance_m(feet).min())
         if deepest > ROUNDING_M:
-            problems.append(f"a foot is {1000 * deepest:.2f} mm under the surface")
+            problems.append(f"a foot is {1000 * deepest:.2f} mm below the surface")
         if not np.all((feet[-1, :, 0] > step.edge_m) & (np.abs(feet[-1, :, 2] - step.height_m) < ROUNDING_M)):
             problems.append("not all feet end on top of the step")
         return problems
 
 
 def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
-    """Return the distances (..., 8) from the centre of mass (..., 2) to the sides of the polygon of the planted feet.
+    """Return the distances (..., 8), metres, of the centre of mass (..., 2) from the sides of the support polygon.
 
     `feet_m` has shape (..., 4, 2). A line between two feet that is not a side of the polygon has an infinite distance.
     """
@@ -364,9 +360,6 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
         applies = ~(up | np.roll(up, -1, axis=-1)) if separations == 1 else np.roll(up, -1, axis=-1)
         distances.append(np.where(applies, left, np.inf))
     return np.concatenate(distances, axis=-1)
-
-
-# -- planning ----------------------------------------------------------------------------------------------------------
 
 
 def plan(robot: Quadruped, recipe: Recipe) -> Climb:
@@ -385,7 +378,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     rows: list[tuple] = []
 
     def settle(fields: Fields, without: int, *label: int) -> None:
-        """Add a frame in the fields of the planted legs, and further frames while the caps delay the torso.
+        """Add a frame in which the torso settles in the fields, and further frames while the caps delay the torso.
 
         The feet wait in the further frames.
         """
@@ -424,9 +417,9 @@ def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Ar
     fields : Fields
         Fields of the legs and of the balance.
     hips_m : (4, 3)
-        Hips in body axes.
+        Hips in body axes, metres.
     feet_m : (4, 3)
-        Feet in the world.
+        Feet in the world, metres.
     without : int
         Leg whose foot the balance field leaves out, or `NONE`.
     torso : (N, 4, 4)
@@ -454,7 +447,7 @@ def equilibrium(
 ) -> tuple[Array, int, bool]:
     """Return the torso of lowest energy near the start, the number of evaluations, and whether the search converged.
 
-    The search uses Newton's method on forces and moments, with the absolute values of the stiffness's eigenvalues.
+    The search applies Newton's method to forces and moments, with the absolute values of the stiffness's eigenvalues.
     `free` holds the indices of the free coordinates among x, y, z, roll, pitch and yaw. The other parameters are those
     of `wrench`.
     """
@@ -474,12 +467,12 @@ def equilibrium(
 
 
 def _moved(torso: Array, step: Array) -> Array:
-    """Return a torso (4, 4) shifted in world axes and turned in body axes by a step, (6,) or (N, 6)."""
+    """Return a torso T_world_body (4, 4), shifted in world axes and turned in body axes by a step, (6,) or (N, 6)."""
     return rigid(torso[:3, :3] @ Rotation.from_rotvec(step[..., 3:]).as_matrix(), torso[:3, 3] + step[..., :3])
 
 
 def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Array) -> Array:
-    """Return the positions (n, 3) of a swinging foot in each frame: up at one angle, across, down at another."""
+    """Return the positions (n, 3) of a swinging foot in each frame, as it rises at one angle and sinks at another."""
     s = recipe.swing
     corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
     points = []
@@ -492,10 +485,10 @@ def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Arr
 def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: float, lower_rad: float) -> Array:
     """Return the four corners (4, 3) of a foot's trapezoidal path from `start_m` (3,) to `end_m` (3,).
 
-    The foot rises at `rise_rad` above the forward direction (more than a right angle leans back) and sinks at
-    `lower_rad` above the backward direction, in the vertical plane along x. In between it crosses, also sideways, at
-    `clearance_m` above the higher end. If the two slopes do not fit into the length of the path, both become steeper
-    until they meet.
+    The foot rises at `rise_rad` above the forward direction (an angle above 90 degrees leans back) and sinks at
+    `lower_rad` above the backward direction, both in the vertical plane along x. In between, the foot moves forwards
+    and sideways at `clearance_m` above the higher end. If the two slopes do not fit into the length of the path, both
+    become steeper until they meet.
     """
     top = max(start_m[2], end_m[2]) + clearance_m
     ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
@@ -507,7 +500,7 @@ def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: flo
 
 
 def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
-    """Return a step (6,), scaled down as a whole until its shift and its turn are within the caps."""
+    """Return a step (6,), scaled down as a whole so that its shift and its turn are within the caps."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 
@@ -522,12 +515,10 @@ class ClimbSettings(Settings):
     height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, such as 0.045")] = None
     """Height of the step, metres; the footfalls' heights are scaled in proportion. (default: the recipe's)"""
     figures: bool = True
-    """Write figures as PNG and SVG, too."""
+    """Also write figures as PNG and SVG."""
     overwrite: bool = False
     """Replace earlier files."""
 
-
-# -- a plan, written ---------------------------------------------------------------------------------------------
 
 REPORT, PLAYBACK = "report.json", "climb.rrd"
 FILES = ("joints.csv", "base.csv", "feet.csv", "margins.csv", REPORT, PLAYBACK, MANIFEST)
@@ -610,9 +601,6 @@ def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
 
 def _title(climb: Climb) -> str:
     return f"{climb.motion.robot.name} climbs a step of {1000 * climb.recipe.step.height_m:.0f} mm"
-
-
-# -- figures -----------------------------------------------------------------------------------------------------------
 
 
 def climb_footfalls(climb: Climb) -> Figure:
