@@ -726,8 +726,8 @@ def solve_time_offsets(
 def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: Array) -> Iterator[Problem]:
     for name, frames, lag, sigma in zip(names, offsets, rest_frames, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
-            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, hardly determined by this motion"
-            expected = f"a clip that shows it to {MAX_SIGMA_FRAMES:g} frames, or a measured offset (--set offset-s)"
+            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, hardly determined by the motion"
+            expected = f"a clip that determines it to {MAX_SIGMA_FRAMES:g} frame, or a measured offset (--set offset-s)"
             yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)
 
 

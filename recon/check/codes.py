@@ -27,14 +27,16 @@ SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
 """Flags of frames, by the code of their finding."""
 FLAGS: Mapping[str, str] = {
-    "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
+    "no data": "nothing was detected: the pose, if there is one, comes from the neighbouring frames",
     "diverged": "the best pose was outside the camera's view, and the frame has no pose",
     "data poor": "few joints were seen and trusted: the pose is mostly the expected one",
     "ambiguous depth": (
         "seen from the front or the back, or nearly as well explained by another pose: depths in the pose may be wrong"
     ),
     SWAPPED: "left and right look swapped in the detections, and the pose has them swapped too",
-    OUTLIERS: "the detections are not those of an animal: they are left out, and the pose comes from the frames around",
+    OUTLIERS: (
+        "the detections are not those of an animal: they were left out, and the pose comes from the neighbouring frames"
+    ),
 }
 """Meaning of each flag of a frame, in the order of a summary."""
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))

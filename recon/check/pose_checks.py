@@ -253,10 +253,10 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
     nearest_m_s2 = GRAVITY_M_S2 + np.copysign(max(abs(excess) - SIGMAS * sigma, 0.0), excess)
     value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
     numbers: dict[str, float | str] = {"acceleration_m_s2": -mean, "sigma_m_s2": sigma, "given_hz": points.fps}
-    advice = "Check --fps, and --unit."
+    advice = "Check --fps and --unit."
     if -mean > SIGMAS * sigma:  # otherwise the flight does not show the rate
         numbers["other_hz"] = points.fps * float(np.sqrt(GRAVITY_M_S2 / -mean))
-        advice = f"At about {numbers['other_hz']:.0f} frames a second it would be right (now {points.fps:g})."
+        advice = f"About {numbers['other_hz']:.0f} frames per second, not {points.fps:g}, would give 9.8 m/s²."
     numbers["advice"] = advice
     yield Measure("gravity_unlikely", value, max(rows, key=lambda run: run[1] - run[0]), numbers)
 

@@ -114,7 +114,7 @@ def sample_joints(
     """
     prior = load_prior(settings.get("prior"), solution.body)
     if prior.name != solution.prior:
-        expected = f"{solution.prior}, the prior of the fit: refit with a built-in prior"
+        expected = f"{solution.prior}, the prior of the fit; otherwise fit again with a built-in prior"
         raise InputError(Problem("sample", "prior", prior.name, expected))
     values: dict[str, Any] = {
         f.name: settings[f.name] for f in fields(TrajectoryOptions) if settings.get(f.name) is not None

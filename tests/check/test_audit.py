@@ -207,7 +207,7 @@ def test_a_leap_is_no_fault_and_shows_a_wrong_frame_rate(poses: AuditedPoints):
     findings = audit(replace(poses, positions=values, fps=120.0))
     assert [item.code for item in findings] == ["gravity_unlikely"]
     assert findings[0].numbers["other_hz"] == pytest.approx(60, rel=0.2)
-    assert "frames a second it would be right (now 120)" in sentence(findings[0])
+    assert "frames per second, not 120, would give 9.8 m/s²." in sentence(findings[0])
 
 
 def test_keypoints_of_another_picture_are_named(keypoints: AuditedPoints):

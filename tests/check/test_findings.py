@@ -151,7 +151,7 @@ SENTENCES = {
     "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
     "not_converged": ("ended before it had converged", {}),
     "size_impossible": (
-        "comes out 0.42 times as large as expected, which no animal",
+        "comes out 0.42 times as large as expected, which is impossible",
         {"size": 0.42, "expected_sigma": 0.1},
     ),
     "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
@@ -177,12 +177,15 @@ SENTENCES = {
     ),
     "few_frames": ("A clip of 1 frame shows little", {"count": 1}),
     "many_outliers": ("51 detections (57 %) disagree", {"count": 51, "share": 0.566}),
-    "many_left_out": ("40 % of the detections do not count (9 outliers)", {"share": 0.4, "reasons": "9 outliers"}),
+    "many_left_out": (
+        "40 % of the detections were left out or disagree with the pose (9 outliers)",
+        {"share": 0.4, "reasons": "9 outliers"},
+    ),
     "clock_drifts": (
-        "drift from the others' by +0.9 frames over the clip, as if it ran at 59.06 frames",
+        "drift from the others' by +0.9 frames over the clip, as if this camera ran at 59.06 frames",
         {"drift_frames": 0.95, "rate_hz": 59.06, "given_hz": 60.0},
     ),
-    "picture_stretched": ("look stretched to 1.33 times its width", {"factor": 1.33, "sigmas": 4.0}),
+    "picture_stretched": ("looks stretched to 1.33 times its width", {"factor": 1.33, "sigmas": 4.0}),
     "keypoints_do_not_fit": (
         "75 % of the 40 detections of nose, l_eye disagree",
         {"share": 0.75, "used": 40, "keypoints": ("nose", "l_eye")},
@@ -210,7 +213,7 @@ SENTENCES = {
     ),
     "reference_elsewhere": ("about (1.00, 2.00, 3.00) m from the reference", {"x_m": 1.0, "y_m": 2.0, "z_m": 3.0}),
     "flight_against_gravity": ("upwards by 3.1 ± 1.2 m/s², where free", {"up_m_s2": 3.1, "sigma_m_s2": 1.2}),
-    "camera_agreement": ("up to 1.6 times is agreement", {"max_level": 1.6, **AGAINST}),
+    "camera_agreement": ("cameras agree up to 1.6 times", {"max_level": 1.6, **AGAINST}),
 }
 
 
