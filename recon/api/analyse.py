@@ -1,4 +1,4 @@
-"""Analyse a fitted clip: write tables and figures of the animal's movement, and add plots to the playback."""
+"""Analyse a fitted clip: write tables and figures of the animal's movement."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     """Yield notes to read before using the numbers."""
     motion, gait = analysis.motion, analysis.gait
     if motion.jitters:
-        yield "Paths and angles are smoothed by their jitter from frame to frame."
+        yield "Paths and angles are smoothed according to their frame-to-frame jitter."
     if count := len(analysis.not_measured):
         yield (
             f"{count} of {len(analysis.skeleton_angles)} angles come mostly from the prior (less than "
@@ -260,7 +260,7 @@ def quantity_fields(quantity: GaitQuantity) -> dict[str, Any]:
 
 
 DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
-"""Figures that a paper usually prints; all others come by name (`recon figure`) or with --all-figures."""
+"""Figures that a paper usually prints; all others are drawn by name (`recon figure`) or with --all-figures."""
 
 
 def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:

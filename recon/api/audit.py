@@ -174,7 +174,7 @@ def audited_points(
 
 
 def likely_unit(stored: StoredPoints) -> str:
-    """Return the unit that gives the animal a plausible size: metres or millimetres are preferred to centimetres."""
+    """Return the unit that gives the animal a plausible size, preferably metres or millimetres; metres if none does."""
     extent = AuditedPoints(stored.names, stored.values, stored.frames).extent
     low_m, high_m = EXTENT_M
     fitting = [name for name in ("m", "mm", "cm") if low_m <= extent / PER_METRE[name] <= high_m]

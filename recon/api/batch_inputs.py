@@ -47,7 +47,7 @@ _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
 MAX_SQUARE_M = 1.0
-"""Side that no square of a board reaches: a calibration that states such a square is not in metres."""
+"""Side of a board's square, in metres, from which a calibration is taken to be in another unit."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
 EXPERIMENT = "run", "animal", "group"
@@ -475,7 +475,7 @@ def _joining_note(clips: Sequence[Sequence[_FileOfClip]]) -> str:
     """Return the note on clips of several files, and on the rule that joined them."""
     rules = dict.fromkeys(file.with_camera.rule for files in clips for file in files)
     rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
-    alternative = f" ({OPTION} {NONE} fits each file by itself)" if OPTION not in rules else ""
+    alternative = f" ({OPTION} {NONE} fits each file separately)" if OPTION not in rules else ""
     clip_count = counted(len(clips), "clip")
     return f"{sum(map(len, clips))} files are {clip_count} of several cameras, by {rule_text}{alternative}."
 

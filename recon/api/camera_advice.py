@@ -30,7 +30,7 @@ DIRECTIONS = (
     *("ahead of the animal", "ahead to the animal's left", "on the animal's left side", "behind to the animal's left"),
     *("behind the animal", "behind to the animal's right", "on the animal's right side", "ahead to the animal's right"),
 )
-"""Words for each eighth of a turn around the animal, counterclockwise from above, from straight ahead."""
+"""Words for directions from the animal in steps of 45°, counterclockwise seen from above, from straight ahead."""
 HEIGHTS = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
 """Words for the camera's elevation above the animal, each with the elevation (rad) up to which they hold."""
 ABOVE = "almost above it"

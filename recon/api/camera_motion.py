@@ -160,7 +160,7 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
         expected += "make the track with COLMAP, and give that to --camera-track"
         raise InputError(Problem(s.video, "motion", actual, expected))
     if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
-        expected = "the lens with which the video was filmed, at its setting"
+        expected = "the lens with which the video was filmed, calibrated at the same zoom and focus"
         raise InputError(Problem(s.camera, "focal length", note, expected))
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:

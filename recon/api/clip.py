@@ -31,9 +31,9 @@ from recon.geometry.camera import Camera
 
 LOGGER = logging.getLogger("recon")
 PAIR_REFINED = "pair_refined", "pair_adjusted"
-"""Findings on a fit whose second camera was refined although nobody requested it."""
+"""Findings on a fit whose second camera was refined without a request for it."""
 CHECKS_BEGIN = 0.9
-"""Fraction of a fit's time after which the checks of the input begin (one camera, 600 frames)."""
+"""Fraction of a fit's time after which the checks of the input begin, as measured with one camera and 600 frames."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
     """Fit a clip again, starting from an earlier fit, after a few detections have changed.
 
     The search begins at the earlier motion, and the findings on the input files are those of the earlier fit, so the
-    result is a preview of that of `fit_clip`. If unknowns other than the motion have to be estimated again, `fit_clip`
+    result only previews that of `fit_clip`. If unknowns other than the motion have to be estimated again, `fit_clip`
     is called instead.
 
     Parameters
@@ -143,8 +143,8 @@ def _solve(
 ) -> TrajectorySolution:
     """Solve for the motion from the sources.
 
-    On a belt the motion is solved twice, because the second solve knows the belt's path. It begins at the first one's
-    poses: from the beginning, the search for a body that passes moving cameras often ends at another pose.
+    On a belt the motion is solved twice, because only the second solve knows the belt's path. It begins at the poses of
+    the first solve, because a search from scratch for a body that passes moving cameras often ends at another pose.
     """
     views = views_of(sources)
     solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
@@ -218,7 +218,7 @@ def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
     if not refined.posed.any():
         return fit
     is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras) or pair_is_turned(refined)
-    # lengths that were solved for fit closer than known ones, and can hide that a camera is turned
+    # estimated lengths fit more closely than known lengths, and can hide that a camera is turned
     may_fit_worse = is_misplaced and fit.solution.shape is not None
     if why_not_refined(refined, fit.solution, constants.CALIBRATED_RAD, may_fit_worse=may_fit_worse):
         return fit

@@ -47,7 +47,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     if settings.tilt_deg is None:
         return chosen
     if any(camera.knows_up for camera, _ in chosen):
-        actual = f"{settings.tilt_deg:g} together with the pose in {settings.camera_text}, which says which way is up"
+        actual = f"{settings.tilt_deg:g} together with the pose in {settings.camera_text}, which states which way is up"
         raise InputError(Problem("--tilt-deg", "tilt_deg", actual, "only one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
     return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in chosen)
@@ -62,7 +62,7 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
 
 
 def possible_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
-    """Return the other cameras of the camera file that may have filmed a clip, poses in metres.
+    """Return the other cameras of the camera file that may have filmed a clip, with poses in metres.
 
     They have a pose in a world with z up, and a picture of the size of the clip's own camera. There are none if `up`
     turns the world.

@@ -43,19 +43,19 @@ animal's acceleration between frames.
 FEW_OF_SKELETON = 0.25
 """Fraction of the skeleton's keypoints below which a file may have other keypoint names than the skeleton."""
 FEW_OF_FILE = 0.5
-"""Fraction of the file's own keypoints that are in the skeleton, below which the names are other ones.
+"""Fraction of the file's keypoints that are in the skeleton, below which it may have other names than the skeleton.
 
 Both fractions have to be small: a file may have many further points, or only a few of a large skeleton.
 """
 HEIGHT_SIGMA = 0.05
-"""Relative standard deviation of a size that follows from the height at the withers, within a species.
+"""Relative standard deviation of a size computed from the height at the withers, within a species.
 
 The proportions of animals of one species differ.
 """
 HEIGHT_SIGMA_OF_NO_SPECIES = 0.15
-"""Relative standard deviation of such a size for a skeleton of no species, whose proportions differ more.
+"""Relative standard deviation of a size computed from the height with a skeleton of no particular species.
 
-The size of dogs whose height is given with the skeleton quadruped is 13 % off.
+For dogs with the skeleton quadruped, such a size is 13 % off.
 """
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
@@ -250,12 +250,12 @@ def cleaned_source(
     require_inside(camera, keypoints, settings)
     if file.fps != fps:
         if track is not None:
-            expected = f"the first camera's frame rate, {fps:g}: a moving camera cannot have another"
+            expected = f"the first camera's frame rate, {fps:g}, since the camera moves"
             raise InputError(Problem(track.source, "fps", f"{file.fps:g}", expected))
         from recon.api.rigs import at_rate
 
         keypoints = at_rate(keypoints, fps)
-        note = f"{camera.name} filmed at {file.fps:g} Hz: its points are interpolated in time, to {fps:g} Hz"
+        note = f"{camera.name} filmed at {file.fps:g} Hz: its keypoints are interpolated in time to {fps:g} Hz"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     poses = None
     if track is not None:

@@ -244,7 +244,8 @@ class _Identity:
 class _Line:
     """One line of a record.
 
-    The fields after `identity` exist once the part has ended; the last two are free for notes.
+    `files` are the digests of the files that the part wrote, known once it has ended. The caller may use `notes` and
+    `row` as it likes.
     """
 
     part: str
@@ -448,7 +449,7 @@ def read_config(config: Path, options: Mapping[str, Any]) -> FitSettings:
 
 
 def problem_of(motion: Motion, folder: Path) -> ClipProblem:
-    """Return the problem that a loaded motion solves, rebuilt from the settings in its folder.
+    """Rebuild the least-squares problem of a loaded motion from the settings in its folder.
 
     Raises
     ------

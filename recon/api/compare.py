@@ -87,12 +87,13 @@ class CompareSettings(Settings):
     variation between animals, runs, strides and measurements.
     """
     names: Annotated[str | None, Option(panel=_EXPERIMENT, metavar="PATTERN")] = None
-    """Form of the folders' names in place of a design, as in {group}-{animal}-{run}-{camera}."""
+    """Form of the folders' names, instead of a design, as in {group}-{animal}-{run}-{camera}."""
     covariate: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="NAME")] = ()
     """Covariates of the mixed model, such as speed (the speed of the run), or the name of a column of the design."""
     plan: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="TEXT")] = ()
-    """Say how many animals, runs, strides and cameras an effect needs, as in "effect=0.3 power=0.8": with the variances
-    of the folders, or with given ones, as in "effect=10% mean=4 animal=0.4 run=0.2 stride=0.2 measurement=0.15"."""
+    """Report how many animals, runs, strides and cameras an effect needs: with the variances of the folders, as in
+    "effect=0.3 power=0.8", or with given variances, as in "effect=10% mean=4 animal=0.4 run=0.2 stride=0.2
+    measurement=0.15"."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace an earlier comparison."""
@@ -107,7 +108,7 @@ class CompareSettings(Settings):
         elif (self.table is None) != (self.by is None) and self.design is None:
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
         if self.covariate and not is_experiment:
-            yield Problem("--covariate", "design", "nothing", "--design or --names, which say what an animal is")
+            yield Problem("--covariate", "design", "nothing", "--design or --names, which identify the animals")
         if self.names is not None:
             for covariate in self.covariate:
                 if covariate not in SPEED_NAMES:
@@ -198,7 +199,7 @@ def _parquet(name: str) -> str:
 def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
     """Return the folders of results by name: the paths themselves, or those of batches.
 
-    Raises InputError for folders without results, and for several of one name.
+    Raises InputError for folders without results, and for several folders of the same name.
     """
     folders = []
     for path in [path for path in paths if not path.is_file()] or paths:  # all/* also matches the batch's own files
@@ -271,7 +272,7 @@ def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:
     ]
     if pairs:
         yield (
-            "These results are probably of the same run, judged by folder, frames and paths, but count as separate "
+            "These results probably show the same run, by their folders, frames and paths, but count as separate "
             f"clips: {names_text(pairs)}. Give one result for each run, if possible the one from all its cameras."
         )
 
@@ -285,7 +286,7 @@ def _page(
     by: str,
     experiment: Experiment | None,
 ) -> str:
-    """Return the page of a comparison, with links to those pages of clips that exist.
+    """Return the page of a comparison, with links to the existing pages of its clips.
 
     With a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means are those of
     the mixed models.
@@ -386,7 +387,7 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
         raise InputError(Problem(table, "file", " ".join(str(error).split())[:200], "a CSV table")) from None
     columns = ", ".join(map(str, rows.columns))
     raise_problems(
-        Problem(table, "column", f"no {c!r} ({columns})", "columns between commas: 'clip', and that of --by")
+        Problem(table, "column", f"no {c!r} ({columns})", "the columns 'clip' and that of --by, separated by commas")
         for c in ("clip", by)
         if c not in rows
     )

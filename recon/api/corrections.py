@@ -63,7 +63,7 @@ class CorrectionSession:
         Raises
         ------
         InputError
-            If there is no result, its input files are missing, or `out` is no file of corrections of this clip.
+            If there is no result, its input files are missing, or `out` is not a file of corrections of this clip.
         """
         session = cls(folder, out, Motion.load(folder), camera)
         _ = session.settings
@@ -229,7 +229,7 @@ def _key(correction: Correction) -> tuple[int, str, str]:
 
 
 def _is_text(reason: str) -> bool:
-    """Return whether a reason is short and can be written to a file: a JSON text may have unpaired surrogates."""
+    """Return whether a reason is short and without unpaired surrogates, which JSON allows and UTF-8 files do not."""
     return len(reason) <= 200 and encodable(reason) == reason
 
 

@@ -1,4 +1,4 @@
-"""Compute epipolar lines: where a keypoint that another camera sees can lie in one camera's picture."""
+"""Compute epipolar lines: possible positions, in one camera's picture, of a keypoint that another camera sees."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from recon.base.arrays import Array
 from recon.fit.motion import Motion
 
 NEAREST = 0.1
-"""Nearest distance along a ray, relative to that of the animal."""
+"""Smallest distance along a ray, relative to the animal's distance."""
 FARTHEST = 10.0
-"""Farthest distance along a ray, relative to that of the animal."""
+"""Largest distance along a ray, relative to the animal's distance."""
 COUNT = 97
 """Number of points on a ray, evenly spaced in the logarithm of the distance."""
 

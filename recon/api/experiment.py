@@ -40,7 +40,7 @@ _SLOPE_NAMES = {SPEED: "per m/s of speed"}
 _LEAST_SHARE = 0.01
 """Smallest standard deviation of a camera's independent error, relative to that of all its errors."""
 _LEAST_SIGMA = 1e-9
-"""Smallest standard deviation, and smallest magnitude of a value, that is divided by."""
+"""Smallest standard deviation, and smallest magnitude of a value, that is used as a divisor."""
 _FIELD = re.compile(r"\{(\w*)\}")
 
 
@@ -179,7 +179,7 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     -------
     DataFrame
         The same columns. `clip` is the name of the run, `clips` the number of its results, `first_clip` the result that
-        measures the speed best; `NAME_strides_of` names the clip whose strides stand for the run, and
+        measures the speed best; `NAME_strides_of` names the clip whose strides represent the run, and
         `NAME_shared_sigma` is the relative standard deviation of the errors that other clips share.
     """
     used, rows = {*clips["clip"]}, []
@@ -236,7 +236,7 @@ def _shared_errors(clips: pd.DataFrame, with_size: bool) -> tuple[Array, Array, 
 def joint_posterior(
     values: Array, sigmas: Array, run_sigmas: Array, size_sigmas: Array, prior_sigmas: Array, focal_sigmas: Array
 ) -> tuple[float, float, float]:
-    """Return a quantity of a run from C cameras, its standard deviation, and the relative one of its shared errors.
+    """Return a quantity of a run from C cameras, its standard deviation, and that of its shared errors, relative.
 
     Parameters
     ----------
@@ -373,7 +373,7 @@ def fit_experiment(
             continue
         if animals <= columns:
             needed = f"{counted(columns, 'group or covariate') if columns == 1 else f'{columns} groups and covariates'}"
-            enough = f"{counted(animals, 'animal')} for {needed}; at least one more is needed"
+            enough = f"{counted(animals, 'animal')} for {needed}; at least {columns + 1} are needed"
             notes.append(f"No mixed model of {_title(name)}: {enough}.")
             continue
         model = _fit(name, known, strides, groups, used)
@@ -391,7 +391,7 @@ def _title(name: str) -> str:
 
 
 def _joined_levels(models: Sequence[QuantityModel]) -> Iterator[str]:
-    """Yield notes on levels that the data do not separate."""
+    """Yield notes on the components of variance that the data cannot separate."""
     if any(model.model.runs == model.model.animals for model in models):
         yield "Each animal has one run: the variance between runs is part of that between animals."
     single = [_title(model.name) for model in models if model.model.strides == model.model.runs]
@@ -490,7 +490,7 @@ def model_experiment(
     if joined:
         notes.insert(
             0,
-            f"The cameras of {counted(len(joined), 'run')} were joined by the uncertainty that each result states: "
+            f"The cameras of {counted(len(joined), 'run')} were joined, weighted by their stated uncertainties: "
             f"{names_text(joined)}. A fit of all cameras together (recon fit with their files) is better.",
         )
     return Experiment(runs, models, notes)

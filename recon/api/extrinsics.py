@@ -166,7 +166,7 @@ def _in_world_of_rig(cameras: Sequence[Camera], rig: Rig, height_m: float) -> tu
 def _camera_row(camera: Camera, sigma: Array, height_sigma_m: float) -> dict[str, Any]:
     """Return a camera's row of the report.
 
-    sigma (6,): standard deviations of its rotation, rad, and position, m. That of an unknown height is NaN.
+    `sigma` (6,) has the standard deviations of its rotation, rad, and position, m. `height_sigma_m` is NaN if unknown.
     """
     return {
         **camera.to_dict(),
@@ -179,9 +179,9 @@ def _camera_row(camera: Camera, sigma: Array, height_sigma_m: float) -> dict[str
 def _clip_row(
     clip: FitSettings, sources: Sequence[Source], cameras: Sequence[Camera], late_s: Array, disagreement: Array
 ) -> dict[str, Any]:
-    """Return a clip of the report: when each source began, relative to the first, and how far each camera disagrees.
+    """Return a clip's row of the report: the start of each source relative to the first, and cameras' disagreements.
 
-    `late_s` and `disagreement` (C,) are those of the cameras.
+    `late_s`, seconds, and `disagreement` (C,) have one value for each camera.
     """
     names = [camera.name for camera in cameras]
     late_by_camera = dict(zip(names, late_s, strict=True))

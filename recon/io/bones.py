@@ -53,7 +53,7 @@ class BoneAngle:
 
 @dataclass(frozen=True, eq=False)
 class Bone:
-    """A segment; `parent` is None for the root, which follows a path."""
+    """Rigid segment that turns relative to its parent; `parent` is None for the root, which also moves."""
 
     name: str
     parent: int | None
@@ -123,7 +123,7 @@ def recognises_bvh(path: Path) -> bool:
 
 
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the joints' positions, by forward kinematics.
+    """Return the joints' positions in a BVH file, by forward kinematics.
 
     Raises InputError for a file that is cut off or is not BVH.
     """
@@ -152,7 +152,7 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
 def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
     """Return the joints in the order of their channels, parents first, from lines of words.
 
-    Raises whatever a damaged file causes.
+    A damaged file causes errors of various types.
     """
     joints: list[_Joint] = []
     open_: list[int] = []
@@ -254,7 +254,7 @@ ROOT_AXES = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 
 
 def write_opensim(rig: Armature, path: Path) -> None:
-    """Write the model, with its motion (.mot) and its markers' paths (.trc) under the same name.
+    """Write an OpenSim model, with its motion (.mot) and its markers' paths (.trc) under the same name.
 
     Times are those of the keypoint file. If the skeleton has no masses, the bodies have no mass, and the model can be
     used for kinematics only. Raises InputError for names with blanks or slashes.
@@ -346,17 +346,17 @@ COLOURS: dict[Side | None, tuple[float, float, float]] = {
     "right": (0.79, 0.35, 0.0),
     None: (0.0, 0.34, 0.17),
 }
-"""Colours of the playback, linear."""
+"""Colours of the playback by side, linear RGB from 0 to 1."""
 _RINGS = 5
-"""Rings of each end of a capsule."""
+"""Number of rings at each end of a capsule."""
 _SECTORS = 16
-"""Sectors around a capsule."""
+"""Number of sectors around a capsule."""
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 
 
 class _Buffer:
-    """Numbers of a file, collected as accessors into one block of bytes."""
+    """Binary buffer of a glTF file, with its views and accessors."""
 
     def __init__(self) -> None:
         self.content = bytearray()
@@ -484,6 +484,6 @@ def _surface(capsule: Capsule) -> tuple[Array, Array]:
 
 
 def _unbroken(turns: Array) -> Array:
-    """Return quaternions (T, 4), each with the sign that is nearer to the previous one."""
+    """Return quaternions (T, 4), each with the sign that brings it nearer to the previous one."""
     signs = np.where(np.einsum("tq,tq->t", turns[1:], turns[:-1]) < 0, -1.0, 1.0)
     return turns * np.cumprod([1.0, *signs])[:, None]

@@ -59,6 +59,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     Parameters
     ----------
     path : path, or sequence of paths
+        The calibration file or files.
     image_size_px : (width, height), optional
         Picture size for files without one; it must agree with the size in a file.
 
@@ -234,7 +235,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
             faults[field] = "data that is not a block of numbers", expected
     arguments["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
-    # the matrix decides which numbers are zero
+    # the matrix could not be computed for an unknown lens model, which is the only problem to report
     if values.get("matrix") is None and arguments["model"] not in (None, *LENS_MODELS):
         faults = {"model": (repr(arguments["model"]), f"one of: {', '.join(record.lenses)}")}
     else:
@@ -284,9 +285,9 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
-    """Return the image size, or the value found and the value expected if there is none.
+    """Return the image size in pixels, and the values found and expected if it is missing or wrong, else None.
 
-    The file's size and the given one must agree.
+    If the file and the user both state a size, they must agree.
     """
     expected = "the image size: width and height in pixels"
     if value is None:
@@ -301,7 +302,7 @@ def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[in
 
 
 def _numbers(value: object) -> Array | None:
-    """Return an array of a number, a nested list, or {rows, cols, data}; None for anything else."""
+    """Convert a number, a nested list or {rows, cols, data} to an array; return None for anything else."""
     try:
         if isinstance(value, Mapping):
             array = np.asarray(value["data"]).reshape(int(value["rows"]), int(value["cols"]))

@@ -11,7 +11,8 @@ Layouts of further programs are in `recon.io.lab_cameras`.
 - Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
   the file does not name: metres are assumed here, and `camera_unit` of a fit's settings states another unit. The board
   defines the world, so z need not point up.
-- OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: by name, focal lengths and centres as shares of the
+- OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: by name, focal lengths and centres as fractions of
+the
   picture's longer side. They have no poses, which are in tracks (`recon.io.camera_track`).
 """
 
@@ -140,7 +141,10 @@ def plain_key(key: object) -> str:
 
 
 def key_in(table: Mapping[str, Any], keys: Sequence[str]) -> str | None:
-    """Return the table's key for the first of some keys that it has, however that is written, or None."""
+    """Return the table's key for the first of `keys` that it has, or None.
+
+    Capitals, blanks, underscores and dashes are ignored if no key matches exactly.
+    """
     exact = next((key for key in keys if key in table), None)
     if exact is not None:
         return exact
@@ -186,7 +190,8 @@ def require_separate_pose(path: Path, table: Mapping[str, Any], record: CameraRe
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
     """Return the key under which a table states its lens, and the lens's name: recon's if known, otherwise the file's.
 
-    The name is None if the table states no lens. Contradictory names are joined to one text, which names no lens.
+    The name is None if the table states no lens. Contradictory names are joined into one text, which is not the name of
+    any lens.
     """
     stated: dict[str, str] = {}
     for name in LENS_KEYS:
@@ -213,7 +218,7 @@ def transposed(value: object) -> object:
 
 
 def recognises_anipose(path: Path) -> bool:
-    """Return whether a file is TOML that recon's own reader did not recognise."""
+    """Return whether a file is TOML; recon's own camera files are recognised before."""
     return _is(path, (".toml",))
 
 
@@ -244,7 +249,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def has_camera_key(table: Mapping[str, Any]) -> bool:
-    """Return whether a table has a value of a camera."""
+    """Return whether a table has a key of a camera parameter."""
     return has_matrix(table) or any(key_in(table, keys) is not None for keys in ALIASES.values())
 
 
@@ -286,11 +291,11 @@ OPENSFM_LENSES = {
     "fisheye": ("fisheye", ("k1", "k2")),
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""Recon's lens model for each name of OpenSfM, and the coefficients that a file has; all others are 0."""
+"""Recon's lens model for each of OpenSfM's names, and the coefficients that a file has; all others are 0."""
 COLMAP_LENSES = {
     name: (lens.name, parameters.split()) for lens in LENS_MODELS.values() for name, parameters in lens.colmap.items()
 }
-"""Recon's lens model for each name of COLMAP, and its parameters in order."""
+"""Recon's lens model for each of COLMAP's names, and its parameters in order."""
 
 
 def recognises_opensfm(path: Path) -> bool:
@@ -407,7 +412,7 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
 
 
 def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
-    """Return the camera of ROS' region of interest and binning; the file's matrix belongs to the whole picture.
+    """Return the camera after ROS' region of interest and binning; the file's matrix is that of the whole picture.
 
     As in ROS' image_geometry, the region's corner is subtracted from the principal point, and the result is divided by
     the binning.
@@ -462,7 +467,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
 
 
 def _with_indented_lists(text: str) -> str:
-    """Return YAML whose lists are indented below their keys, as OpenCV needs it and PyYAML does not write it."""
+    """Return YAML with lists indented below their keys, which OpenCV requires and PyYAML does not do."""
     lines: list[str] = []
     indents: list[int] = []
     """Indentations of the lists that are open and were not indented."""
@@ -506,7 +511,7 @@ def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
 
 
 def write_camera(camera: Camera, path: str | Path) -> None:
-    """Write one camera, which `read_camera` reads back without its name."""
+    """Write a file of one camera, which `read_camera` reads back without being given a name."""
     write_text(path, tomli_w.dumps({"camera": _table(camera)}))
 
 

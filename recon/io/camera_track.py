@@ -51,12 +51,12 @@ MAX_SIGMA_DEG = 10.0
 MAX_ROTATION_RAD = 100.0
 """Largest component of a rotation vector."""
 LEANING_MAX_RAD = np.radians(60)
-"""Angle above which a camera leans too far.
+"""Angle between a picture's upward direction and z, in radians, above which the camera leans too far.
 
-If it does so most of the time and does not look down, z does not point up.
+A track is refused if it leans in most frames without looking down, since z then does not point up in its world.
 """
 LOOKING_DOWN_RAD = np.radians(45)
-"""Angle above which a camera looks down, as on a drone, so that any edge of the picture may be the upper one."""
+"""Angle below the horizon, in radians, above which a camera looks down, as on a drone, so that any edge may be up."""
 POSITION_COLUMNS = ("x", "y", "z")
 """Columns that replace tx, ty, tz if poses are given from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
@@ -315,7 +315,7 @@ def _frame_of_name(name: str) -> int | None:
 
 
 def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
-    """Return the cameras that images have, by COLMAP's number.
+    """Return the cameras of the images, by COLMAP's camera number.
 
     The cameras may differ only in focal length and centre.
     """

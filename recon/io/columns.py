@@ -197,7 +197,10 @@ def _with_named_index(header: list[str]) -> list[str]:
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
-    """Return the points of one animal; `columns` is a map of `parse_map`. Raises InputError for an invalid file."""
+    """Return the points of one animal in a table of text.
+
+    `columns` is a map from `parse_map`, if the names are not recognised. Raises InputError for an invalid file.
+    """
     rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
     header = header[: common.width_of([header])]
@@ -238,7 +241,8 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     size = pq.read_metadata(path)  # a column of equal values takes almost no space in the file
     unpacked = sum(size.row_group(group).total_byte_size for group in range(size.num_row_groups))
     if size.num_rows * size.num_columns > VALUES_MAX or size.num_columns > COLUMNS_MAX or unpacked > MAX_UNPACKED:
-        raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB, are too much")
+        limits = f"at most {VALUES_MAX} cells, {COLUMNS_MAX} columns and {MAX_UNPACKED >> 20} MB are read"
+        raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB; {limits}")
     # Texts are read as indices into a list, so that repeated texts take memory only once.
     fields = pq.read_schema(path)
     kinds = pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view, pa.types.is_dictionary
@@ -311,7 +315,7 @@ def points_of_columns(
 
 
 def _required_layout(path: Path, table: Columns, column_map: Mapping[str, str] | None) -> _Layout:
-    """Return the meaning of the columns; raise InputError if they are unknown, or if the map names others."""
+    """Return the meaning of the columns; raise InputError if they are unknown, or if the map names an absent column."""
     absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
     layout = _layout([*table], _by_name if column_map is None else _by_map(column_map))
     if layout is None or absent:
@@ -353,7 +357,7 @@ class _Cells:
         return values
 
     def require_unique(self, cell_of_row: np.ndarray) -> None:
-        """Add a problem if two rows are for the same frame and point, whose number is `cell_of_row` (N,)."""
+        """Add a problem if two rows have the same frame and point; `cell_of_row` (N,) numbers frames and points."""
         first = np.unique(cell_of_row, return_index=True)[1]
         if len(first) < len(self.rows):
             line = self.rows[np.setdiff1d(np.arange(len(self.rows)), first)[0]] + 2
@@ -421,7 +425,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
-    """Write one row per frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
+    """Write one row per frame and joint: frame, joint, x_m, y_m, z_m (metres, z up), and a fit's sigmas and flags."""
     with writing.formats_extra("Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -460,7 +464,7 @@ def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | Non
 def _points_of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> StoredPoints:
     """Return points of a table with DeepLabCut's levels.
 
-    If the levels have no names, the last is the coordinates and the one before the bodyparts.
+    If the levels have no names, the last level has the coordinates and the level before it the bodyparts.
     """
     levels = [str(name or "").lower() for name in table.columns.names]
     part_level = next((i for i, level in enumerate(levels) if level in BODYPARTS), len(levels) - 2)

@@ -25,7 +25,7 @@ from recon.base.numbers import counted
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose3D(Brief):
-    """3D positions of J joints in T frames; ValueError if the parts are inconsistent."""
+    """3D positions of J joints in T frames; raises ValueError if the parts are inconsistent."""
 
     names: tuple[str, ...]
     """Names of the J joints."""
@@ -41,7 +41,7 @@ class Pose3D(Brief):
     notes: tuple[str, ...] = ()
     """Choices of a reader, or the verdict on a fit, in plain sentences."""
     sigma_m: np.ndarray | None = None
-    """(T, J, 3): standard deviations of a fit."""
+    """(T, J, 3): standard deviations of a fit, metres."""
     flags: tuple[str, ...] | None = None
     """(T,): reasons not to trust a frame of a fit."""
 
@@ -90,7 +90,7 @@ class StoredPoints:
     notes: tuple[str, ...] = ()
     """Choices of the reader, in plain sentences."""
     times_s: np.ndarray | None = None
-    """(T,): uneven times of the frames, if the file has times instead of frame numbers."""
+    """(T,): times of the frames, seconds, if the file has uneven times instead of frame numbers."""
     time_problems: tuple[Problem, ...] = ()
     """Problems of times that fit no frame rate, unless a rate is given for the file (`recon.io.times`)."""
 
@@ -103,7 +103,7 @@ class StoredPoints:
 # Names that programs give to the only animal of a file.
 UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
-"""Scorer of our own files, followed by the frame rate if known: recon_90fps."""
+"""Scorer of recon's own files, followed by the frame rate if known: recon_90fps."""
 FMPOSE3D = "fmpose3d_"
 """Part of the network's name in files and scorers of FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
@@ -141,10 +141,11 @@ class NoChoiceError(InputError):
 
 
 def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
-    """Return the index of the animal in a file; the only animal of a file may have the empty name "".
+    """Return the index of the chosen animal of a file.
 
-    `seen` states whether each animal has a point. Animals without points can be chosen only by name. Among several
-    animals, an unnamed one is `UNTRACKED`. Raises InputError if no animal can be chosen.
+    `animals` are their names; the name of a file's only animal may be empty. `seen` states whether each animal has a
+    point. Animals without points can be chosen only by name. Among several animals, an unnamed one is `UNTRACKED`.
+    Raises InputError if no animal can be chosen.
     """
     if len(animals) > 1:
         animals = [name or UNTRACKED for name in animals]
@@ -170,7 +171,7 @@ def one_animal(
     animals: Sequence[str] = (),
     occupied: np.ndarray | None = None,
 ) -> StoredPoints:
-    """Return the points of one animal, after checking that all parts of a file fit together.
+    """Return the points of one animal, after checking that all parts of a file agree.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def one_animal(
     Raises
     ------
     InputError
-        If parts of the file do not fit together, and as in `choose`.
+        If parts of the file do not agree, and as in `choose`.
     """
     names, values, frames, likelihood = stored.names, stored.values, stored.frames, stored.likelihood
     if values.ndim == 3:
@@ -340,7 +341,7 @@ def number(text: str) -> float:
     Raises ValueError for numbers that only Python accepts, such as 1_000.
     """
     if "_" in text or not text.isascii():
-        raise ValueError(f"'{text}' is no number")
+        raise ValueError(f"'{text}' is not a number")
     return float(text or "nan")
 
 
@@ -387,7 +388,7 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
     """
     if frames * points > POINTS_MAX:
         detail = f"numbers that span {frames} frames"
-        expected = f"at most {POINTS_MAX // points} of {points} points: each takes memory in every frame"
+        expected = f"at most {POINTS_MAX // points} frames of {counted(points, 'point')}, since each point takes memory"
         raise InputError(Problem(source, "frames", detail, expected))
 
 
@@ -414,7 +415,8 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
 
     By default the separator is the one stated in a line such as sep=; or else the most frequent of `SEPARATORS` in the
     first line. If the separator is not a comma, or a number such as "0,93" is in quotes, commas in numbers are decimal
-    commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8, and for no table.
+    commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8, and for text that is
+    not a table.
     """
     expected = "a table of text in UTF-8"
     with damage_as_input_error(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
@@ -463,6 +465,7 @@ def number_rows(
     path : path
         The file, for messages.
     rows : iterable of (line number, cells)
+        The rows below the header.
     columns : sequence of str
         Names of the columns of numbers.
     index : int
@@ -470,9 +473,12 @@ def number_rows(
 
     Returns
     -------
-    texts, values : list, (T, C)
-        NaN for an empty cell.
-    problems : list
+    texts : list of list of str
+        The leading cells of each row.
+    values : array, shape (T, C)
+        The numbers; NaN for an empty cell.
+    problems : list of Problem
+        Rows of a wrong length, which are left out, and cells that are not numbers.
     """
     texts: list[list[str]] = []
     values = array("d")  # one growing buffer, because a long recording has millions of numbers

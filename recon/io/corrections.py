@@ -122,9 +122,9 @@ def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
 def with_corrections(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> list[Keypoints]:
-    """Return the keypoints of V cameras, corrected; their notes state the number of corrections.
+    """Return the keypoints of V cameras after corrections by hand; their notes state the number of corrections.
 
-    A corrected detection is certain: its confidence is 1.
+    A corrected detection has confidence 1.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def with_corrections(
             xy_px[cell] = np.nan if now_px is None else now_px
             confidence[cell] = 0.0 if now_px is None else 1.0
         verb = "was" if len(corrected_px) == 1 else "were"
-        note = f"{counted(len(corrected_px), 'detection')} {verb} corrected by hand, as {source.name} says"
+        note = f"{counted(len(corrected_px), 'detection')} {verb} corrected by hand ({source.name})"
         notes, count = (*file.notes, note), len(corrected_px)
         corrected.append(replace(file, xy_px=xy_px, confidence=confidence, notes=notes, corrected=count))
     return corrected
@@ -181,8 +181,8 @@ def _problems(
         if absent:
             yield Problem(source, "frame", ", ".join(map(str, absent))[:100], f"frames of {title}")
         if not (unknown or absent) and _are_of_other_detections(file, rows):
-            detail = f"none of {len(rows)} corrected positions in {title}"
-            expected = "corrections of these detections; without was_x_px and was_y_px, they are not compared"
+            detail = f"no detection of {title} at any of the {len(rows)} positions"
+            expected = "corrections of this file; rows without was_x_px and was_y_px are not compared with it"
             yield Problem(source, "was_x_px, was_y_px", detail, expected)
 
 

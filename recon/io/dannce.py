@@ -32,7 +32,7 @@ MAX_BYTES = 1 << 28
 MAX_UNPACKED = 1 << 28
 """Largest size of the unpacked elements of a file, bytes."""
 MAX_DEPTH = 12
-"""Largest number of cells and structures inside each other."""
+"""Largest depth of cells and structures nested in each other."""
 MAX_ITEMS = 100_000
 """Largest number of elements in a file."""
 _MATRIX, _COMPRESSED = 14, 15
@@ -68,7 +68,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _all_texts(value: object) -> tuple[str, ...]:
-    """Return a cell array of texts, or an empty result for anything else."""
+    """Return the texts of a cell array, or an empty tuple for anything else."""
     return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
 
 
@@ -120,14 +120,14 @@ def _variables(path: Path) -> dict[str, Any]:
 class _File:
     """Reader of one MATLAB file, with limits on its memory and number of items.
 
-    The methods raise whatever error a damaged file causes.
+    If the file is damaged, the methods raise errors of various types.
     """
 
     def __init__(self) -> None:
         self.left, self.items = MAX_UNPACKED, MAX_ITEMS
 
     def top(self, data: memoryview) -> Iterator[tuple[str, Any]]:
-        """Yield name and value of each variable of the file."""
+        """Yield the name and the value of each variable of the file."""
         for kind, body in self.elements(data, packed=True):
             if kind == _COMPRESSED:
                 unpacker = zlib.decompressobj()
@@ -140,7 +140,7 @@ class _File:
                 yield self.matrix(body, 0)
 
     def elements(self, data: memoryview, packed: bool = False) -> Iterator[tuple[int, memoryview]]:
-        """Yield type and data of each element.
+        """Yield the type and the data of each element.
 
         `packed` is for the top of a file, where compressed elements are not padded.
         """

@@ -40,15 +40,16 @@ UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
 TRIANGULATED = (
-    "Positions that DeepLabCut triangulated have the unit of its board and the axes of its first camera, y down and z "
-    "ahead, unless they were turned: they are read with z up unless --up says otherwise; not turned, they need --up -y."
+    "These positions were triangulated by DeepLabCut. They have the unit of its calibration board and, unless they "
+    "were rotated, the axes of its first camera (y down, z ahead). They are read with z up: if they were not rotated, "
+    "give --up -y."
 )
 MAX_CROP_PX = 100_000
 _SIDE_WORDS = {"l", "r", "left", "right", "near", "far"}
 POSITION_WORDS = _SIDE_WORDS | {"f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower"}
 """Words for a position on the body; a prefix of this kind is not the name of an animal."""
 MIN_PARTS = 3
-"""Smallest number of bodyparts of each animal whose names begin with the animal's name."""
+"""Smallest number of bodyparts with the same prefix for the prefix to be read as the name of an animal."""
 
 
 def recognises_csv(path: Path) -> bool:
@@ -70,7 +71,7 @@ def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _without_blank_start(rows: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
-    """Yield rows without the columns before the first cell of the header: blank ones, and row numbers of pandas."""
+    """Yield rows without the blank cells and pandas' row numbers before the first cell of the header."""
     start: int | None = None
     for line, row in rows:
         if start is None:
@@ -135,7 +136,7 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     if len({len(row) for row in header.values()}) != 1:
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
         raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in every row"))
-    # Label files name the image in three columns, which have blank cells in all header rows but for the first cell.
+    # Label files name the image in three columns, whose cells in the header are blank except for the first column.
     index_columns = 3 if [cell.strip() for cell in header["coords"][1:3]] == ["", ""] else 1
     columns = {level: row[index_columns:] for level, row in header.items()}
     raise_problems(_merged_cells(path, columns))
@@ -192,13 +193,13 @@ def points_of_table(
     levels : sequence of str
         Names of the levels.
     labels : sequence of tuple of str
-        For each of C columns, a text per level.
+        Texts of each of C columns, one for each level.
     rows : sequence of sequence of str
-        Index texts of T rows.
-    values : (T, C)
-        NaN in empty cells.
+        Texts that name each of T rows: a frame number or the path of an image.
+    values : array, shape (T, C)
+        Numbers of the table, NaN in empty cells.
     problems : sequence of Problem
-        Known problems.
+        Problems already found in the table.
 
     Raises
     ------
@@ -252,7 +253,10 @@ def points_of_table(
 
 
 def _stripped(named: Sequence[Mapping[str | None, str]]) -> tuple[list[Column], tuple[str, ...]]:
-    """Return the columns, of texts by level, without spaces around their names, and notes on these names."""
+    """Strip spaces around the names of columns, and return a note on each name that had any.
+
+    `named` has the texts of each column by level.
+    """
     columns, spaced = [], dict[str, None]()
     for texts in named:
         animal, bodypart = texts.get("individuals", ""), texts["bodyparts"]
@@ -262,7 +266,7 @@ def _stripped(named: Sequence[Mapping[str | None, str]]) -> tuple[list[Column], 
 
 
 def _with_animals_of_prefixes(columns: list[Column]) -> list[Column]:
-    """Return the columns with the animals that their bodyparts name, as in B_nose, if the table names no animals."""
+    """Split columns such as B_nose into animal and bodypart, if the table does not name its animals otherwise."""
     if any(animal for animal, _, _ in columns) or not _prefixes(bodypart for _, bodypart, _ in columns):
         return columns
     return [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
@@ -286,7 +290,7 @@ def _require_one_scorer(path: Path, scorers: Sequence[str], columns: Sequence[Co
 
 
 def _without_repeats(columns: list[Column], values: np.ndarray) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
-    """Return the columns and their values without those that repeat an earlier one, and a note on them."""
+    """Drop columns that repeat an earlier column; return the remaining columns, their values, and a note."""
     repeats = _equal_repeats(columns, values)
     if not repeats:
         return columns, values, ()
@@ -339,7 +343,7 @@ def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[
         is_cropped = bool(metadata.get("cropping", False))
     except (ValueError, KeyError, TypeError, AttributeError, OSError):
         return points, (
-            f"{meta.name} cannot be read: if DeepLabCut analysed a crop, the keypoints are those of the crop.",
+            f"{meta.name} cannot be read: if DeepLabCut analysed a crop, the keypoints are in pixels of the crop.",
         )
     if not is_cropped:
         return points, ()
@@ -393,7 +397,7 @@ def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Ite
 def _points(
     path: Path, columns: Sequence[tuple[int, str, str]], values: np.ndarray
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the bodyparts and their coordinates (T, K, 3), of columns (index, bodypart, coordinate).
+    """Return the bodyparts in columns (index, bodypart, coordinate), and their coordinates (T, K, 3).
 
     Raises InputError for a bodypart that lacks a coordinate or has one twice.
     """

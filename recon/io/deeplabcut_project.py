@@ -29,7 +29,7 @@ _OTHERS = ("_skeleton", "_3d")
 
 @dataclass(frozen=True)
 class Project:
-    """Content of the configuration; names are empty if absent."""
+    """Content of a DeepLabCut project's `config.yaml`; names are empty if absent."""
 
     config: Path
     scorer: str
@@ -72,7 +72,7 @@ def refuse_several(path: Path) -> None:
         raise InputError(Problem(path, "file", "a DeepLabCut project", expected))
     if path.is_dir():
         openpose = [f" (for example {file.name})" for file in sorted(path.glob("*[0-9]*.json"))[:1]]
-        expected = f"one of its files{''.join(openpose) or '; recon batch takes all of a folder'}"
+        expected = f"one of its files{''.join(openpose) or '; recon batch reads all files of a folder'}"
         raise InputError(Problem(path, "file", "a folder", expected))
 
 
@@ -147,13 +147,13 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
             by_video.setdefault(named["video"], {}).setdefault(named["network"], []).append((*rank, file))
     if not by_video:
         expected = (
-            "tables such as videos/run1DLC_*.h5, which DeepLabCut writes when it analyses the videos; or, in place of "
-            "the project, the folder where they are"
+            "tables such as videos/run1DLC_*.h5, which DeepLabCut writes when it analyses the videos; or the "
+            "folder of these tables instead of the project"
         )
         raise InputError(Problem(project.config, "predictions", f"none in {project.folder / 'videos'}", expected))
     problems, pattern = (
         [],
-        f"tables of one, chosen by a pattern in place of the project: '{project.folder / 'videos'}/*",
+        f"tables of one network, chosen by a pattern instead of the project: '{project.folder / 'videos'}/*",
     )
     for video, tables in by_video.items():
         if len(tables) > 1:

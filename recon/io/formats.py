@@ -1,4 +1,4 @@
-"""List the file formats in one table, and read points by it.
+"""Table of all file formats, and functions that read points in any of them.
 
 A new format needs a module with `recognises(path)`, `read(path, individual)` and `write(data, path)` (only those that
 apply), a function below that imports them, and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert`
@@ -82,7 +82,7 @@ class Format:
     def read(self, path: Path, individual: str | None = None) -> Any:
         """Return the `StoredPoints` of one animal, or a list of `CameraRecord`, from a recognised file.
 
-        Raises InputError, also in place of the errors that Python and libraries raise for a damaged file.
+        Raises InputError for a damaged file, whatever error Python or a library raises while reading it.
         """
         with damage_as_input_error(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)

@@ -22,14 +22,14 @@ from recon.base.errors import InputError, Problem
 from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26
-"""Memory that a dataset or a piece of it may always take.
+"""Memory, in bytes, that a dataset or a chunk of it may always take.
 
 A larger dataset may take the size that it has in the file, or `MAX_RATIO` times that size up to `MAX_UNPACKED`.
 """
 MAX_RATIO = 1100
 """Largest ratio of a dataset's size to its size in the file; gzip reaches 1032."""
 USUAL_RATIO = 100
-"""Ratio up to which a table may be four times larger, because tracks of many animals are mostly empty."""
+"""Ratio up to which a dataset may take four times `MAX_UNPACKED`, because tracks of many animals are mostly empty."""
 FILTERS = (1, 2, 3, 32000)
 """gzip, shuffle, Fletcher's checksum, LZF: the filters of every h5py, with robust decoders."""
 MAX_ATTRIBUTE_BYTES = 1 << 24
@@ -46,7 +46,7 @@ def is_hdf5(path: Path) -> bool:
 
 @contextmanager
 def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
-    """Open a file to read.
+    """Open an HDF5 file for reading.
 
     With `names_only`, only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError
     for a damaged file, also for h5py's errors inside the block.
@@ -64,9 +64,10 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
 
 
 def _require_sound_heaps(path: Path) -> None:
-    """Raise ValueError if an object in a global heap has no end.
+    """Raise ValueError if an object in a global heap has an impossible size.
 
-    A global heap holds texts of any length. The library would look for the next object for ever. Header: signature,
+    A global heap holds texts of any length. After an object of size 0, the library would look for the next object for
+    ever. Header: signature,
     version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps of 8 bytes. Object
     0 is the remaining free space, whose size includes its header.
     """
@@ -206,7 +207,7 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> object:
 
 
 def numbers(dataset: h5py.Dataset) -> np.ndarray:
-    """Return a dataset of numbers.
+    """Return the numbers of a dataset.
 
     Raises ValueError for other types, and for more data than the file has.
     """
@@ -222,7 +223,7 @@ def is_text(dataset: h5py.Dataset) -> bool:
 
 
 def texts(dataset: h5py.Dataset) -> list[str]:
-    """Return a dataset of texts, of any shape, in one list; raise ValueError as `numbers` does."""
+    """Return the texts of a dataset of any shape in one list; raise ValueError as `numbers` does."""
     _require_readable(dataset)
     if not dataset.size:
         return []
@@ -248,10 +249,10 @@ def texts_in(group: h5py.Group, name: str) -> list[str]:
 
 
 def read_values(dataset: h5py.Dataset) -> np.ndarray:
-    """Return a dataset of numbers, texts of one length, or records of them; raise ValueError as `numbers` does."""
+    """Return a dataset of numbers, texts of fixed length, or records of them; raise ValueError as `numbers` does."""
     _require_readable(dataset)
     if _is_variable_length(dataset.id.get_type()):
-        raise ValueError(f"{dataset.name} has texts of any length")
+        raise ValueError(f"{dataset.name} has texts of variable length")
     return np.asarray(dataset[()])
 
 
@@ -280,7 +281,9 @@ def _require_readable(dataset: h5py.Dataset) -> None:
     wanted = item * max(math.prod(dataset.shape), math.prod(dataset.chunks or ()))
     packed = min(MAX_RATIO * stored, MAX_UNPACKED), min(USUAL_RATIO * stored, 4 * MAX_UNPACKED)
     if wanted > max(FREE_BYTES, stored, *packed):
-        raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
+        raise ValueError(
+            f"{dataset.name} needs {wanted:.3g} bytes of memory, but the file stores only {stored} bytes of it"
+        )
 
 
 def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:

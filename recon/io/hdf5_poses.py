@@ -10,11 +10,11 @@
   other programs also have names, and the rate as `recording_frame_rate`.
 - movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
   `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a unit that
-  only our own files state (`length_unit`, `up_axis`). Our files have the names of movement 0.17, and times in seconds
-  since frame 0 if the frame rate is known, otherwise in frames.
+  only recon's own files state (`length_unit`, `up_axis`). Recon's files have the names of movement 0.17, and times in
+  seconds since frame 0 if the frame rate is known, otherwise in frames.
 - NWB: one `PoseEstimationSeries` for each point, in one container for each animal. Groups are identified by the types
-  that they state, so that all versions of the extension can be read. Our files state 1970-01-01 as the start of their
-  session, because NWB requires a start and the real one is unknown.
+  that they state, so that all versions of the extension can be read. Recon's files state 1970-01-01 as the start of
+  their session, because NWB requires a start and the real one is unknown.
 """
 
 from __future__ import annotations
@@ -83,12 +83,13 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _keys(path: Path) -> list[str]:
-    """Return where pandas stored data in an HDF5 file; raise InputError if it cannot be opened."""
+    """Return the names of the groups that pandas stored in an HDF5 file; raise InputError if it cannot be opened."""
     with opened(path, names_only=True) as file:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
 
 def _fixed_frame(group: h5py.Group) -> _Table:
+    """Return a table in pandas' fixed layout: its axes, and blocks of columns of one type, each as an array."""
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
     place_of = {label: column for column, label in enumerate(columns)}  # columns with the same label are rejected later
@@ -142,6 +143,7 @@ def _is_empty(dataset: h5py.Dataset) -> bool:
 
 
 def _table_frame(group: h5py.Group) -> _Table:
+    """Return a table in pandas' table layout: an array of records, with pickled labels of columns."""
     ((_, stored_columns),) = _attribute_value(group, "non_index_axes")
     columns = [_label(label) for label in stored_columns]
     dataset = member(group, "table")
@@ -160,7 +162,7 @@ def _label(label: object) -> Label:
 
 
 def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute of PyTables: a text or number, or anything else pickled, which ends in a dot."""
+    """Return an attribute as PyTables stores it: a text, a number, or a pickle, which ends in a dot."""
     value = raw_attribute(holder, name)
     if not isinstance(value, bytes):
         return value
@@ -173,11 +175,11 @@ def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write x, y and likelihood, or for 3D x, y and z in metres with z up, by pandas, as DeepLabCut does."""
+    """Write x, y and likelihood, or x, y and z in metres with z up, with pandas, as DeepLabCut does."""
     import pandas as pd
 
     with writing.formats_extra("DeepLabCut H5"):
-        import tables  # noqa: F401  what pandas writes with
+        import tables  # noqa: F401  pandas writes with it
     header, frames, values = writing.deeplabcut_layout(data)
     columns = pd.MultiIndex.from_arrays([*header.values()], names=[*header])
     table = pd.DataFrame(values, pd.Index(frames), columns)
@@ -207,7 +209,7 @@ def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the keypoints of one track.
 
     Scores are unknown if the file has none; every track is in every frame if it has no occupancy. Raises InputError for
-    a file that is damaged or whose arrays do not fit.
+    a file that is damaged or whose arrays disagree.
     """
     with opened(path) as file:
         available = [name for name in SLEAP_AXES if child(file, name) is not None]
@@ -267,11 +269,11 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """First words of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
 Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
-"""Names of an array's axes, and the array, by its current name."""
+"""Names of each variable's axes, and its values, by its name in movement 0.17."""
 
 
 def recognises_movement(path: Path) -> bool:
-    """Return whether the file is movement's, 2D or 3D."""
+    """Return whether a file is movement's, 2D or 3D; raise InputError for netCDF 3."""
     if common.starts_with(path, b"CDF"):
         expected = "netCDF 4: in Python, xarray.load_dataset(old).to_netcdf(new, engine='h5netcdf')"
         raise InputError(Problem(path, "format", "netCDF 3", expected))
@@ -300,7 +302,7 @@ def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, individual: str | None) -> StoredPoints:
-    """Return the points of an `xarray.Dataset`, with `fps` if given; raise InputError for an invalid file."""
+    """Return the points of movement's dataset; `fps` replaces its rate if given. Raises InputError if it is invalid."""
     stored = {}
     for name in (name for name in VARIABLES if name in dataset.variables):
         axes = tuple(str(dim).removesuffix("s") for dim in dataset[name].dims)
@@ -373,7 +375,7 @@ def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
     The format requires a confidence; it is NaN for 3D.
     """
     with writing.formats_extra("movement netCDF"):
-        import h5netcdf  # noqa: F401  what xarray writes with
+        import h5netcdf  # noqa: F401  xarray writes with it
     write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
 
 
@@ -478,7 +480,7 @@ class _Series(NamedTuple):
 
 
 def _series(path: Path, group: h5py.Group) -> _Series:
-    """Return one point; raise InputError if its arrays do not fit together."""
+    """Return the positions of one point in all frames; raise InputError if its arrays disagree."""
     keys = ("data", "confidence", "timestamps", "starting_time")
     data, stored_confidence, stamps, start = (child(group, name) for name in keys)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")

@@ -1,14 +1,14 @@
-"""Read keypoints as JSON: COCO, MMPose, OpenPose and AlphaPose; and FMPose3D's 3D poses.
+"""Read JSON files of keypoints (COCO, MMPose, OpenPose, AlphaPose) and of FMPose3D's 3D poses.
 
 - COCO: `images`, `annotations` with `keypoints` [x, y, v, ...], and `categories` with their names. v is 0 for a missing
   point. Scores are read from `keypoint_scores` if present. The animal of an annotation is its `individual`, as in files
   of recon 0.2, or its `track_id`. Those files have the frame rate in `info`.
 - MMPose: `meta_info` with the keypoints' names, `instance_info` with the animals of each frame. Its demo scripts write
   them (`--save-predictions`), and count a video's frames from 1.
-- OpenPose: a file for each frame. Any one of them stands for all files in its folder with the same name but for the
-  number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same; the number is
-  the frame's. Points have no names: their number tells which list of names applies. Persons are numbered from 1 within
-  each frame, independently of the previous frame: files with several persons have to be tracked first.
+- OpenPose: a file for each frame. Any of them stands for all files in its folder whose names differ only in the frame
+  number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same format. Points
+  have no names; the number of points determines the list of names. Persons are numbered from 1 within each frame,
+  independently of the previous frame, so files with several persons have to be tracked first.
 - AlphaPose: a list with `image_id`, `keypoints` and perhaps the track `idx` of each detection, as in COCO's results.
   The points have no names, as in OpenPose's files.
 - FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. Each pose is
@@ -68,7 +68,7 @@ def _points(
     """Return the points of one animal in all frames, for any of these formats.
 
     `named` states whether the only animal of a file has a name. Raises InputError if detections do not
-    match the names, or if an animal is twice in a frame.
+    match the names, or if an animal appears twice in a frame.
     """
     animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
     chosen = animals[common.choose(path, animals, individual)]
@@ -302,7 +302,9 @@ ANIMAL3D = (
     "tail_mid"
 )
 """Correct names (Animal3D's), as in FMPose3D's conversion from SuperAnimal's points."""
-LENGTHS = "FMPose3D's lengths have no unit, and its axes are its own: compare poses only scaled and rotated (PA)."
+LENGTHS = (
+    "FMPose3D's lengths have no unit and its axes are arbitrary: compare poses only after scaling and rotation (PA)."
+)
 
 
 def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple[tuple[str, ...], tuple[str, ...]]:

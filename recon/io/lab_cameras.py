@@ -68,7 +68,7 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
 
 
 def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
-    """Return name, location and table of each camera, if at least one table has a camera matrix."""
+    """Return the name, location and table of each camera, if at least one table has a camera matrix."""
     cameras = document.get("cameras", document) if isinstance(document, Mapping) else document
     start = "cameras" if cameras is not document else ""
     if isinstance(cameras, Mapping):

@@ -85,11 +85,11 @@ def require_label_names(video: str, scorer: str) -> None:
 def require_label_writer() -> None:
     """Raise InputError if the package that writes DeepLabCut's H5 files is not installed."""
     with formats_extra("DeepLabCut H5"):
-        import tables  # noqa: F401  what pandas writes with
+        import tables  # noqa: F401  pandas writes with it
 
 
 def write_label_files(labels: LabelledFrames, folder: Path) -> None:
-    """Write all files except the pictures into an existing folder."""
+    """Write the tables, COCO's file and the origins of labelled frames into an existing folder."""
     rows = [(LABELED_DATA, labels.video, labels.picture(frame)) for frame in labels.frames.tolist()]
     columns = [(labels.scorer, name, coordinate) for name in labels.names for coordinate in "xy"]
     xy_px = np.where(labels.known[..., None], labels.xy_px, np.nan)

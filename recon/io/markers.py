@@ -5,7 +5,7 @@ TRC is text, separated by tabs or commas, with the unit in the header and y up b
 C3D (c3d.org, user guide) has blocks of 512 bytes: a header, a section of parameters in groups, and for each frame four
 numbers of every point, x, y, z and a word with the residual, -1 for a missing point, followed by the analog samples.
 The unit and the screen's axes are in the header. Numbers are those of Intel's or MIPS' processors; DEC's floats are not
-read. C3D counts frames from 1: its frame 1 is frame 0 here. Our own files list their frame numbers, which may have
+read. C3D counts frames from 1: its frame 1 is frame 0 here. Recon's own files list their frame numbers, which may have
 gaps, in which all points are missing. Files are read without ezc3d, which crashes on damaged ones.
 """
 
@@ -26,7 +26,7 @@ from recon.io.common import Pose3D, StoredPoints
 from recon.io.positions import PER_METRE, UNIT_NAMES
 
 UP_TEXT = "y up: x forwards, y up, z right"
-"""End of the first line of our own files."""
+"""End of the first line of recon's own files."""
 HEADER_LINES = 5
 
 
@@ -86,7 +86,7 @@ def write_trc(pose: Pose3D, path: Path) -> None:
 
 
 UNIT = "mm"
-"""Unit of our own files."""
+"""Unit of recon's own files."""
 OWN_GROUP = "RECON"
 WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
@@ -148,7 +148,7 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
     kind = f"{order}f4" if scale < 0 else f"{order}i2"
     begin, size = BLOCK * (block - 1), T * width * np.dtype(kind).itemsize
     if block < 2 or not np.isfinite(scale) or begin + size > len(content):
-        raise ValueError(f"{len(content)} bytes of {begin + size} that the header announces")
+        raise ValueError(f"{len(content)} of the {begin + size} bytes that the header states")
     rows = np.frombuffer(content[begin : begin + size], kind).reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
     with np.errstate(invalid="ignore"):  # damaged floats can be signalling NaNs
         xyz = rows[..., :3].astype(float) * (1.0 if scale < 0 else scale)

@@ -1,7 +1,7 @@
-"""Read and write NumPy archives of 3D positions: our own, and those of FMPose3D's animal demo.
+"""Read and write NumPy archives of 3D positions: recon's own, and those of FMPose3D's animal demo.
 
-Ours have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's are `pose3D/0000_3D.npz` with
-the points of a picture as `pose3d`.
+Recon's have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's are `pose3D/0000_3D.npz`
+with the points of a picture as `pose3d`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file is a NumPy archive with positions, even a damaged one: `read` reports damage."""
+    """Return whether a file is a NumPy archive with positions, even if it is damaged, which `read` reports."""
     return _has(path, "xyz_m.npy", damaged=True)
 
 
@@ -44,7 +44,7 @@ def _has(path: Path, name: str, damaged: bool) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the positions; raise InputError for a damaged file or arrays that do not fit."""
+    """Return the positions in recon's archive; raise InputError for a damaged file or arrays that disagree."""
     arrays = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), f"{KINDS}U")
     names = [str(name) for name in arrays["names"].tolist()]
     edges = tuple((names[a], names[b]) for a, b in arrays["edges"])

@@ -1,4 +1,7 @@
-"""Read pickles of plain values: a pickle is a program, which is run only if all its instructions are known."""
+"""Read plain values from pickles of unknown origin.
+
+A pickle is a program, which could do anything. It is run only with instructions that build plain values.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,7 @@ def plain_pickle(content: bytes) -> Plain:
 
 
 def plain_parts_of_pickle(content: bytes) -> Plain:
-    """Return the value of a pickle, with NumPy's numbers, and an `Unread` in place of every object of another class.
+    """Return the plain values and NumPy numbers of a pickle, with an `Unread` for every object of another class.
 
     Nothing in the pickle is imported or called. Raises ValueError for a damaged pickle.
     """
@@ -57,7 +60,7 @@ def plain_parts_of_pickle(content: bytes) -> Plain:
 
 
 class Unread:
-    """An object of a pickle that was not made; it takes what the pickle does with it, and does nothing."""
+    """Placeholder for an object of a pickle that is not created; it ignores what the pickle does with the object."""
 
     def __init__(self, *arguments: object, **named: object) -> None: ...
 

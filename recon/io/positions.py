@@ -29,7 +29,7 @@ _AXES_OF_UP = {
     "-y": ((0, 1), (2, 1), (1, -1)),
     "-x": ((1, 1), (2, -1), (0, -1)),
 }
-"""Axes of a file, with signs, that are x, y and z of the world with z up, by the file's upward axis."""
+"""Axes of a file, with their signs, that become x, y and z of a world with z up, by the file's upward axis."""
 
 
 def read_pose3d(
@@ -44,8 +44,8 @@ def read_pose3d(
     individual : str, optional
         Name of the animal, needed if there are several.
     unit, up : str, optional
-        Unit (m, cm, mm) and upward axis (y, z, x, -y, -z, -x), if the file does not state them. An axis that is not
-        known is y for TRC and BVH, and z for all other formats.
+        Unit (m, cm, mm) and upward axis (y, z, x, -y, -z, -x), if the file does not state them. If neither states an
+        axis, y is assumed to point up in TRC and BVH, and z in all other formats.
 
     Raises
     ------
@@ -92,10 +92,10 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
 
 
 def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
-    """Return several pieces of motion in one CSV file, by name.
+    """Return the segments of motion in one CSV file, by name.
 
     The file has a first header row `segment, frame, <joints>` and a second with x, y, z; positions are in metres. Any
-    other file that `read_pose3d` takes is one piece with the file's name. Raises InputError as `read_pose3d` does.
+    other file that `read_pose3d` reads is one segment with the file's name. Raises InputError as `read_pose3d` does.
     """
     path = Path(path)
     if not read_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):
@@ -112,7 +112,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     header = {"bodyparts": names[2:], "coords": coords[2:]}
     try:
         segments = collect_problems(*(partial(_piece, path, header, rows) for rows in pieces.values()))
-    except InputError as error:  # all pieces have the same header
+    except InputError as error:  # all segments have the same header
         raise InputError(list(dict.fromkeys(error.problems))) from None
     return dict(zip(pieces, segments, strict=True))
 

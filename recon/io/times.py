@@ -18,20 +18,20 @@ IRREGULAR = 0.25
 EVEN_MIN = 10
 """Smallest number of times that can show a rate in spite of rounding or jitter."""
 EVEN_STEP = 1.75
-"""Step, in frames, from which the times of two consecutive frames have a gap between them."""
+"""Smallest step between two times, in frames, that counts as a gap of missing frames."""
 EVEN_OFF = 0.75
-"""Largest distance of a frame's time from an even count, in frames."""
+"""Largest distance of a time from evenly spaced times, in frames."""
 JITTER_RMS = 0.2
 """Largest root mean square distance from the nearest frame, in frames, if frames may be missing.
 
-Times without any rate have 0.29.
+Random times have 0.29.
 """
 ROUNDED_GAPS = 3
 """Smallest number of gaps of more than 1.5 units in times that are rounded to a unit near the period."""
 ROUNDED_OFF = 0.6
-"""Largest distance of such times from even times, in units; rounding alone gives 0.5."""
+"""Largest distance of rounded times from evenly spaced times, in units of the rounding, which alone gives 0.5."""
 PHASE_SHARED = 0.5
-"""Length of the mean direction of the times' phases above which the times share a phase."""
+"""Length of the mean unit vector of the times' phases, 0 to 1, above which the times share a phase."""
 _WINDOW = 16
 """Number of times from which the rate is first estimated."""
 PER_SECOND = {"ns": 1e9, "us": 1e6, "µs": 1e6, "ms": 1e3}
@@ -74,7 +74,7 @@ def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float
 
 
 def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoints:
-    """Return points whose uneven times have the nearest frame number at a given rate, if there is one.
+    """Return points with uneven times numbered anew at a given rate, and other points unchanged.
 
     Raises InputError for times that fit no rate, if none is given.
     """
@@ -88,9 +88,9 @@ def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoin
 def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
     """Return the frame number nearest to each time (T,), at a given rate.
 
-    Times within a frame of an even count are consecutive frames. If most others have the same distance from whole
-    frames, frames are counted from there. Raises InputError for times that do not increase, and for two times in one
-    frame.
+    Times that all lie within `EVEN_OFF` of evenly spaced times are consecutive frames. If other times share an offset
+    from whole frames, it is subtracted first. Raises InputError for times that do not increase, and for two times in
+    one frame.
     """
     _require_order(path, times_s, strict=len(times_s) < EVEN_MIN)
     position = times_s * fps
@@ -118,8 +118,8 @@ def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
     times : (T,)
         Times in a unit of `PER_SECOND`; NaN if unknown.
     unit : str, optional
-        The unit that the file states; without one, times are seconds, and stamps since 1970 are in the unit that makes
-        them dates.
+        The unit that the file states; without one, times are seconds, and stamps since 1970 are in the unit that gives
+        plausible dates.
     """
     largest = float(np.nanmax(times)) if np.isfinite(times).any() else 0.0
     is_stamp = {name: EPOCH_S[0] <= largest / by < EPOCH_S[1] for name, by in (PER_SECOND | {"s": 1.0}).items()}
@@ -171,7 +171,7 @@ def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _stamp(text: str) -> tuple[datetime, float] | None:
-    """Return a time stamp without its fraction of a second, and that fraction, which may have any digits."""
+    """Return a time stamp without its fraction of a second, and that fraction, with any number of digits."""
     match = re.fullmatch(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:[.,](\d+))?(Z|[+-]\d\d:?\d\d)?", text)
     if match is None:
         return None
@@ -243,9 +243,9 @@ def _off_frames(frames: np.ndarray, times_s: np.ndarray) -> float:
 
 
 def _is_rounded_to(unit_s: float, times_s: np.ndarray) -> bool:
-    """Return whether evenly spaced times, rounded to a unit, explain what looks like gaps of some units.
+    """Return whether rounding of evenly spaced times to a unit explains steps that look like gaps.
 
-    Times of a clip that lacks frames do not stay within half a unit of even ones.
+    If frames were missing, the times would not stay within half a unit of evenly spaced times.
     """
     longer = np.diff(times_s) > 1.5 * unit_s
     if longer.sum() < ROUNDED_GAPS or len(times_s) < EVEN_MIN:
@@ -258,7 +258,7 @@ def _is_rounded_to(unit_s: float, times_s: np.ndarray) -> bool:
 def _count_with_gaps(times_s: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Return frame numbers from 0, and the period, of jittered times with missing frames.
 
-    The rate is estimated from the first times and refined while more are added, so that no count is lost.
+    The rate is estimated from the first times and refined while more are added, so that no frame is miscounted.
     """
     steps_s = np.diff(times_s)
     usual_s = steps_s[steps_s <= 1.5 * np.median(steps_s)]

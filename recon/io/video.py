@@ -46,11 +46,11 @@ MOST_GAPS = 5
 BLACK = 24
 """Largest brightness in a black bar, 0 to 255, as compressed black is not quite 0."""
 LIT = 80
-"""Least mean brightness of a line of the picture beside a black bar, 0 to 255."""
+"""Smallest mean brightness of the lines between two black bars, each line by its brightest pixel, 0 to 255."""
 BAR_SHARE = 0.02
 """Smallest fraction of the picture that a bar covers."""
 BAR_PX = 2
-"""Largest difference between two bars, and largest width of an edge that is no bar, px."""
+"""Largest difference between two bars, and largest width of an edge that is not a bar, px."""
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 
@@ -70,7 +70,7 @@ class VideoInfo:
 
 
 def probe(path: str | Path) -> VideoInfo:
-    """Return what a video states about itself, after decoding its first frame.
+    """Return the size, frame rate and number of frames of a video, after decoding its first frame.
 
     Raises InputError for a file that is not a video.
     """
@@ -121,7 +121,7 @@ def read_picture(path: Path, flags: int) -> Image | None:
 
 
 def missing_frames(times_s: Array) -> dict[int, int] | None:
-    """Return the number of frames missing before each frame, from gaps in the time stamps (T,) of even frames.
+    """Return the number of frames missing before each frame, from gaps in time stamps (T,) that are otherwise even.
 
     The result is empty if there are no time stamps, and None if they are too uneven to tell.
     """
@@ -163,15 +163,15 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
     if missing is None:
         short, long = np.percentile(1e3 * np.diff(times_s), [0, 100])
         return (
-            f"the frames of {name} are uneven in time ({short:.0f} to {long:.0f} ms apart), and a fit takes them "
-            f"as even: speeds are wrong. {counted}; convert the video to a constant frame rate, then detect keypoints"
+            f"the frames of {name} are uneven in time ({short:.0f} to {long:.0f} ms apart), but a fit assumes even "
+            f"times: speeds are wrong. {counted}; convert the video to a constant frame rate, then detect keypoints"
         )
     if missing:
         gaps = [f"{count} before frame {frame + first_frame}" for frame, count in missing.items()]
         rest = ", ..." if len(gaps) > MOST_GAPS else ""
         gap_frame = next(iter(missing)) + first_frame
         return (
-            f"by its time stamps {name} lacks frames ({', '.join(gaps[:MOST_GAPS])}{rest}): speeds are wrong "
+            f"the time stamps of {name} show missing frames ({', '.join(gaps[:MOST_GAPS])}{rest}): speeds are wrong "
             f"there. {counted}; fit the parts between the gaps separately, the first with --frames :{gap_frame}"
         )
     if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:
@@ -197,7 +197,7 @@ def read_frames(
 def timed_frames(
     path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, float, Image]]:
-    """Yield number, time stamp in seconds and picture, as `read_frames` does."""
+    """Yield the number, the time stamp in seconds and the picture of every `step`th frame, as `read_frames` does."""
     number = 0
     with _opened(Path(path)) as capture:
         while (stop is None or number < stop) and capture.grab():
@@ -289,7 +289,7 @@ def _is_complete(path: Path) -> bool:
 
 
 def _webm_length(path: Path) -> int:
-    """Return the length that a WebM file states: that of its head plus that of the segment with all the rest."""
+    """Return the length that a WebM file states: the length of its header plus that of the segment that follows."""
     with path.open("rb") as file:
         head = file.read(80)
     position = 0

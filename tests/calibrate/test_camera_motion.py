@@ -293,7 +293,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
         lines = "".join(f"{t},nose,160,90,0.9\n" for t in range(rows))
         (tmp_path / "points.csv").write_text(f"frame,keypoint,x,y,likelihood\n{lines}")
         ended = run(*args, "--keypoints", tmp_path / "points.csv")
-        said = re.search(r"lacks frames \((\d+) before frame (\d+)\)", " ".join((ended.out + ended.err).split()))
+        said = re.search(r"missing frames \((\d+) before frame (\d+)\)", " ".join((ended.out + ended.err).split()))
         assert said is not None, ended.err
         assert ended.code == code
     missing, at = map(int, said.groups())

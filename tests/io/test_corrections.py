@@ -38,7 +38,7 @@ def test_a_corrected_detection_is_certain_and_a_hidden_one_missing(keypoints: Ke
     assert corrected.confidence[1, 0] == 1.0
     assert not corrected.present[2, 1]
     assert corrected.confidence[2, 1] == 0.0
-    assert corrected.notes[-1] == "2 detections were corrected by hand, as corrections.csv says"
+    assert corrected.notes[-1] == "2 detections were corrected by hand (corrections.csv)"
     assert (corrected.corrected, keypoints.corrected) == (2, 0)
     assert (corrected.xy_px[0] == 1.0).all()
     assert keypoints.present.all()
@@ -86,7 +86,7 @@ def test_corrections_of_another_clip_are_refused(keypoints: Keypoints):
     with pytest.raises(InputError) as refusal:
         with_corrections([keypoints], ["cam"], other, Path("corrections.csv"))
     assert [(problem.field, problem.found) for problem in refusal.value.problems] == [
-        ("was_x_px, was_y_px", "none of 5 corrected positions in a.csv")
+        ("was_x_px, was_y_px", "no detection of a.csv at any of the 5 positions")
     ]
     own = [*other, Correction(4, "", "tail", (1.4, 1.0), None)]
     assert with_corrections([keypoints], ["cam"], own, Path("corrections.csv"))[0].corrected == 4

@@ -69,7 +69,7 @@ def test_c3d_of_other_computers(tmp_path, processor, integers):
     np.testing.assert_allclose(pose.xyz_m, expected, rtol=1e-6)
     whole = c3d_bytes(processor, integers)
     path.write_bytes(whole[:-1])
-    with refusal((path, "content", f"{len(whole) - 1} bytes of {len(whole)}")):
+    with refusal((path, "content", f"{len(whole) - 1} of the {len(whole)} bytes")):
         read_pose3d(path)
 
 

@@ -342,7 +342,8 @@ def test_a_video_that_ends_before_its_stated_end(clip, whole, quick, tmp_path, m
 def test_frames_that_are_missing_inside_a_video_are_named(whole, quick, tmp_path):
     video = write_damaged_video(tmp_path / "a.mkv")
     ended = run("predict", video, "--model", whole, "--out", tmp_path / "p.csv", "--partial", "--device", "cpu")
-    said = re.search(r"note: by its time stamps a\.mkv lacks frames \((\d+) before frame", " ".join(ended.out.split()))
+    text = " ".join(ended.out.split())
+    said = re.search(r"note: the time stamps of a\.mkv show missing frames \((\d+) before frame", text)
     assert ended.code == 0, ended.err
     assert said is not None, ended.out
     assert len(read_keypoints(tmp_path / "p.csv").frames) == 40 - int(said[1])
