@@ -38,7 +38,7 @@ CAPTIONS: Mapping[str, str] = {
     "phase_portraits_all": (
         "Phase portraits of all angles: angle against angular rate, coloured by time; grey: mostly from the prior."
     ),
-    "observability": "Share of each angle's precision that comes from the pixels (blue) and from the prior (grey).",
+    "observability": "Fraction of each angle's precision that comes from the pixels (blue) and from the prior (grey).",
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
@@ -98,7 +98,7 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
 
 
 def _no_figure(name: str, analysis: ClipAnalysis, drawn: Sequence[str]) -> Problem:
-    """Return the problem of a figure that the analysis does not have; `drawn` are the names of those that it has."""
+    """Return the problem of a figure that the analysis does not have; `drawn` are the names of its figures."""
     if name == _STRIDE_FIGURE and analysis.gait is not None and not analysis.gait.strides:
         names = ", ".join(figure for figure in DEFAULT_FIGURES if figure in drawn)
         return Problem(

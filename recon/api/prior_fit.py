@@ -33,7 +33,7 @@ from recon.show.plain import picked
 Segment = tuple[str, Array, float]
 """Name, states (T, D), frames per second."""
 _Files = Mapping[Path, Mapping[str, Pose3D]]
-"""Poses by file and piece of motion."""
+"""Poses by file and by the name of a segment in the file."""
 
 
 class PriorFitSettings(Settings):
@@ -46,7 +46,7 @@ class PriorFitSettings(Settings):
     skeleton: str | None = None
     """Skeleton of 3D poses, such as cheetah-24. (default: that of the results)"""
     fps: str | None = None
-    """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one rate per piece."""
+    """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one rate per segment."""
     subject: str | None = None
     """Measured animal, by name or TOML file, such as phantom."""
     estimate_size: bool = False
@@ -143,9 +143,9 @@ def _sound_states(motion: Motion) -> Array:
 def _solved_segments(
     body: Body, files: _Files, names: Mapping[Path, str], rates: Sequence[float], estimate_size: bool
 ) -> tuple[list[Segment], list[float | None], dict[Path, float]]:
-    """Fit the body to the segments of pose files; a segment ends where the frame numbers jump.
+    """Fit the body to the segments of pose files, which are also divided where the frame numbers jump.
 
-    Returns three values: the segments, named after their piece of motion, their file in `names`, or both; the body's
+    Returns three values: the segments, with their name in the file, the file's name in `names`, or both; the body's
     misfit to each segment, mm; and the factor on the body's lengths by file.
     """
     segments: list[Segment] = []
@@ -242,7 +242,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
 
 
 def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
-    """Yield problems of files with too few markers, and of frame rates that are neither single nor one per piece."""
+    """Yield problems of files with too few markers, and of frame rates, which are a single one or one per segment."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
         count_known = sum(marker in names for marker in body.markers)
@@ -251,4 +251,4 @@ def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: s
             yield Problem(path, "joints", f"{count_known} of {len(body.markers)}: {', '.join(names)}", expected)
     count = sum(map(len, files.values()))
     if files and len(rates) not in (1, count):
-        yield Problem(fps, "fps", f"{len(rates)} numbers", f"one frame rate, or {count}: one for every piece")
+        yield Problem(fps, "fps", f"{len(rates)} numbers", f"one frame rate, or {count}, one for each segment")

@@ -1,4 +1,4 @@
-"""Prepare clips with several cameras or a moving one: check that cameras fit together, and turn z up."""
+"""Prepare clips of several cameras or a moving one: check the cameras, match their rates, and turn z upwards."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         if not camera.has_extrinsics:
             yield Problem(file, f"camera {camera.name}", "no pose", "a rotation and translation, as the others have")
         elif owners and not camera.knows_up:
-            expected = "one in the world of the camera track, z up (world_z_up)"
+            expected = "a pose in the world of the camera track, with z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
     fixed = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
     for first, second in combinations(fixed, 2):
@@ -87,7 +87,7 @@ def with_poses(
         raise InputError(Problem(track.source, "frame", actual, f"the numbers of the clip's frames, {first} to {last}"))
     if filled.any():
         between = f"between two of the track's frames that are {track.max_gap_s:g} s apart or less"
-        note = f"{filled.sum()} frames have a camera pose {between}"
+        note = f"{filled.sum()} frames have a camera pose that is interpolated {between}"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     unknown = keypoints.present & ~poses.known[:, None]
     return *leave_out(keypoints, cleaning, unknown, "in frames for which the camera's track has no pose"), poses

@@ -53,9 +53,9 @@ FrameRange = Annotated[str, AfterValidator(_frames)]
 """Range of frames A:B, which includes A and excludes B."""
 
 FPS = "Frame rate of the video in Hz, such as 120. (default: that of the file, if it states one)"
-INDIVIDUAL = "Which animal of a multi-animal file, such as animal1."
+INDIVIDUAL = "Name of the animal in a file of several animals, such as animal1."
 RENAME = Option(
-    "New names of keypoints: a CSV file of old and new ones, or a built-in map, such as superanimal-quadruped."
+    "New names of keypoints: a CSV file of old and new names, or a built-in map, such as superanimal-quadruped."
 )
 
 
@@ -169,8 +169,7 @@ class FitSettings(Settings):
     """Frame rates of the cameras if they differ, once per keypoint file; the result has the first camera's rate."""
     playback: Annotated[bool | Literal["auto"], Option(expected="auto, true or false", common=False)] = "auto"
     """Write the playback, motion.rrd. auto: for clips of at most 2000 frames; the playback of a longer one takes more
-    than a third of its results' space, and is rarely watched to its end. recon view makes a missing playback when it is
-    opened.
+    than a third of its results' space, and is rarely watched to its end. recon view makes a missing playback.
     """
     method: Annotated[Method, _RARE] = "trajectory"
     """trajectory: the whole animal over the whole clip; frame: one side of the animal, frame by frame."""
@@ -199,7 +198,7 @@ class FitSettings(Settings):
     camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
     """Rotation between the camera and the body: free, or fixed to that of the first frame."""
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
-    """Path of the reference joint: smooth as an animal moves, or free in every frame."""
+    """Path of the reference joint: as smooth as an animal moves, or free in every frame."""
     path_sigma_m: Annotated[Positive, _FRAME] = 0.5
     """Standard deviation of the reference joint about a smooth path, in metres. A smaller value makes the poses' depths
     smoother.
@@ -381,14 +380,14 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
     if "camera" in values and "hfov_deg" in values:
         yield Problem("settings", "hfov_deg", f"{values['hfov_deg']} and a camera file", "only one of the two")
     if "camera_track" in values and "tilt_deg" in values:
-        actual = f"{values['tilt_deg']} together with a camera track, which says which way is up"
+        actual = f"{values['tilt_deg']} together with a camera track, which states which way is up"
         yield Problem("settings", "tilt_deg", actual, "only one of the two")
     if not values.keys() & {"camera", "camera_track"} and "camera_name" in values:
         actual = f"{values['camera_name']!r} without a camera file"
-        yield Problem("settings", "camera_name", actual, "--camera with it")
+        yield Problem("settings", "camera_name", actual, "--camera as well")
     if "camera" not in values and values.get("camera_unit", "m") != "m":
         actual = f"{values['camera_unit']!r} without a camera file"
-        yield Problem("settings", "camera_unit", actual, "--camera with it")
+        yield Problem("settings", "camera_unit", actual, "--camera as well")
     if "camera" not in values and "hfov_deg" in values and "image_size_px" not in values:
         expected = "the size of the video, such as 1920x1080, together with --hfov-deg"
         yield Problem("settings", "image_size_px", "nothing", expected)

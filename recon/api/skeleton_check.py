@@ -21,7 +21,7 @@ from recon.show.plain import picked
 REACH_SIGMAS = 2.0
 """Half-width of the expected range of an angle, in standard deviations."""
 LARGEST_ANIMAL_M = 15.0
-"""Length that no legged animal exceeds."""
+"""Length, in metres, that no legged animal exceeds."""
 
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
@@ -116,7 +116,7 @@ def _remarks(body: Body) -> Iterator[str]:
 
 
 def feet_remarks(body: Body) -> Iterator[str]:
-    """Yield what is unusual about the feet of a skeleton: which they are, and where they are in the expected pose."""
+    """Yield remarks on a skeleton's feet: on missing feet, and on unusual positions in the expected pose."""
     point_m = dict(zip(body.markers, body.expected_points_m(), strict=True))
     rear, front = (point_m[marker] for marker in body.forward)
     if not body.feet:
@@ -128,7 +128,7 @@ def feet_remarks(body: Body) -> Iterator[str]:
     for segment in dict.fromkeys(segment_of[foot] for foot in body.feet):
         if len(feet := [foot for foot in body.feet if segment_of[foot] == segment]) > 1:
             yield (
-                f"feet: {' and '.join(feet)} are on one segment, {segment}, and cannot move against each other. "
+                f"feet: {' and '.join(feet)} are on one segment, {segment}, and cannot move relative to each other. "
                 "Draft the skeleton from a clip in which the animal walks."
             )
     for label, foot in body.feet_by_label().items():

@@ -1,8 +1,8 @@
 """Draft a skeleton file from the keypoints of a detector.
 
 The names of the keypoints place markers on the quadruped's segments. With several cameras, the positions of the
-keypoints define the segments instead, whatever the keypoints are called: keypoints whose mutual distances stay constant
-form a rigid body, and bodies are joined at the points whose distances vary least. The expected pose is a pose that the
+keypoints define the segments instead, regardless of their names: keypoints whose mutual distances stay constant form a
+rigid body, and bodies are joined at the points whose distances vary least. The expected pose is a pose that the
 animal had, and the expected range of each angle is the range that the animal showed.
 """
 
@@ -53,7 +53,7 @@ RIGID = 0.01
 NOISE = 2.0
 """Factor on the variation between steady neighbours, which gives a larger limit if keypoints are noisy."""
 TOO_MUCH = 0.02
-"""Limit, in lengths of the animal, above which keypoints are too noisy for a draft."""
+"""Limit of a constant distance's variation, in lengths of the animal, above which keypoints are too noisy."""
 TAIL = 0.05
 """Fraction of frames at either end of a distance's range that may be errors.
 
@@ -73,9 +73,9 @@ SIZE_SIGMA = 0.05
 """`size_sigma` of a draft whose animal was measured."""
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
 SWING_RAD = (0.3, 1.2)
-"""Limits of a segment's swing."""
+"""Limits of a segment's swing, in radians."""
 SWING_HZ = (0.5, 8.0)
-"""Limits of the swing's frequency."""
+"""Limits of the swing's frequency, in hertz."""
 WIDER = 1.5
 """Factor on the observed swing, to allow for other clips."""
 LOW = 0.3
@@ -294,7 +294,7 @@ class _Distances:
 def draft_from_points(
     names: Sequence[str], points_m: Array, fps: float, title: str, source: Path
 ) -> tuple[list[str], str]:
-    """Draft a skeleton from the positions of keypoints, whatever they are called.
+    """Draft a skeleton from the positions of keypoints, regardless of their names.
 
     Parameters
     ----------

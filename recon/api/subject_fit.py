@@ -31,7 +31,7 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 LEAST_SIZE_SIGMA = 0.01
-"""Smallest size_sigma of a measured animal, because the positions of keypoints on an animal are no more certain."""
+"""Smallest size_sigma of a measured animal, because keypoints are not placed on an animal more precisely than this."""
 
 
 def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
@@ -117,7 +117,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         lambda: collect_problems(*(partial(read_pose3d, path) for path in settings.poses)),
     )
     _require_one_skeleton(settings_by_clip, settings.clips)
-    if settings.lengths:  # the lengths of a subject would be measured a second time
+    if settings.lengths:  # lengths are measured relative to the skeleton, not to an earlier subject
         settings_by_clip = [replace(fit_settings, subject=None) for fit_settings in settings_by_clip]
     if settings.offsets:
         settings_by_clip = [replace(fit_settings, detector=NONE) for fit_settings in settings_by_clip]
@@ -165,7 +165,7 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
 
 
 def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
-    """Return the problem of a clip from which the animal can be measured; raise InputError for other clips."""
+    """Return the least-squares problem of a clip; raise InputError if the clip does not show the animal's lengths."""
     if settings.method != "trajectory":
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
     inputs = prepare(settings)
@@ -194,6 +194,6 @@ def _known_states(problem: ClipProblem, frames: Integers, pose: Pose3D) -> Array
     states, *_ = solve_points(problem.body, points_m)
     if not np.isfinite(states).all(axis=1).any():
         actual = f"{len(clip_rows)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
-        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
+        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, with its frame numbers"
         raise InputError(Problem(pose.source or "--poses", "poses", actual, expected))
     return states

@@ -37,7 +37,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
 
 
 ACCELERATION_KNOWN_M_S2 = 10.0
-"""Standard deviation of an acceleration above which it is not reported: animals hardly accelerate more."""
+"""Standard deviation, m/s², above which an acceleration is not reported, as animals rarely accelerate more."""
 
 
 def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:

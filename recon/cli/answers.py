@@ -106,7 +106,7 @@ class _Terminal(Console):
 
 
 def say(console: Console, text: str | Text, style: str = "") -> None:
-    """Print one line without markup: on a terminal broken between words, in a file or a pipe in one piece."""
+    """Print one line without markup, wrapped between words on a terminal and unbroken in a file or a pipe."""
     line = Text(printable(text), style) if isinstance(text, str) else text
     console.print(line, soft_wrap=not console.is_terminal)
 
@@ -193,9 +193,9 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
 
 
 class RemainingTime:
-    """Estimate of the remaining time, from the time since the start and the finished share of the work.
+    """Estimate of the remaining time, from the time since the start and the fraction of the work that is done.
 
-    rich's own estimate uses the speed of the last few seconds, which misleads if the work is done in large pieces.
+    rich's own estimate uses the speed of the last few seconds, which misleads if the work is done in large steps.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -39,7 +39,7 @@ from recon.show.page.own_page import SUMMARY_PAGE
 
 CANNOT = "cannot be fitted"
 SOLVING = 0.5
-"""Share of a clip's time in which its fit reports progress; checks and files take the rest."""
+"""Fraction of a clip's time in which its fit reports progress; checks and files take the rest."""
 LISTED = 20
 """Largest number of clips in the table at the end."""
 NAMED = 3

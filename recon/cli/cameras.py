@@ -141,7 +141,10 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
     largest = {camera.name: max(by_camera[camera.name] for by_camera in disagreements) for camera in cameras}
     if len(disagreements) > 1 and max(largest.values()) > DISAGREEMENT:
         name = max(largest, key=largest.__getitem__)
-        yield f"The clips disagree on the cameras' positions, most of all on {name}: was a camera moved between them?"
+        yield (
+            f"The clips disagree on the cameras' positions, most of all on {name}: was a camera moved between the "
+            "clips?"
+        )
     if not report["converged"]:
         yield "The search stopped before it had converged: add clips in which the animal crosses the view elsewhere."
 
@@ -163,7 +166,7 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
     lines = [f"{report['frames'] - lost_count} of {report['frames']} frames have a pose, {keyframes}."]
     lines += [f"Too little background in {counted(lost_count, 'frame')}: no pose there."] if lost_count else []
     residual, sigma = quantity(report["residual_px"], 2, "px"), quantity(report["sigma_deg"], 3, "°")
-    lines.append(f"The background fits to {residual}; the camera's direction is known to ±{sigma}.")
+    lines.append(f"Residual of the background: {residual}. Uncertainty of the camera's direction: ±{sigma}.")
     notes = report["notes"][len(NOTES) :]
     lines += [f"Note: {note}." for note in notes]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")

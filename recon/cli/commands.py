@@ -45,7 +45,7 @@ _SET = "set_"
 
 @dataclass(frozen=True)
 class OptionsOf:
-    """Settings of another class that a command takes too."""
+    """Settings of another class that a command also takes."""
 
     settings: type[Settings]
     names: tuple[str, ...] = ()
@@ -68,7 +68,7 @@ class OptionsOf:
 
 
 class SettingsCommand(TyperCommand):
-    """A command whose settings report everything missing or wrong at once."""
+    """Command that reports all its missing and wrong settings at once."""
 
     infos: dict[str, SettingInfo]
     """All settings by name, those of another class first."""
@@ -142,7 +142,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
 
 
 def help_of(function: Callable[..., Any]) -> str:
-    """Return a function's docstring with one line per paragraph, which the terminal's width then breaks."""
+    """Return a function's docstring with one line per paragraph, to be wrapped at the terminal's width."""
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in (inspect.getdoc(function) or "").split("\n\n"))
 
 

@@ -27,7 +27,7 @@ def compare(settings: CompareSettings, progress: Progress) -> Answer:
 
     With --design or --names, a mixed model separates the variation between animals, runs, strides and measurements.
 
-    --plan says how many animals an effect needs.
+    --plan reports how many animals an effect needs.
 
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """
@@ -40,7 +40,9 @@ def compare(settings: CompareSettings, progress: Progress) -> Answer:
     if plan is None:
         return answer
     if comparison.experiment is None:
-        raise InputError(Problem(PLAN, "variances", "clips without animals", "--design or --names, which name them"))
+        raise InputError(
+            Problem(PLAN, "variances", "clips without animals", "--design or --names, which name the animals")
+        )
     planned = _planned(plan_experiment(plan, comparison.experiment.variances))
     return Answer({**answer.data, **planned.data}, [*answer.lines, *planned.lines], notes=answer.notes)
 
@@ -102,8 +104,8 @@ def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
     headings = (*LEVELS, "measurement", "ICC", "change")
     yield table_of("standard deviation", numbers=headings, rows=rows)
     yield (
-        "ICC: intraclass correlation, the share of the variance of single strides that is between animals; change: the "
-        "change between two runs that an unchanged animal exceeds in only 5 % of cases."
+        "ICC: intraclass correlation, the fraction of the variance of single strides that is between animals; change: "
+        "the change between two runs that an unchanged animal exceeds in only 5 % of cases."
     )
     shared = max(model.shared for model in experiment.models)
     if shared:
@@ -186,5 +188,5 @@ def _plan_lines(table: PlanTable, sigmas: dict[str, float]) -> Iterator[str | Ta
     if table.animals_known is not None and table.animals_known < FEW_ANIMALS:
         yield f"These variances come from {table.animals_known} animals, which is few: plan with a margin."
     if plan.animals:
-        yield f"Smallest effect: the one that these animals show with a power of {percent(plan.power)}."
+        yield f"Smallest effect: the effect that these animals can show with a power of {percent(plan.power)}."
     yield "An error that all clips share (size, lens) changes every difference by the same factor, but not the power."

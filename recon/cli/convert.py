@@ -176,7 +176,8 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
     """Raise InputError for options that do not apply to the source's content."""
     options = [f"--{name}" for name in names if getattr(settings, name) is not None]
-    raise_problems([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in options])
+    expected = "another kind of file: leave this option out"
+    raise_problems([Problem(option, "IN", f"{content}, {source}", expected) for option in options])
 
 
 def _pose_of(motion: Motion) -> Pose3D:

@@ -173,7 +173,7 @@ def self_test() -> Iterator[_Check]:
         yield _Check("temporary files", "broken", f"{error.filename}: {error.strerror}", hint)
         return
     if code:
-        yield _Check(name, "broken", output, "recon demo shows all of it")
+        yield _Check(name, "broken", output, "recon demo shows the whole message")
         return
     shown = json.loads(output)
     frames, posed, error_mm = shown["summary"]["frames"], shown["summary"]["frames_with_pose"], shown["mpjpe_mm"]

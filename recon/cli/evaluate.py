@@ -67,8 +67,8 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield "MPJPE   mean distance of the joints from the reference, each frame centred"
     yield "MPE     without centring"
     yield "scaled  centred, and scaled to the size of the reference"
-    yield "PA      centred, scaled and turned onto the reference"
-    yield f"PCK     share of the joints within {thresholds} mm, centred"
+    yield "PA      centred, scaled and rotated onto the reference"
+    yield f"PCK     fraction of the joints within {thresholds} mm, centred"
     offset_text = f"the mean of the joints is off by {quantity(1000 * result.position_m, 1, 'mm')}"
     yield f"Position: {offset_text}. The verdict's position error estimates this number, its pose error the MPJPE."
     for kind, shares in result.inside.items():

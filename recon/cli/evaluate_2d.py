@@ -44,17 +44,17 @@ def _error_table(result: dict[str, Any]) -> Table:
 
 
 def _evaluation_lines(result: dict[str, Any]) -> Iterator[str]:
-    yield "found   share of the labelled points that was predicted; likely: with a likelihood of at least"
-    yield f"        {result['likelihood_min']:g}; swaps forgiven: a pair of left and right may be the wrong way round"
+    yield "found   fraction of the labelled points that were predicted; likely: with a likelihood of at least"
+    yield f"        {result['likelihood_min']:g}; swaps forgiven: left and right of a pair may be exchanged"
     yield "RMSE    and median over the points found"
-    yield "px, %   share of all labelled points within this distance, or this share of the body length,"
+    yield "px, %   fraction of all labelled points within this distance, or this fraction of the body length,"
     yield (
         f"        {quantity(result['body_length_px'], 1, 'px')} (median diagonal of the box around an animal's labels)"
     )
     yield f"Compared: {result['frames']} frames."
     table = result["reliability"]
     if table is not None:
-        yield f"Likelihood against the share of points within {result['tolerance_px']:g} px, {table['points']} points:"
+        yield f"Likelihood and fraction of points within {result['tolerance_px']:g} px, {table['points']} points:"
         for b in table["bins"]:
             shares = f"likelihood {b['likelihood']:.2f}  right {b['right']:.2f}"
             yield f"  {b['low']:.1f} to {b['high']:.1f}  {b['points']:6d} points  {shares}"

@@ -21,7 +21,7 @@ CLOSES_PERCENT = 90
 """Smallest closure of each joint's angle along the stride, in percent, that counts as closed."""
 LEAST_CLOSURE = "least_closure_angle_percent"
 OFF_PATH_M = 0.02
-"""Distance of the foot from the stride's path above which a method counts as failed."""
+"""Distance of the foot from the stride's path, in metres, above which a method counts as failed."""
 
 
 def ik(settings: IkSettings) -> Answer:
@@ -58,7 +58,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
         yield from _cost_lines(summary["costs"])
     parameters = summary["parameters"]
     explained = ", ".join(f"{name} {percent(fit['explained'])}" for name, fit in parameters["fitted"].items())
-    yield f"parameters: {parameters['used']}. Share of the joint rates explained by fitted parameters: {explained}"
+    yield f"parameters: {parameters['used']}. Fraction of the joint rates explained by fitted parameters: {explained}"
     yield f"Tables and figures are in {out}."
 
 
@@ -122,10 +122,10 @@ def _stride_lines(along: dict[str, Any], summary: dict[str, Any]) -> Iterator[st
     if any(row["limits_hit"] for row in along.values()):
         yield "To run a method without the limits of the joints: --no-limits."
     yield (
-        f"result: closes from {CLOSES_PERCENT} % for every joint; off-path from "
-        f"{quantity(1000 * OFF_PATH_M, 0, 'mm')}; limited: "
-        "does not close, and a joint rests on its limit. "
-        "closure: the least of any joint's angle; off: distance of the joints from the animal's"
+        f"result: closes: {CLOSES_PERCENT} % or more for every joint; off-path: more than "
+        f"{quantity(1000 * OFF_PATH_M, 0, 'mm')} from the path; limited: "
+        "does not close, and a joint is at its limit. "
+        "closure: the smallest among the joints' angles; off: distance of the joint angles from the animal's"
     )
     sources = {"animal": summary["animal"]} | along
     joints = {_short(joint): partial(_closure_cell, joint=joint) for joint in summary["joints"]}
@@ -148,6 +148,6 @@ def _cost_lines(costs: dict[str, Any]) -> Iterator[str | Table]:
     }
     yield _table(costs, f"extended Jacobian by cost, {TURNS} turns of the stride", columns, "cost")
     yield (
-        "growth: of the distance between two starts a millionth of a radian apart; chaotic from "
-        f"{GROWTH:g} times. singular: number of steps at which the extended matrix has no inverse."
+        "growth: factor by which the distance between two starts, a millionth of a radian apart, grows; chaotic: "
+        f"{GROWTH:g} or more. singular: number of steps at which the extended matrix has no inverse."
     )

@@ -41,7 +41,7 @@ class LabelSettings(Settings):
     skeleton: NameOrFile | None = None
     """The skeleton whose markers are labelled, such as cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
     names: str | None = None
-    """Names of the keypoints in place of a skeleton's, such as nose,tail,paw."""
+    """Names of the keypoints, instead of a skeleton's, such as nose,tail,paw."""
     frames: Count = 40
     """Number of frames, chosen so that they differ."""
     result: Path | None = None

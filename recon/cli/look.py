@@ -197,7 +197,7 @@ def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
         return None
     return (
         f"{settings.video.name} has {count} frames, the clip ends with frame {last}: if the video's first frame is not "
-        "the keypoints' frame 0, the pose is drawn on the wrong pictures; give the number that it has there, as in "
+        "the keypoints' frame 0, the pose is drawn on the wrong pictures; give its number in the keypoint file, as in "
         f"--first-frame {first or last + 1 - count}"
     )
 
@@ -211,7 +211,7 @@ def rate_note(video: Path, fps: float | None) -> str | None:
     if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
         return None
     return (
-        f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: unless the video is slowed down or "
+        f"{video.name} states {stated:.4g} frames a second, the clip has {fps:.4g}: unless the video is slowed down or "
         "sped up, times and speeds are wrong by that factor"
     )
 
@@ -241,7 +241,7 @@ def make_page(settings: PageSettings, progress: Progress = silent) -> Answer:
 def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool = False) -> Answer:
     """Make the page of one result.
 
-    whole_batch states that the pages of all clips of its batch are being made, too.
+    `whole_batch` states that the pages of all clips of its batch are being made, too.
     """
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     output = Output(folder, "report", True, made_from=ReadResults.read(folder), option="")
@@ -272,7 +272,7 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
 def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
     """Return the links to the pages of a result's batch, or None if it is not part of a batch.
 
-    If whole_batch is true, all of these pages will exist; otherwise only existing pages are linked.
+    If `whole_batch` is true, all of these pages will exist; otherwise only existing pages are linked.
     """
     folder = folder.absolute()
     out = folder.parent

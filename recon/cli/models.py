@@ -103,15 +103,15 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
         yield f"The {len(names)} unknowns of a frame (recon frame): {', '.join(names)}"
     yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
     yield from (f"Limb {limb}: {', '.join(markers)}" for limb, markers in check["limbs"].items())
-    yield f"Prior of a fit, unless --prior says otherwise: {check['prior']}"
-    yield from [f"note: {remark}" for remark in check["remarks"]] or ["Nothing looks odd."]
+    yield f"Default prior of a fit: {check['prior']}"
+    yield from [f"note: {remark}" for remark in check["remarks"]] or ["No value is unusual."]
 
 
 def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
     """Draft a skeleton for the keypoints of a file, from their names or their distances.
 
     A draft from names has the proportions of the quadruped, with the keypoints as markers. A draft from several
-    calibrated cameras has the bodies and joints that the distances show, whatever the keypoints are called.
+    calibrated cameras has the bodies and joints that the distances show, regardless of the keypoints' names.
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
@@ -155,7 +155,7 @@ def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
     used, components, held_out = [row["used"] for row in report["segments"]], report["components"], report["held_out"]
     yield f"Used: {sum(used)} of {len(used)} segments, {report['frames']} frames and their mirror images."
     if components < report["components_asked"]:
-        limit = f"{components} components in place of {report['components_asked']}"
+        limit = f"{components} components instead of {report['components_asked']}"
         yield f"{limit}: each needs {FRAMES_PER_COMPONENT} frames."
     if report["left_out"]:
         yield f"{report['left_out']} frames of results have a flag or no pose: left out."

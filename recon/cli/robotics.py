@@ -39,7 +39,7 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
             f"stance; joints stay {margin:.2f} rad within their limits, at {rate:.0f} % of the fastest rate"
         )
         if name == "stride":
-            text += f"; its ends meet to {max(part['closing_percent'], 0.1):.1g} %"
+            text += f"; its ends meet within {max(part['closing_percent'], 0.1):.1g} %"
         yield text
     if "samples" in report:
         samples = report["samples"]

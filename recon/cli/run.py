@@ -138,9 +138,9 @@ class _Stage(NamedTuple):
     """One stage of the work."""
 
     work: Callable[[Progress], Answer]
-    """Does the work, and returns the written files and notes on the video."""
+    """Function that does the work, and returns the written files and notes on the video."""
     identity: Callable[[], dict[str, Any]]
-    """Returns the inputs of the stage, once the earlier stages are done."""
+    """Function that returns the inputs of the stage, once the earlier stages are done."""
     output: Output
     """Files that the stage may replace."""
     names: tuple[str, ...]

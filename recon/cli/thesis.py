@@ -58,11 +58,11 @@ def _solver_lines(summary: dict[str, Any]) -> Iterator[str]:
     yield f"A frame took {' and '.join(effort)}, median and range."
     worst = summary["worst_joint"]
     yield (
-        f"Error in the picture: {quantity(summary['image_error_px']['mean'], 1, 'px')} on average, most at "
+        f"Error in the picture: {quantity(summary['image_error_px']['mean'], 1, 'px')} on average, largest at "
         f"{worst['name']} ({quantity(worst['mean_px'], 1, 'px')})."
     )
     costs = summary["cost_by_term"]
     total = sum(costs.values()) or 1.0
     parts = {name: costs.get(term, 0.0) / total for name, term in PUBLISHED.items()}
     parts["priors and other terms"] = max(1.0 - sum(parts.values()), 0.0)
-    yield f"Shares of the cost: {', '.join(f'{name} {percent(share)}' for name, share in parts.items())}."
+    yield f"Fractions of the cost: {', '.join(f'{name} {percent(share)}' for name, share in parts.items())}."

@@ -428,7 +428,7 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     few = run_prior_fit(
         PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=4)
     )
-    assert not [note for note in _prior_lines(few) if isinstance(note, str) and "in place of" in note]
+    assert not [note for note in _prior_lines(few) if isinstance(note, str) and "instead of" in note]
 
 
 def test_every_problem_of_a_command(body, tmp_path):

@@ -392,7 +392,7 @@ def test_check_lists_what_is_in_a_file(tmp_path):
     text = output("skeleton", "check", file)
     assert "r_hind_shin" in text
     assert "17 to 132" in text
-    assert "Nothing looks odd." in text
+    assert "No value is unusual." in text
     assert "keypoints within 4 mm" in output("skeleton", "check", "mouse-top")
     plain = json.loads(output("skeleton", "check", file, "--json"))
     assert [part["name"] for part in plain["parts"]] == [part["name"] for part in check["parts"]]

@@ -196,7 +196,7 @@ def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFra
     few = model_experiment(single.iloc[[0, 3]], strides, {"duty_factor": False})
     assert (few.models, few.notes) == (
         [],
-        ["No mixed model of duty factor: 2 animals for 2 groups and covariates; at least one more is needed."],
+        ["No mixed model of duty factor: 2 animals for 2 groups and covariates; at least 3 are needed."],
     )
     constant = model_experiment(single.assign(age=3.0), strides, {"duty_factor": False}, ["age"])
     assert says(constant.notes[0], "age cannot be separated from the groups")

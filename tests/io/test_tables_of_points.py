@@ -453,7 +453,7 @@ def test_the_upward_axis_of_positions(up, expected, tmp_path):
 
 @pytest.mark.parametrize(("scorer", "asked"), [("DLC_3D", True), ("recon", False), (None, False)])
 def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
-    """DeepLabCut's are in units of the board; ours, and tables without a scorer, are metres."""
+    """DeepLabCut's are in units of the board; recon's, and tables without a scorer, are metres."""
     rows = [] if scorer is None else [f"scorer,{scorer},{scorer},{scorer}"]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([*rows, "bodyparts,nose,nose,nose", "coords,x,y,z", "0,100,200,3000"]))
@@ -462,7 +462,7 @@ def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
             read_pose3d(path)
     found = read_pose3d(path, unit="mm" if asked else None)
     np.testing.assert_allclose(found.xyz_m[0, 0], np.array([100, 200, 3000]) / (1000 if asked else 1))
-    assert any("DeepLabCut triangulated" in note for note in found.notes) == asked
+    assert any("triangulated by DeepLabCut" in note for note in found.notes) == asked
 
 
 BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"

@@ -199,7 +199,7 @@ def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
         " ".join(ended.out.split()),
         "30 of 30 frames converged",
         "iterations",
-        "Shares of the cost: f1",
+        "Fractions of the cost: f1",
         "priors and other terms",
     )
     assert json.loads((out / "solver.json").read_text(encoding="utf-8"))["frames_converged"] == 30
