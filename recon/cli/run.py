@@ -54,7 +54,7 @@ from recon.cli.look import bars_note, rate_note, write_recording
 from recon.cli.look_options import OverlaySettings, PageSettings, ViewSettings
 from recon.cli.show import overlay, report
 from recon.fit.motion import Motion
-from recon.gait.kinematics import MIN_POINTS
+from recon.gait.spline import MIN_POINTS
 from recon.io.formats import recognised
 from recon.io.video import SUFFIXES, probe, size_problems
 from recon.show.page.own_page import PAGE, SUMMARY_PAGE

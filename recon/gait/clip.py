@@ -33,9 +33,10 @@ from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import Gait, Stride, gait
-from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
+from recon.gait.kinematics import AngleKinematics, Errors, JointKinematics, at_frames
 from recon.gait.nearest_return import longest_stretch, nearest_return
 from recon.gait.quantities import AnalysedClip, GaitQuantity, gait_quantities
+from recon.gait.spline import MIN_POINTS
 from recon.gait.stances import BODY, interval_of, interval_text, pose_tracks
 from recon.io.common import Pose3D
 

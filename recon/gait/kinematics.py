@@ -33,16 +33,14 @@ from scipy.linalg import solveh_banded
 from recon.base.arrays import Array, Bools, Brief, Index
 from recon.base.errors import InputError, Problem
 from recon.fit.result import ReferencePath
+from recon.gait.spline import MIN_POINTS, Curve, cubic_spline
 from recon.io.common import Pose3D
 
-Curve = Callable[[Array, int], Array]
 Angle = Callable[[Array, Array, Array], Array]
 """An angle (T,) of three points (T, 3)."""
 
 MAX_GAP_S = 0.2
 """Longest time between two known frames over which missing frames are interpolated."""
-MIN_POINTS = 4
-"""Smallest number of values of a cubic spline."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
 """Smallest number of points for smoothing."""
@@ -226,8 +224,6 @@ def series_kinematics(
     ValueError
         If the times do not increase.
     """
-    from scipy.interpolate import CubicSpline  # slow to import
-
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
@@ -238,7 +234,7 @@ def series_kinematics(
         samples = slice(rows[0] * oversampling, rows[-1] * oversampling + 1)
         t, sample_s, lam = time_s[rows], fine_s[samples], np.zeros(d)
         if not smooth:
-            curves[:, samples] = _evaluate(CubicSpline(t, values[rows]), sample_s)
+            curves[:, samples] = _evaluate(cubic_spline(t, values[rows]), sample_s)
         for k in range(d) if smooth else ():
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
             curves[:, samples, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), sample_s)
@@ -256,12 +252,14 @@ def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     """Return the curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
-    from scipy.interpolate import CubicSpline, make_smoothing_spline
-
     known = np.isfinite(x)
     if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges
         t, x, weight = t[known], x[known], weight[known]
-    return make_smoothing_spline(t, x, weight**2, lam) if lam else CubicSpline(t, x)
+    if lam == 0:
+        return cubic_spline(t, x)
+    from scipy.interpolate import make_smoothing_spline  # slow to import
+
+    return make_smoothing_spline(t, x, weight**2, lam)
 
 
 def _evaluate(curve: Curve, time_s: Array) -> Array:
@@ -331,10 +329,8 @@ def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_fram
     There are `per_frame` samples per frame. The `_REACH` frames at either end are left out: elsewhere the samples of
     every frame depend on the values around it in the same way.
     """
-    from scipy.interpolate import CubicSpline
-
     width, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
-    spline = CubicSpline(step * np.arange(2 * width), np.eye(2 * width))
+    spline = cubic_spline(step * np.arange(2 * width), np.eye(2 * width))
     shares = _evaluate(spline, step * (width - 1 + np.arange(per_frame) / per_frame))[:, :, _REACH:-_REACH].reshape(
         3 * per_frame, width
     )

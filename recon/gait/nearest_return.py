@@ -11,13 +11,11 @@ Between frames, the foot follows a cubic spline. Only the longest stretch of fra
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from recon.base.arrays import Array, Bools, Index
 from recon.gait.phase import diameter
+from recon.gait.spline import MIN_POINTS, cubic_spline
 
-MIN_FRAMES = 4
-"""Smallest number of known frames for a spline."""
 MAX_GAP_FRAMES = 4
 """Longest stretch without data that the spline bridges, frames."""
 AWAY_SHARE = 0.5
@@ -50,7 +48,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
         Shortest and longest possible duration of the return, in frames.
     """
     frames = longest_stretch(np.array(np.isfinite(path_m).all(axis=1)))
-    if len(frames) < MIN_FRAMES:
+    if len(frames) < MIN_POINTS:
         return None
     points = path_m[frames]
     rows = _best_rows(frames, points, shortest, longest)
@@ -58,7 +56,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
         return None
     start, end = (int(frames[row]) for row in rows)
     near_end = np.linspace(max(end - 1, start), min(end + 1, frames[-1]), 2 * _STEPS + 1)
-    gaps = np.linalg.norm(CubicSpline(frames, points)(near_end) - path_m[start], axis=1)
+    gaps = np.linalg.norm(cubic_spline(frames, points)(near_end, 0) - path_m[start], axis=1)
     return start, float(near_end[np.argmin(gaps)])
 
 

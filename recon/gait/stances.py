@@ -42,7 +42,8 @@ from recon.base.numbers import interval, length_text
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics
-from recon.gait.kinematics import MIN_POINTS, Errors, Series
+from recon.gait.kinematics import Errors, Series
+from recon.gait.spline import MIN_POINTS
 from recon.io.common import Pose3D
 
 FEET: Mapping[str, str] = {"LH": "l_back_paw", "RH": "r_back_paw", "LF": "l_front_paw", "RF": "r_front_paw"}

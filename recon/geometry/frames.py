@@ -77,6 +77,22 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
     return rotation, np.stack([_CROSS[0] @ rotation, x @ _CROSS[1] @ y @ z, rotation @ _CROSS[2]], axis=-3)
 
 
+def quaternions(rotations: Array) -> Array:
+    """Return the unit quaternions (N, 4), in the order x, y, z, w, of rotations (N, 3, 3).
+
+    A quaternion's largest component is positive. scipy's `Rotation` gives the same, but takes 60 ms to import.
+    """
+    R, trace, i, j, k = rotations, np.trace(rotations, axis1=1, axis2=2), [0, 1, 2], [1, 2, 0], [2, 0, 1]
+    products = np.empty((len(R), 4, 4))  # of the components with each other, times four
+    products[:, :3, :3] = R + R.swapaxes(1, 2)
+    products[:, i, i] += 1.0 - trace[:, None]
+    products[:, 3, :3] = products[:, :3, 3] = R[:, k, j] - R[:, j, k]
+    products[:, 3, 3] = 1.0 + trace
+    largest = np.argmax(np.column_stack([R[:, i, i], trace]), axis=1)
+    multiples = products[np.arange(len(R)), largest]
+    return multiples / np.linalg.norm(multiples, axis=1, keepdims=True)
+
+
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Return the rotations about x, y and z by angles (..., 3), (..., 3, 3) each.
 

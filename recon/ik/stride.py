@@ -19,8 +19,9 @@ from scipy.interpolate import CubicSpline
 
 from recon.base.arrays import Array
 from recon.gait.gait import WHOLE_CLIP
-from recon.gait.nearest_return import MIN_FRAMES, longest_stretch, nearest_return
+from recon.gait.nearest_return import longest_stretch, nearest_return
 from recon.gait.phase import diameter
+from recon.gait.spline import MIN_POINTS
 from recon.ik.chain import SerialChain
 
 OVERSAMPLING = 10
@@ -81,8 +82,8 @@ def find_stride(
         If the times are not within the clip, or if there are too few frames.
     """
     known = longest_stretch(np.array(np.isfinite(q).all(axis=1)))
-    if len(known) < MIN_FRAMES:
-        raise ValueError(f"a stride needs {MIN_FRAMES} or more consecutive frames with a pose, got {len(known)}")
+    if len(known) < MIN_POINTS:
+        raise ValueError(f"a stride needs {MIN_POINTS} or more consecutive frames with a pose, got {len(known)}")
     ends = chain.end(q[known])
     curve = CubicSpline(known, ends)
     origin = "given"

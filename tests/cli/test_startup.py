@@ -60,6 +60,9 @@ def test_a_fit_imports_what_it_uses(tmp_path):
     unused = {
         *of_other_clips,
         "recon.gait.evaluation",
+        "scipy.interpolate",
+        "scipy.optimize",
+        "scipy.spatial",
         "recon.api.batch",
         "scipy.ndimage",
         "urllib.request",

@@ -18,6 +18,7 @@ from recon.gait.kinematics import (
     point_kinematics,
     speed_at_frames,
 )
+from recon.gait.spline import cubic_spline
 
 FPS = 30.0
 TIME_S = np.arange(40) / FPS
@@ -67,8 +68,28 @@ def test_a_peak_that_is_the_jitters_is_known_to_be_uncertain():
     assert np.mean(unknown) > 4 * np.mean(known)
 
 
+@pytest.mark.parametrize("shape", [(4,), (5, 1), (6, 3), (60, 2, 2)])
+def test_the_spline_is_scipys_for_values_of_any_shape(shape):
+    rng = np.random.default_rng(len(shape))
+    t, values = np.cumsum(rng.uniform(0.01, 0.2, shape[0])), rng.normal(size=shape)
+    found, expected = cubic_spline(t, values), CubicSpline(t, values)
+    times = np.sort(np.append(t, rng.uniform(t[0] - 0.1, t[-1] + 0.1, 100)))
+    for order in range(3):
+        known = expected(times, order)
+        # identical where processors round each product, as x86-64 does; others may fuse it with a sum
+        np.testing.assert_allclose(found(times, order), known, rtol=1e-12, atol=1e-14 * np.abs(known).max())
+
+
+@pytest.mark.parametrize(
+    ("t", "values"), [([0, 1, 2], [0, 1, 2]), ([0, 1, 1, 2], [0] * 4), ([0, 1, 2, 3], [0, np.nan, 1, 2])]
+)
+def test_a_spline_needs_four_finite_values_at_increasing_times(t, values):
+    with pytest.raises(ValueError, match="increasing"):
+        cubic_spline(np.array(t, float), np.array(values, float))
+
+
 @pytest.mark.parametrize("points", [4, 5, 6, 60])
-def test_the_spline_is_scipys(points):
+def test_the_spline_of_a_path_is_scipys(points):
     """With gaps of the longest kind that is bridged."""
     rng = np.random.default_rng(points)
     time_s = np.cumsum(rng.choice([1 / 120, 1 / 60, 0.19], points))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
+from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian, quaternions
 from recon.thesis.chain import euler_angles
 
 
@@ -77,3 +77,13 @@ def test_angles_at_gimbal_lock_give_the_same_rotation(psi):
 def test_angles_of_a_reflection_are_refused():
     with pytest.raises(ValueError, match="determinant"):
         euler_angles(np.diag((1.0, 1.0, -1.0)))
+
+
+def test_quaternions_are_scipys(rng):
+    half_turns = Rotation.from_rotvec(np.pi * np.eye(3))
+    expected = Rotation.concatenate([Rotation.random(200, rng), Rotation.identity(1), half_turns]).as_quat()
+    found = quaternions(Rotation.from_quat(expected).as_matrix())
+    same_sign = np.sign(np.sum(found * expected, axis=1, keepdims=True))  # q and -q are the same rotation
+    np.testing.assert_allclose(found * same_sign, expected, atol=1e-15)
+    assert (found[np.arange(len(found)), np.argmax(np.abs(found), axis=1)] > 0).all()
+    assert quaternions(np.empty((0, 3, 3))).shape == (0, 4)

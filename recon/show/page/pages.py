@@ -28,7 +28,8 @@ from recon.check.verdict import reason_in_list, verdict_lines
 from recon.fit.motion import Motion
 from recon.fit.result import LEVELS
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import MIN_POINTS, JointKinematics
+from recon.gait.kinematics import JointKinematics
+from recon.gait.spline import MIN_POINTS
 from recon.io.video import Image
 from recon.show.console import TO_DO
 from recon.show.page.own_page import GENERATED, PAGE

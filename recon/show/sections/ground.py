@@ -9,7 +9,7 @@ from recon.base.numbers import length_text
 from recon.fit.motion import Motion
 from recon.fit.result import MotionSegment
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import MIN_POINTS
+from recon.gait.spline import MIN_POINTS
 from recon.show.sections.section import Line, camera_name
 
 NOT_FOUND = "not found"

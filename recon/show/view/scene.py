@@ -21,7 +21,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.components import FillMode
-from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index, Integers, mean_along
@@ -29,7 +28,7 @@ from recon.base.files import write_bytes
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion, Picture
 from recon.fit.result import MotionSegment
-from recon.geometry.frames import level_from_camera
+from recon.geometry.frames import level_from_camera, quaternions
 
 Colour = tuple[int, int, int]
 
@@ -403,9 +402,7 @@ def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
         covariance = motion.relative_covariance_m2(slice(first, first + _FRAMES_AT_ONCE))[rows - first][solved[rows]]
         variance, axes = np.linalg.eigh(covariance.reshape(-1, 3, 3))
         axes[np.linalg.det(axes) < 0, :, 0] *= -1
-        columns = rr.Ellipsoids3D.columns(
-            half_sizes=np.sqrt(np.maximum(variance, 1e-8)), quaternions=Rotation.from_matrix(axes).as_quat()
-        )
+        columns = rr.Ellipsoids3D.columns(half_sizes=np.sqrt(np.maximum(variance, 1e-8)), quaternions=quaternions(axes))
         log.send("world/uncertainty", columns.partition(counts[rows]), rows)
     style = {"fill_mode": FillMode.MajorWireframe, "line_radii": rr.Radius.ui_points(0.8), "show_labels": False}
     log.fix("world/uncertainty", rr.Ellipsoids3D.from_fields(**style))
