@@ -237,9 +237,6 @@ def upright_rotation(heading: Array, up: Array) -> Array:
     return np.stack([heading, down, np.cross(heading, down)], axis=-1)
 
 
-# -- files -------------------------------------------------------------------------------------------------------------
-
-
 @cache  # every built-in file is parsed
 def builtin_chains() -> tuple[str, ...]:
     """Return the names of the built-in skeletons that are chains."""

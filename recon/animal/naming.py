@@ -170,9 +170,6 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
     return [k for k, name in enumerate(names) if name not in left_out], tuple(old_names_by_new), note
 
 
-# -- similar names -------------------------------------------------------------------------------------------------
-
-
 def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]:
     """Return the most similar missing name for each unused name, the closest pairs first; each name is used once."""
     pairs = [(likeness, a, b) for a in unused for b in missing if (likeness := _likeness(a, b)) >= _NEAR]

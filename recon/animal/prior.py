@@ -125,8 +125,6 @@ def mean_speed_m_s(states: Array, fps: float) -> float:
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
 
-# -- files --------------------------------------------------------------------------------------------------------
-
 _EXPECTED = "a motion prior, as `recon prior fit` writes it"
 
 

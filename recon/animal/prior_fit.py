@@ -113,13 +113,13 @@ class _PosesAndChanges(NamedTuple):
     """Poses of N frames, of which M are inner frames, with a frame before and a frame after."""
 
     poses: Array
-    """(N, A): angles, rad."""
+    """Angles, rad, shape (N, A)."""
     inner_poses: Array
-    """(M, A): angles of the inner frames, rad."""
+    """Angles of the inner frames, rad, shape (M, A)."""
     rates: Array
-    """(M, A): rates of the angles in the inner frames, rad/s."""
+    """Rates of the angles in the inner frames, rad/s, shape (M, A)."""
     accelerations: Array
-    """(M, A): accelerations of the angles in the inner frames, rad/s²."""
+    """Accelerations of the angles in the inner frames, rad/s², shape (M, A)."""
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _PosesAndChanges:

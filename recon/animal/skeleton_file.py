@@ -68,8 +68,6 @@ def read_named(
     return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 
 
-# -- whole animals ---------------------------------------------------------------------------------------------------
-
 _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 _BodyFeet = Annotated[
@@ -280,8 +278,6 @@ def _body(f: _BodyFile) -> Body:
         mass_source=None if f.mass is None else f.mass.source,
     )
 
-
-# -- detectors --------------------------------------------------------------------------------------------------------
 
 NONE = "none"
 """Name of the detector with keypoints at the markers."""

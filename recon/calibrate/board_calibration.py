@@ -55,11 +55,11 @@ class _FittedBoardView(BoardView):
     """A fitted picture with N corners."""
 
     rotation: Array
-    """(3, 3): X_camera = rotation X_board + translation_m."""
+    """X_camera = rotation X_board + translation_m, shape (3, 3)."""
     translation_m: Array
-    """(3,): translation of the board."""
+    """Translation of the board, shape (3,)."""
     residual_px: Array
-    """(N, 2): projected minus detected corners."""
+    """Projected minus detected corners, shape (N, 2)."""
     used: bool
     """Whether the picture was used; False for an outlier."""
 
@@ -240,8 +240,6 @@ def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Ar
     jacobian = np.asarray(cv2.projectPoints(objects, *pose, camera.matrix, five)[1], dtype=float)
     return jacobian[:, 6 : 10 + n], jacobian[:, :6]
 
-
-# -- checks ------------------------------------------------------------------------------------------------------------
 
 Verdict = Literal["ok", "warning", "refused"]
 

@@ -179,9 +179,6 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     return np.where(np.linalg.norm(moved_px - xy_px, axis=1, keepdims=True) <= half, moved_px, xy_px)
 
 
-# -- views -------------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class BoardView:
     """A picture in which the board was detected."""
@@ -189,9 +186,9 @@ class BoardView:
     name: str
     """Name of the file, or number of the frame."""
     ids: Index
-    """(N,): rows of the board's `points_m`."""
+    """Rows of the board's `points_m`, shape (N,)."""
     xy_px: Array
-    """(N, 2): corners in pixels."""
+    """Corners in pixels, shape (N, 2)."""
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,9 @@ class Advice:
     """"rad" for an angle, "m" for joints."""
     distance_m: float
     sigma: Array
-    """(E, A): median standard deviation over the frames; infinite if the animal is not in the picture."""
+    """Median standard deviation over the frames, shape (E, A); infinite if the animal is not in the picture."""
     share: Array
-    """(E, A): fraction of the precision that comes from the pixels of all cameras."""
+    """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
     first_place: tuple[float, float] | None = None
     """Azimuth and elevation of a camera that is already placed."""
 

@@ -127,19 +127,19 @@ class Dynamics(Brief):
     net_acceleration_m_s2: tuple[float, float]
     """Acceleration of the centre of mass along its direction of travel over the clip, and its standard deviation."""
     internal_j_kg: Array
-    """(N,): kinetic energy of the segments about the centre of mass."""
+    """Kinetic energy of the segments about the centre of mass, shape (N,)."""
     internal_sigma_j_kg: Array
-    """(N,): standard deviation of `internal_j_kg`."""
+    """Standard deviation of `internal_j_kg`, shape (N,)."""
     angular_momentum: Array
-    """(N, 3): angular momentum about the centre of mass, m^2/s per kilogram."""
+    """Angular momentum about the centre of mass, m^2/s per kilogram, shape (N, 3)."""
     angular_momentum_sigma: Array
-    """(N, 3): standard deviation of `angular_momentum`."""
+    """Standard deviation of `angular_momentum`, shape (N, 3)."""
     ground_m: Array
-    """(N,): height of the ground under the centre of mass."""
+    """Height of the ground under the centre of mass, shape (N,)."""
     stance_forces: Sequence[StanceForce]
     """Forces of the stances that are completely in the clip."""
     force: Mapping[str, Array]
-    """(N, 3): expected vertical force of each foot and the ends of its 90 % interval."""
+    """Expected vertical force of each foot and the ends of its 90 % interval, shape (N, 3)."""
     flight_parts: Sequence[Flight]
     """Parts of the clip in which no foot stands."""
 

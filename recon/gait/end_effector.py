@@ -34,17 +34,17 @@ class EndEffector:
 
     foot: str
     time_s: Array
-    """(N,): times."""
+    """Times, shape (N,)."""
     forward_m: Array
-    """(N,): along the travel, NaN in gaps."""
+    """Along the travel, NaN in gaps, shape (N,)."""
     up_m: Array
-    """(N,): height."""
+    """Height, shape (N,)."""
     forward_rate_m_s: Array
-    """(N,): horizontal velocity."""
+    """Horizontal velocity, shape (N,)."""
     boundaries_s: Array
-    """(B,): times of the boundaries between strides."""
+    """Times of the boundaries between strides, shape (B,)."""
     height_extrema_s: Array
-    """(B,): time of the extremum of the height nearest to each boundary, NaN without one."""
+    """Time of the extremum of the height nearest to each boundary, NaN without one, shape (B,)."""
     oversampling: int = 10
     """Number of times for each frame."""
 

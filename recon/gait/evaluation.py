@@ -414,8 +414,6 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
     return common - means, means
 
 
-# -- files that do not belong together ---------------------------------------------------------------------------------
-
 SHARE = 1 / 3
 """Fraction of an error that may remain if the error counts as explained."""
 SMALL = 0.05

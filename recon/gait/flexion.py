@@ -48,7 +48,7 @@ class JointFlexion(Brief):
     angle_rad: Array
     """Flexion, shape (T,)."""
     sigma_rad: Array
-    """(T,): standard deviation; NaN if unknown."""
+    """Standard deviation, shape (T,); NaN if unknown."""
 
     @property
     def name(self) -> str:
@@ -155,9 +155,6 @@ def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
     flexions = flexion_rad(body, stepped.reshape(-1, states.shape[1]), size).reshape(len(body.anatomy), -1, len(states))
     forward, backward = np.split(flexions.swapaxes(0, 1), 2)
     return (np.mod(forward - backward + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
-
-
-# -- over the stride ---------------------------------------------------------------------------------------------------
 
 
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:

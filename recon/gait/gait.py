@@ -197,9 +197,6 @@ def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> 
     return [(a, b) for a, b in best_pairs if best_match(b, first_set) is a]
 
 
-# -- strides and gait ------------------------------------------------------------------------------------------------
-
-
 def gait(tracks: Tracks) -> Gait:
     """Find stances, strides and the gait's name; each foot's strides are compared with those of all feet."""
     all_stances = stances(tracks)

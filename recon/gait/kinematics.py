@@ -95,7 +95,7 @@ class Series(Brief):
     """
 
     time_s: Array
-    """(N,): times; every `oversampling`-th is a frame."""
+    """Times, shape (N,); every `oversampling`-th is a frame."""
     value: Array
     """The values at the N times, shape (N, d)."""
     rate: Array
@@ -103,7 +103,7 @@ class Series(Brief):
     acceleration: Array
     """(N, d), per second^2 in the values' unit."""
     value_sigma: Array
-    """(N, d): standard deviations of the values. All three are NaN without errors."""
+    """Standard deviations of the values, shape (N, d). All three are NaN without errors."""
     rate_sigma: Array
     """Standard deviations of the rates, shape (N, d)."""
     acceleration_sigma: Array
@@ -118,9 +118,9 @@ class JointKinematics(Brief):
     series: Series
     """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
     speed_m_s: Array
-    """(N,): norm of the velocity."""
+    """Norm of the velocity, shape (N,)."""
     acceleration_m_s2: Array
-    """(N,): norm of the acceleration."""
+    """Norm of the acceleration, shape (N,)."""
     speed_sigma_m_s: Array
     """Standard deviation of the speed by linear propagation, shape (N,); NaN without errors. Noise also raises the
     speed itself, by about sigma^2 / speed, which is not subtracted.
@@ -185,9 +185,6 @@ def at_frames(motion: _Kind) -> _Kind:
         if isinstance(values, np.ndarray)
     }
     return replace(motion, **changed, **({"oversampling": 1} if motion is series else {"series": at_frames(series)}))
-
-
-# -- series ----------------------------------------------------------------------------------------------------------
 
 
 def series_kinematics(
@@ -369,9 +366,6 @@ def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
 
 def _correlation(difference_s: Array, correlation_s: float) -> Array:
     return np.exp(-0.5 * (difference_s / correlation_s) ** 2) if correlation_s else (difference_s == 0).astype(float)
-
-
-# -- points ----------------------------------------------------------------------------------------------------------
 
 
 def frame_times(frames: Array | Index, fps: float) -> Array:
@@ -600,9 +594,6 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
     # At rest the direction is unknown: use the mean over all directions.
     share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
     return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))
-
-
-# -- angles ----------------------------------------------------------------------------------------------------------
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:

@@ -158,7 +158,7 @@ class _Block:
     columns: Array
     """Design and values of each of A animals of the same runs and measurement, (n, A (P + 1))."""
     same_run: Array
-    """(n, n): 1 if two strides share a run."""
+    """1 if two strides share a run, shape (n, n)."""
     known: Array
     """Covariance of the measurement, (n, n)."""
     animals: int = 1
@@ -206,9 +206,6 @@ def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float
     misfit = float(moments[-1, -1] - right @ effects)
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     return effects, covariance, log_determinant + float(np.linalg.slogdet(information)[1]) + misfit
-
-
-# -- how many animals --------------------------------------------------------------------------------------------------
 
 
 def power(

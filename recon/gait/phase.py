@@ -66,15 +66,15 @@ class LinkField(Brief):
     velocity_m_s: Array
     """Derivatives of the coordinates, shape (T, 3)."""
     radius_m: Array
-    """(T,): distance from the joint in the plane of x and y."""
+    """Distance from the joint in the plane of x and y, shape (T,)."""
     dr_m_s: Array
-    """(T,): radial velocity of the link's tip."""
+    """Radial velocity of the link's tip, shape (T,)."""
     dtheta_rad_s: Array
-    """(T,): angular velocity of the link's tip."""
+    """Angular velocity of the link's tip, shape (T,)."""
     speed_m_s: Array
     """Norm of (dr, r dtheta), shape (T,)."""
     dr_sigma_m_s: Array | float = np.nan
-    """(T,): standard deviation of `dr_m_s` (`field_with_sigma`); NaN if unknown."""
+    """Standard deviation of `dr_m_s` (`field_with_sigma`), shape (T,); NaN if unknown."""
     dtheta_sigma_rad_s: Array | float = np.nan
     """Standard deviations of the angular velocity, shape (T,)."""
     speed_sigma_m_s: Array | float = np.nan
@@ -108,12 +108,9 @@ class Portrait(Brief):
     rate_rad_s: Array
     """The rate of the angle at the N times, shape (N,), NaN where it is unknown."""
     angle_sigma_rad: Array | float = np.nan
-    """(N,): standard deviation of the angle; NaN if unknown."""
+    """Standard deviation of the angle, shape (N,); NaN if unknown."""
     rate_sigma_rad_s: Array | float = np.nan
-    """(N,): standard deviation of the rate; NaN if unknown."""
-
-
-# -- vector field ----------------------------------------------------------------------------------------------------
+    """Standard deviation of the rate, shape (N,); NaN if unknown."""
 
 
 def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward_m: Array) -> tuple[LinkField, ...]:
@@ -247,9 +244,6 @@ def _unit(vectors: Array) -> Array:
     """Return unit vectors (T, 3), NaN for vectors shorter than a nanometre."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, length, out=np.full_like(vectors, np.nan), where=length > 1e-9)
-
-
-# -- phase space -----------------------------------------------------------------------------------------------------
 
 
 def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:

@@ -412,9 +412,6 @@ def _distance_variance(
     return variance
 
 
-# -- left and right ----------------------------------------------------------------------------------------------------
-
-
 def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> Iterator[GaitQuantity]:
     """Yield the asymmetry of a pair's stances and of its excursion, (left - right) / mean of both."""
     reason = _why_no_asymmetry(analysis.motion, gait, feet)

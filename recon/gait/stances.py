@@ -219,9 +219,6 @@ def interval_text(value: float, sigma: float, unit: str, sign: str = "", least: 
     return interval(value, low, high, unit, level="90 %", sign=sign, least=least)
 
 
-# -- tracks ----------------------------------------------------------------------------------------------------------
-
-
 def pose_tracks(
     pose: Pose3D,
     fps: float,
@@ -337,9 +334,6 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
         weight = np.where(np.abs(residual_m) < cutoff_m, (1 - (residual_m / cutoff_m) ** 2) ** 2, 0.0)
     (x, y), (height, along_x, along_y) = middle.tolist(), parameters.tolist()
     return Plane((x, y), height, (along_x, along_y), spread, len(points_m))
-
-
-# -- stances ---------------------------------------------------------------------------------------------------------
 
 
 def stances(tracks: Tracks) -> tuple[Stance, ...]:

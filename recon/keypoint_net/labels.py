@@ -42,13 +42,13 @@ class Labels:
 
     names: tuple[str, ...]
     xy_px: Array
-    """(N, K, 2): labels, NaN where a point is not labelled."""
+    """Labels, NaN where a point is not labelled, shape (N, K, 2)."""
     numbers: Integers
-    """(N,): frame numbers, from the ends of the image names."""
+    """Frame numbers, from the ends of the image names, shape (N,)."""
     images: tuple[str, ...]
     """Names of the N pictures, such as labeled-data/run/img0050.png."""
     clip: Integers
-    """(N,): index into `clips` for each picture."""
+    """Index into `clips` for each picture, shape (N,)."""
     clips: tuple[str, ...]
     """Folders of the project, or the video."""
     pictures: tuple[Image, ...]
@@ -298,8 +298,6 @@ def _mirrored(name: str) -> Iterator[str]:
                 yield name[:index] + name[index].translate(_OTHER) + name[index + 1 :]
 
 
-# -- the split into training, validation and test --------------------------------------------------------------------
-
 PARTS = ("train", "validation", "test")
 """Pictures to train on, to evaluate and calibrate on meanwhile, and for the test at the end."""
 BLOCKS = 10
@@ -385,8 +383,6 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
     drawn = np.random.default_rng(seed).permutation(len(blocks))[:count]
     return np.sort(np.concatenate([blocks[i] for i in drawn]))
 
-
-# -- recon evaluate-2d: predicted keypoints against labels -------------------------------------------------------------
 
 BINS = 10
 """Number of bins of likelihoods whose fractions of correct points are computed."""

@@ -113,9 +113,6 @@ DEVICE = Option("auto, cpu, cuda or mps.")
 THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more")
 
 
-# -- torch -------------------------------------------------------------------------------------------------------------
-
-
 def require_torch() -> ModuleType:
     """Return the package torch; if torch is missing, raise InputError with the command that installs it."""
     try:
@@ -157,9 +154,6 @@ def fast_half(device: torch.device) -> torch.dtype | None:
         has = (getattr(torch.cpu, unit, lambda: False)() for unit in units)
         return torch.bfloat16 if any(has) else None
     return None
-
-
-# -- layers ------------------------------------------------------------------------------------------------------------
 
 
 def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ...]) -> torch.nn.Module:
@@ -242,8 +236,6 @@ def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torc
     backgrounds = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
     return torch.cat([(x - GREY) / SPREAD, (x - backgrounds) / DIFFERENCE], dim=-1).permute(0, 3, 1, 2)
 
-
-# -- scores and points -------------------------------------------------------------------------------------------------
 
 Window = tuple["torch.Tensor", float]
 """Region of each keypoint: centre (B, K, 2) and radius, in cells of the grid."""
@@ -334,8 +326,6 @@ def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -
     return (entropies * labelled).sum() / labelled.sum().clamp_min(1)
 
 
-# -- likelihoods -------------------------------------------------------------------------------------------------------
-
 Calibration = tuple[float, float]
 """Slope and offset: likelihood = expit(slope * logit(raw) + offset)."""
 
@@ -366,9 +356,6 @@ def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
 
     minimum = minimize(cost, _PRIOR, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
     return float(minimum.x[0]), float(minimum.x[1])
-
-
-# -- a trained network -------------------------------------------------------------------------------------------------
 
 
 _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
@@ -545,8 +532,6 @@ def load_torch(path: Path) -> dict[str, Any]:
         damage = "torch cannot read it: another kind of file, or damaged"
         raise InputError(Problem(path, "model", damage, "a file written by `recon train`")) from error
 
-
-# -- recon predict: a video in, a keypoint file out --------------------------------------------------------------------
 
 WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 

@@ -106,13 +106,13 @@ class Example:
     """A picture to learn from, h by w pixels, with K keypoints."""
 
     picture: Image
-    """(h, w, 3): the picture."""
+    """The picture, shape (h, w, 3)."""
     background: Image | None
-    """(h, w, 3): median picture of the clip; None if the camera moves."""
+    """Median picture of the clip, shape (h, w, 3); None if the camera moves."""
     mask: Image | None
-    """(h, w): the animal's pixels; None if the camera moves."""
+    """The animal's pixels, shape (h, w); None if the camera moves."""
     xy_px: Array
-    """(K, 2): points, NaN where not labelled."""
+    """Points, NaN where not labelled, shape (K, 2)."""
     length_px: float
     """Length of the animal in pixels."""
     part: bool = False
@@ -245,9 +245,6 @@ def _partly_covered(
     return picture
 
 
-# -- the still background ----------------------------------------------------------------------------------------------
-
-
 def background_of(pictures: Sequence[Image]) -> Image | None:
     """Return the median of one clip's pictures, or None if there are too few or if the camera moves."""
     if len(pictures) < LEAST_PICTURES:
@@ -299,9 +296,6 @@ def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: floa
     cv2.drawContours(moved, outlines, -1, 255, cv2.FILLED)
     moved = cv2.dilate(moved, np.ones((3, 3), np.uint8))
     return np.asarray(cv2.GaussianBlur(moved, (3, 3), 0), np.uint8)
-
-
-# -- batches -----------------------------------------------------------------------------------------------------------
 
 
 T = TypeVar("T")

@@ -320,8 +320,6 @@ def judge(trained: net.TrainedNetwork, run: TrainingRun, indices: Integers) -> t
     return np.linalg.norm(xy - run.labels.xy_px[indices], axis=2), raw, xy
 
 
-# -- checkpoints -------------------------------------------------------------------------------------------------------
-
 _PLAIN = ("step", "share", "seconds", "calibration", "judged", "history", "threads")
 _TORCH = ("network", "average", "optimizer")
 
@@ -379,8 +377,6 @@ def _resumed(run: TrainingRun, out: Path) -> State:
         getattr(state, name).load_state_dict(content[name])
     return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})
 
-
-# -- the report of a training run --------------------------------------------------------------------------------------
 
 WORST = 6
 """Largest number of pictures in worst.png."""
@@ -650,9 +646,6 @@ def _excess_distance_px(xy_px: Array) -> Array:
     pairs = pd.DataFrame(distance.reshape(n, k * k))
     usual = pairs.quantile(USUAL).where(pairs.count() >= 5)
     return np.fmin.reduce((pairs - usual).to_numpy().reshape(n, k, k), axis=2)
-
-
-# -- a run, written ----------------------------------------------------------------------------------------------------
 
 
 def run_training(

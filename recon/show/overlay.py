@@ -59,7 +59,7 @@ class Overlay:
     """Data for drawing T frames of J joints on a video."""
 
     frames: Integers
-    """(T,): frame numbers."""
+    """Frame numbers, shape (T,)."""
     fps: float
     limbs: Sequence[Sequence[int]]
     """Joints along each limb, as indices."""
@@ -70,11 +70,11 @@ class Overlay:
     reprojected_px: Array
     """Reprojections (T, J, 2), NaN if missing."""
     outliers: Bools
-    """(T, J): detections further from the pose than the expected error."""
+    """Detections further from the pose than the expected error, shape (T, J)."""
     depth_m: Array
-    """(T, J): depths of the joints, from any origin."""
+    """Depths of the joints, from any origin, shape (T, J)."""
     upright_m: Array
-    """(T, J, 3): joints with z up."""
+    """Joints with z up, shape (T, J, 3)."""
     trunk: tuple[int, int]
     """Two joints, from rear to front."""
     flags: Sequence[Sequence[str]]

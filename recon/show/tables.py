@@ -205,8 +205,6 @@ def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.
     write_table(path, header, motion.frames, values.reshape(len(motion.frames), -1))
 
 
-# -- tables of an analysis ---------------------------------------------------------------------------------------------
-
 UNITS = {
     "m_s2": "m/s²",
     "m2_s": "m²/s",

@@ -22,9 +22,6 @@ Joints = dict[str, Array]
 """Positions (T, 3) by name, metres, y up."""
 
 
-# -- OpenSim -----------------------------------------------------------------------------------------------------------
-
-
 def read_mot(path: Path) -> dict[str, list[float]]:
     """Return the columns of a .mot file."""
     header, _, rows = path.read_text(encoding="utf-8").partition("endheader\n")
@@ -104,9 +101,6 @@ def read_trc_with_opensim(path: Path) -> Joints:
     }
 
 
-# -- glTF --------------------------------------------------------------------------------------------------------------
-
-
 def read_gltf_as_json(path: Path) -> Joints:
     """Return the nodes of a skin, moved by the animation, from the JSON alone."""
     content = path.read_bytes()
@@ -159,9 +153,6 @@ def read_gltf_with_blender(path: Path) -> Joints:
     return _read_with_blender(path, lambda blender: blender.ops.import_scene.gltf(filepath=str(path)), first_frame=0)
 
 
-# -- BVH ---------------------------------------------------------------------------------------------------------------
-
-
 def read_bvh_with_bvhio(path: Path) -> Joints:
     """Return the joints, read by bvhio."""
     with warnings.catch_warnings():
@@ -202,8 +193,6 @@ def _read_with_blender(path: Path, read: Callable[..., object], first_frame: int
             joints.setdefault(bone.name, []).append([x, z, -y])
     return {name: np.array(positions) for name, positions in joints.items()}
 
-
-# -- all ---------------------------------------------------------------------------------------------------------------
 
 FPS = 60
 READERS: dict[str, tuple[tuple[str, Callable[[Path], Joints]], ...]] = {

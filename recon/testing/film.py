@@ -249,9 +249,6 @@ def _disc(canvas: Image, centre: Array, radius: float, colour: Array) -> None:
     cv2.circle(canvas, (x, y), max(1, round(radius * 2**_SHIFT)), tuple(colour.tolist()), -1, cv2.LINE_AA, _SHIFT)
 
 
-# -- films -----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class PanningFilm:
     """A clip of a camera that turns to follow the animal."""

@@ -91,11 +91,11 @@ class SyntheticClip:
     """Exact detections, missing if outside the picture."""
     camera: Camera
     truth_m: Array
-    """(T, K, 3): true positions in the world, metres."""
+    """True positions in the world, metres, shape (T, K, 3)."""
     names: tuple[str, ...]
-    """(K,): names of the keypoints."""
+    """Names of the keypoints, shape (K,)."""
     state: Array
-    """(T, D): states of `cheetah-8u` for the near side's legs, in the camera frame."""
+    """States of `cheetah-8u` for the near side's legs, in the camera frame, shape (T, D)."""
     side: Side
     """Side of the animal that faces the camera."""
 
@@ -177,9 +177,6 @@ def gallop(
     return SyntheticClip(keypoints, camera, truth_m, KEYPOINT_NAMES, state, side)
 
 
-# -- motion ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class _Waves:
     """Slow waves about small means, each array (W,)."""
@@ -235,13 +232,13 @@ class _Run(NamedTuple):
     """A galloping animal at T times."""
 
     state: Array
-    """(T, D): states without position and orientation."""
+    """States without position and orientation, shape (T, D)."""
     R_world_local: Array
-    """(T, 3, 3): orientation."""
+    """Orientation, shape (T, 3, 3)."""
     near_m: Array
-    """(T, J, 3): joints in the world, with the near legs."""
+    """Joints in the world, with the near legs, shape (T, J, 3)."""
     far_m: Array
-    """(T, J, 3): joints in the world, with the far legs."""
+    """Joints in the world, with the far legs, shape (T, J, 3)."""
 
 
 def _run(chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]) -> _Run:
@@ -281,9 +278,6 @@ def _run(chain: UnknownsChain, t: Array, heading_rad: float, direction: Directio
     local_far = chain.local_joints(state(_HIND_LAG, _FORE_LAG, far_phi)) + np.array([0.0, 0.0, sign * WIDTH_M])
     near_m, far_m = (root[:, None] + local @ rotation.transpose(0, 2, 1) for local in (local_near, local_far))
     return _Run(near_state, rotation, near_m, far_m)
-
-
-# -- camera ----------------------------------------------------------------------------------------------------------
 
 
 def _place_camera(model: CameraModel, points_m: Array) -> Camera:
@@ -364,9 +358,6 @@ def add_noise(
         confidence=np.where(lost, 0.0, np.where(outliers, poor, good)),
     )
     return noisy, outliers
-
-
-# -- the whole animal ------------------------------------------------------------------------------------------------
 
 
 def project_clip(camera: Camera, clip: SyntheticClip) -> Keypoints:

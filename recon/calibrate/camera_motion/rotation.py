@@ -199,8 +199,6 @@ def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bo
     return focus_px(camera) + zoom * (pixels - focus_px(camera)), valid
 
 
-# -- a rotation of the camera ------------------------------------------------------------------------------------------
-
 GRID = (12, 12)
 TRIALS = 300
 """Number of trial rotations."""

@@ -171,9 +171,6 @@ def _variance_row(row: Mapping[Any, Any], measures: Mapping[str, str]) -> dict[s
     return {"measure": measures[row["quantity"]], "numbers": numbers, "icc": f"{icc:.2f}" if math.isfinite(icc) else ""}
 
 
-# -- plots -------------------------------------------------------------------------------------------------------------
-
-
 def _plot(
     name: str, title: str, clips: pd.DataFrame, groups: pd.DataFrame, pages: Mapping[str, str]
 ) -> dict[str, Any] | None:

@@ -89,8 +89,6 @@ def _data(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-# -- page of one result ------------------------------------------------------------------------------------------------
-
 SECTION_CHARACTERS = 600_000
 """Largest size of a section's vector graphics, so that three sections and the stills together stay below 3 MB."""
 SHOWN = 100
@@ -203,9 +201,6 @@ def _subtitle(motion: Motion) -> str:
     return f"frames {frames[0]} to {frames[-1]}, {times}{cameras_text} · {motion.title}"
 
 
-# -- words -------------------------------------------------------------------------------------------------------------
-
-
 def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
     """Yield the result in a few sentences."""
     yield f"Frames: {dict(report['lines'])['frames']}."
@@ -220,9 +215,6 @@ def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
-
-
-# -- figures -----------------------------------------------------------------------------------------------------------
 
 
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
@@ -287,8 +279,6 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
         part[rows] = joints_m[rows]
         yield part
 
-
-# -- page of a batch ---------------------------------------------------------------------------------------------------
 
 FIRST = ("failed", "unsolved", "pending")
 """Statuses that are listed before all others."""

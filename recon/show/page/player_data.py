@@ -96,9 +96,6 @@ def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
             yield rows[0], rows[-1] + 1, flags
 
 
-# -- packed arrays ----------------------------------------------------------------------------------------------------
-
-
 def packed(values: Array, least_unit: float = 1e-9) -> dict[str, Any]:
     """Return an array as 16-bit integers in a unit and from an offset, little-endian, in base64."""
     known = values[np.isfinite(values)]
@@ -124,9 +121,6 @@ def packed_integers(values: Integers) -> dict[str, Any]:
 def packed_states(values: Array) -> dict[str, Any]:
     """Return an array of small integers as bytes in base64."""
     return {"type": "u1", "unit": 1, "offset": 0, "data": base64.b64encode(values.astype("u1").tobytes()).decode()}
-
-
-# -- the scene --------------------------------------------------------------------------------------------------------
 
 
 def _scene(motion: Motion) -> dict[str, Any]:
@@ -191,9 +185,6 @@ def _number(value: float) -> float | None:
     return round(float(value), 6) if np.isfinite(value) else None
 
 
-# -- the cameras' pictures ---------------------------------------------------------------------------------------------
-
-
 def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
     """Yield the detections and reprojections of each camera, or of fewer cameras if the page would become too large."""
     frames, joints = motion.keypoints.present.shape
@@ -223,9 +214,6 @@ def _detections(picture: Picture) -> dict[str, Any]:
         "likelihood": packed_shares(np.where(picture.present, picture.source.keypoints.confidence, np.nan)),
         "weight": packed_shares(picture.weight),
     }
-
-
-# -- curves and stances -----------------------------------------------------------------------------------------------
 
 
 def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:

@@ -205,8 +205,6 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
     return lines + [Line2D([], [], color=style.GREY, lw=0.8, label="ground")] * ground
 
 
-# -- in the animal's own frame ------------------------------------------------------------------------------------
-
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _COLOUR_KEY = "left blue, right orange; pale: first, full colour: last configuration"
@@ -279,8 +277,6 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     lines = LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2)
     axes.add_collection(lines, autolim=False)
 
-
-# -- a skeleton in its expected pose --------------------------------------------------------------------------------
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 """Coordinates to the right and upwards, with x forwards, y left, z up. The animal faces right, and in the last view it
@@ -399,8 +395,6 @@ def _frame(axes: Axes) -> None:
     axes.axis("off")
 
 
-# -- which angles the pixels determine, and the evidence of a calibration ----------------------------------------------
-
 _ROW_MM, _REST_MM = 3.3, 34.0
 _SHARES = (
     f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly from the prior"
@@ -442,8 +436,6 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "", whol
         bar.set_label(_SHARES)
     return figure
 
-
-# -- by the camera's position ---------------------------------------------------------------------------------------
 
 ROUND = {0: "ahead", 90: "left side", 180: "behind", 270: "right side"}
 _PANEL_MM, _BESIDE_MM = 52.0, 26.0
@@ -496,9 +488,6 @@ def _grid(axes: Axes, advice: Advice) -> None:
 def in_words(sigma: float, unit: str) -> str:
     """Return a standard deviation in degrees, or in centimetres, with its unit."""
     return quantity(np.degrees(sigma), 1, "°") if unit == "rad" else f"{100 * sigma:.1f} cm"
-
-
-# -- a calibration ----------------------------------------------------------------------------------------------------
 
 
 def calibration(result: Calibration) -> Figure:

@@ -33,8 +33,6 @@ from recon.gait.phase import Closure, LinkField, Portrait, means_of_field
 from recon.gait.stances import Stance, interval_of
 from recon.show.plots import style
 
-# -- stances and forces ------------------------------------------------------------------------------------------------
-
 ROWS = ("LH", "RH", "RF", "LF")
 """Rows of the feet from the top."""
 HATCHES = ("", "////", "....", "xxxx")
@@ -175,8 +173,6 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
     return figure
 
 
-# -- speed -------------------------------------------------------------------------------------------------------------
-
 BAND_ROOM = 3.0
 """Largest height of the axis relative to the highest curve, so that the curve fills at least a third of the panel.
 Bands are often higher: those of accelerations from one camera, and those at the ends of a spline.
@@ -252,8 +248,6 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     top = min(np.max(tops, initial=highest), BAND_ROOM * highest)
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
 
-
-# -- phase space: phase portraits (the rate of an angle over the angle) and vector fields over time --------------------
 
 SHADES = 60
 """Number of pieces of one colour in a path."""
@@ -401,8 +395,6 @@ def _percent(value: float, sigma: float) -> str:
         return "–"
     return f"{value:.0f}±{style.REACH * sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
 
-
-# -- vector fields -----------------------------------------------------------------------------------------------------
 
 ARROWS = 45
 """Largest number of arrows in a row."""

@@ -52,9 +52,6 @@ def _assumed_by_one_camera(motion: Motion) -> str:
     )
 
 
-# -- the clip ----------------------------------------------------------------------------------------------------------
-
-
 def clip_data(motion: Motion) -> dict[str, Any]:
     """Return the clip's files, frames and camera."""
     files = {"keypoints": file_name(motion.keypoints.source), "individual": motion.keypoints.individual}
@@ -96,9 +93,6 @@ def note_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         yield "note", note
 
 
-# -- the skeleton and the detector -------------------------------------------------------------------------------------
-
-
 def skeleton_data(motion: Motion) -> dict[str, Any]:
     """Return the skeleton's name, keypoints, feet, joints and states."""
     feet = {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)}
@@ -132,9 +126,6 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     if "belongs to no known detector" in data["reason"]:
         offer = "; two runs with four cameras measure its keypoint bias: recon subject fit --no-lengths --offsets"
     yield "detector", f"{data['name']}: {data['reason']}{offer}"
-
-
-# -- assumptions -------------------------------------------------------------------------------------------------------
 
 
 def assumptions_data(motion: Motion) -> dict[str, Any]:

@@ -28,9 +28,6 @@ def trajectory_solution(motion: Motion) -> TrajectorySolution:
     return motion.solution
 
 
-# -- path and heading -------------------------------------------------------------------------------------------------
-
-
 def root_path_data(motion: Motion) -> dict[str, Any]:
     """Return the path of the reference point, exact and smoothed.
 
@@ -93,9 +90,6 @@ def heading_text(angle_rad: float | None) -> str:
     if (degrees := round(math.degrees(angle_rad))) == 0:
         return "in the picture's plane"
     return f"{abs(degrees)}° out of the picture's plane, {'away from' if degrees > 0 else 'towards'} the camera"
-
-
-# -- size -------------------------------------------------------------------------------------------------------------
 
 
 def size_data(motion: Motion) -> dict[str, Any]:
@@ -161,9 +155,6 @@ def size_sources(solution: TrajectorySolution) -> list[str]:
 
 def _size_share(solution: TrajectorySolution) -> float:
     return max(0.0, 1.0 - (solution.size_sigma / solution.size_prior_sigma) ** 2)
-
-
-# -- the prior --------------------------------------------------------------------------------------------------------
 
 
 def prior_data(motion: Motion) -> dict[str, Any]:

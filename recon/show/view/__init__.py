@@ -115,9 +115,6 @@ def write(
             scenes.write_video(motion, log, video, first_frame, camera)
 
 
-# -- the views: their layout, and where they look from -----------------------------------------------------------------
-
-
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
     """Return the layout of the views.
 
@@ -269,9 +266,6 @@ def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Ar
     return target_m + (1.1 * distances_m[nearest] + margin_m) * back[nearest], target_m
 
 
-# -- the viewer --------------------------------------------------------------------------------------------------------
-
-
 def open_viewer(path: Path) -> None:
     """Show a recording in rerun's viewer and wait until it is closed.
 
@@ -290,8 +284,6 @@ def open_viewer(path: Path) -> None:
         expected = "a display; without one, make a recording (--out FILE.rrd) for rerun on another machine"
         raise InputError(Problem("recon view", "viewer", ending, expected))
 
-
-# -- quantities over time, for the plots -------------------------------------------------------------------------------
 
 MAX_LINES = 4
 """Largest number of angles in one plot, if their names can be split by part of the animal."""
@@ -321,9 +313,6 @@ def _plot(
     """Return a plot of lines (T,) by name, with colours in their order."""
     line_colours = [colours[i % len(colours)] for i in range(len(lines))]
     return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
-
-
-# -- views of every motion ---------------------------------------------------------------------------------------------
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
@@ -386,9 +375,6 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
 
     lines = {"joint within the pose": frame_rms_m(motion), "position in depth": motion.place_sigma_m}
     yield _plot("uncertainty", "Standard deviation (m)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.LINK))
-
-
-# -- views of an analysis ----------------------------------------------------------------------------------------------
 
 
 def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:

@@ -70,7 +70,7 @@ class TimePlot:
     colours: Sequence[Colour]
     """Colours of the L lines."""
     values: Array
-    """(T, L): values of the lines."""
+    """Values of the lines, shape (T, L)."""
     tab: str = ""
     """Name of the tab that holds the plot, together with other plots of that name; empty for the front row."""
 
@@ -81,9 +81,9 @@ class Log:
 
     stream: rr.RecordingStream
     frames: Integers
-    """(T,): frame numbers."""
+    """Frame numbers, shape (T,)."""
     time_s: Array
-    """(T,): times of the frames."""
+    """Times of the frames, shape (T,)."""
 
     def send(
         self, entity: str, columns: rr.ComponentColumnList, rows: Index | Sequence[int] | slice = slice(None)
@@ -143,15 +143,15 @@ class Scene:
     """Geometry that views and entities share, in the motion's frame of reference."""
 
     axes: Array
-    """(3, 3): two level unit vectors and the upward one, in rows."""
+    """Two level unit vectors and the upward one, in rows, shape (3, 3)."""
     low_m: Array
-    """(3,): lower bounds of the animal over the clip along the axes."""
+    """Lower bounds of the animal over the clip along the axes, shape (3,)."""
     high_m: Array
-    """(3,): upper bounds of the animal over the clip along the axes."""
+    """Upper bounds of the animal over the clip along the axes, shape (3,)."""
     size_m: float
     """Diagonal of the animal."""
     camera_m: Array
-    """(3,): centre of projection of the first camera; its mean if the camera moves."""
+    """Centre of projection of the first camera, shape (3,); its mean if the camera moves."""
 
     @classmethod
     def from_motion(cls, motion: Motion) -> Scene:
@@ -192,9 +192,6 @@ def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
     return [f"{root}/{rr.escape_entity_path_part(picture.name)}" for picture in pictures]
 
 
-# -- limbs --------------------------------------------------------------------------------------------------------
-
-
 def limb_colours(motion: Motion) -> list[Colour]:
     """Return one colour per limb: by side for a whole animal, otherwise one after the other."""
     if motion.side is not None:
@@ -215,9 +212,6 @@ def joint_limbs(motion: Motion) -> Integers:
         not_first = [i for i in limbs_of_joint if limbs[i][0] != j]
         chosen.append(trunk if trunk in limbs_of_joint or not limbs_of_joint else (not_first or limbs_of_joint)[0])
     return np.array(chosen)
-
-
-# -- lines --------------------------------------------------------------------------------------------------------
 
 
 def limb_strips(
@@ -290,9 +284,6 @@ def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
             line[:, 1 - axis] = low_m[1 - axis], high_m[1 - axis]
             result.append(line)
     return result
-
-
-# -- the animal in space --------------------------------------------------------------------------------------------
 
 
 def write_world(motion: Motion, scene: Scene, log: Log) -> None:
@@ -410,9 +401,6 @@ def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
     log.points("world/stance", joints[:, motion.feet], standing, colors=DETECTION, radii=0.05)
 
 
-# -- the pictures -------------------------------------------------------------------------------------------------
-
-
 def write_pictures(motion: Motion, log: Log) -> None:
     """Write the points of each picture, and the middle of the animal, around which the close view is."""
     for picture, root in zip(motion.pictures, by_camera(PICTURE, motion.pictures), strict=True):
@@ -495,8 +483,6 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
             content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
             log.send(entity, rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"]), [t])
 
-
-# -- recordings --------------------------------------------------------------------------------------------------------
 
 _AT_ONCE = 1 << 20
 """Number of bytes copied at once."""
