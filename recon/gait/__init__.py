@@ -1,1 +1,1 @@
-"""Analyse an animal's motion: kinematics, stances, strides, phase portraits, and comparison with a truth."""
+"""Analyse an animal's motion: kinematics, stances, strides, phase portraits, and comparison with ground truth."""

@@ -2,13 +2,13 @@
 
 The joints of a fit without uncertainty (the frame method) jitter from frame to frame, and the derivatives of exact
 splines through them are mostly noise. Paths and angles of such a fit are therefore smoothed according to the jitter,
-and everything else is computed from the smoothed ones.
+and everything else is computed from the smoothed paths and angles.
 
-The errors of a fit with uncertainty have three parts that last for different times: the animal's size, which changes
-the distance from a single camera by the same factor in every frame; the position of the whole animal; and the pose. The
-latter two change as fast as the errors of detections and the animal's motion. Their correlation time is the geometric
-mean of the times of these two (`error_time_s`), multiplied by a factor with which the standard deviations of velocities
-are large enough on average in real runs (`python benchmarks/gait.py --only rates`).
+The errors of a fit with uncertainty have three components with different correlation times. The error of the animal's
+size is constant: it changes the distance from a single camera by the same factor in every frame. The errors of the
+whole animal's position and of its pose change as fast as the errors of the detections and the animal's motion. Their
+correlation time is the geometric mean of these two times (`error_time_s`), multiplied by a factor with which the
+standard deviations of velocities are large enough on average in real runs (`python benchmarks/gait.py --only rates`).
 """
 
 from __future__ import annotations
@@ -46,29 +46,28 @@ if TYPE_CHECKING:
 POSITION_ERROR_TIME = 2.0
 """Correlation time of the errors of the animal's position, in units of `error_time_s`.
 
-It was measured on running cheetahs (`python benchmarks/gait.py --only rates`), and is right to 5 % for the walk of a
-dog, which is three times slower.
+It was measured on running cheetahs (`python benchmarks/gait.py --only rates`). For the walk of a dog, which is three
+times slower, it is accurate to 5 %.
 """
 POSE_ERROR_TIME = 0.6
-"""Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`; measured likewise.
+"""Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`, measured on the same
+runs.
 """
 RUNNING_S = 0.1
-"""`error_time_s` of a running animal, with which all stances are found.
+"""`error_time_s` of a running animal, s; the stances of every animal are found with this value.
 
 The stances of a walking dog would be 5 to 20 % too short with the dog's own `error_time_s`.
 """
 SPEED_KNOWN = 0.2
 """Largest relative standard deviation of a peak speed at which speeds count as known."""
 UNSEEN_S = 0.2
-"""Longest time before and after a frame from which detections determine a foot's position; beyond it, only the prior
-does.
-"""
+"""Longest time to a detection at which it still determines a foot's position, s. Further away, only the prior does."""
 BELT_GIVEN = (
-    "Only the analysis used the belt's speed, the fit did not: fit again with --set belt-speed-m-s for the best result."
+    "Only the analysis used the belt's speed, not the fit. Fit again with --set belt-speed-m-s for the best result."
 )
 STIFF_RAD = 1e-6
-"""Smallest change of the back's angle. If the back changes less, its joints are on one segment, and there is no
-flexion.
+"""Smallest change of the back's angle, rad. A smaller change means that all joints of the back are on one segment, so
+that there is no flexion.
 """
 
 
@@ -95,14 +94,14 @@ class ClipAnalysis(Brief):
     def errors(self) -> Sequence[Errors]:
         """Return the errors of the size, the position and the pose.
 
-        If the fit has no errors over time, they are estimated from the jitter.
+        For a fit without errors over time, the errors are estimated from the jitter.
         """
         xyz_m = self.tracked.xyz_m
         return _errors(self.motion, xyz_m, error_time_s(xyz_m, self.motion.fps))
 
     @cached_property
     def tracked(self) -> Pose3D:
-        """Return the upright pose; moved onto the path of the reference joint if the solution has such a path.
+        """Return the upright pose, moved onto the path of the reference joint if the solution has such a path.
 
         A method that solves every frame on its own gives poses that jitter along the line of sight. The path does not.
         """
@@ -114,7 +113,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def pose(self) -> Pose3D:
-        """Return the upright pose for angles, gait and fields; smoothed if the motion jitters."""
+        """Return the upright pose for angles, gait and fields, smoothed if the motion jitters."""
         pose = self.tracked
         if not self.motion.jitters:
             return pose
@@ -152,7 +151,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
-        """Return the angle at every inner joint of a chain and the flexion of the spine, if the skeleton has one."""
+        """Return the angles at the inner joints of each limb, and the flexion of the spine if there is one, by name."""
         # A displacement of all joints together does not change the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
         result, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
@@ -203,7 +202,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def standing(self) -> Bools:
-        """Return whether each of the motion's feet stands, shape (T, F)."""
+        """Return a mask of the frames in which each of the motion's F feet stands, shape (T, F)."""
         motion = self.motion
         stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
         if len(stands) >= MIN_POINTS and self.gait is not None:
@@ -214,7 +213,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def fields(self) -> dict[str, tuple[phase.LinkField, ...]]:
-        """Return the vector fields of the links by limb."""
+        """Return the vector fields of the links, by limb."""
         motion, chains, forward = self.motion, limb_chains(self.motion), self.motion.forward_names
         fields = {
             limb: phase.pose_vector_field(self.pose, chain, motion.fps, forward) for limb, chain in chains.items()
@@ -235,9 +234,9 @@ class ClipAnalysis(Brief):
     def stride(self) -> Stride | None:
         """Return the stride that phase portraits show, or None.
 
-        It is the given stride, or the first complete stride of the foot with the most strides. For a chain it is the
-        first stride of the end effector, and if no foot completes a stride, the end effector's nearest return. `recon
-        ik` takes the same stride of a chain.
+        This is the stride given by the user, or else the first complete stride of the foot with the most strides. For a
+        chain, it is the first stride of the end effector or, if there is no complete stride, the end effector's nearest
+        return. `recon ik` uses the same stride of a chain.
         """
         if self.given is not None:
             return self.given
@@ -254,7 +253,7 @@ class ClipAnalysis(Brief):
     def end_effector(self) -> EndEffector | None:
         """Return the path of a chain's fore foot relative to the reference joint.
 
-        Return None for a whole animal, and without a smoothed pose, as in a clip of four frames.
+        The result is None for a whole animal, and for a clip too short to be smoothed, such as one of four frames.
         """
         return self._effector_of(self.pose)
 
@@ -284,8 +283,8 @@ class ClipAnalysis(Brief):
     def _effector_return(self) -> Stride | None:
         """Return the nearest return of a chain's end effector relative to the body, or None.
 
-        It is searched for in the plane of travel, because a single camera hardly shows the motion across, and without
-        smoothing, as inverse kinematics follows the fitted poses.
+        The search is in the plane of travel, because a single camera hardly shows the motion across it. The poses are
+        not smoothed, because inverse kinematics follows the fitted poses.
         """
         if (effector := self._effector_of(self.tracked)) is None:
             return None
@@ -297,7 +296,7 @@ class ClipAnalysis(Brief):
         return self._stride_over(effector.foot, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
 
     def _stride_over(self, foot: str, span_s: tuple[float, float], at: Literal["end effector", "return"]) -> Stride:
-        """Return a stride between two times, with the length of the body's path."""
+        """Return the stride between two times, s, with the length of the body's path."""
         series = self.reference_motion.series
         begin, end = (
             np.array([np.interp(at_s, series.time_s, series.value[:, axis]) for axis in (0, 1)]) for at_s in span_s
@@ -306,12 +305,12 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
-        """Return centre of mass, energy and vertical forces, or None without masses or with one side only."""
+        """Return centre of mass, energy and vertical forces; None if masses are unknown or only one side was fitted."""
         return dynamics(self.motion, self.gait, self.errors)
 
     @property
     def net_acceleration_m_s2(self) -> tuple[float, float]:
-        """Return `net_acceleration` of the reference joint."""
+        """Return the net acceleration of the reference joint over the clip and its standard deviation, m/s^2."""
         points_m, index = self.tracked.xyz_m, self.motion.names.index(self.reference)
         errors = [error[:, index] for error in self.errors]
         return kinematics.net_acceleration(self.motion.time_s, points_m[:, index], errors)
@@ -320,8 +319,8 @@ class ClipAnalysis(Brief):
     def speed(self) -> pd.DataFrame:
         """Return a table of the reference joint's speed along its path, with ten rows per frame.
 
-        Columns speed_m_s, sigma_m_s, low_m_s and high_m_s (the 90 % interval), indexed by time_s. Raises InputError if
-        the speed is unknown (`why_no_speed`).
+        The columns are speed_m_s, sigma_m_s, low_m_s and high_m_s (the 90 % interval), indexed by time_s. Raises
+        InputError if the speed is unknown (`why_no_speed`).
         """
         import pandas as pd
 
@@ -335,19 +334,20 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:
-        """Return the fit's angles with less than `MEASURED_SHARE` of their precision from the pixels."""
+        """Return the names of the fit's angles that owe less than `MEASURED_SHARE` of their precision to the pixels."""
         return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
     @cached_property
     def why_no_speed(self) -> str | None:
-        """Return why no joint's speed is known, or None if it is known or the fit states its uncertainty.
+        """Return why no joint's speed is known, or None if speeds are known or the fit states their uncertainty.
 
-        The speed is unknown if the depth of the animal is too uncertain: its errors are common to all joints.
+        Speeds are unknown if the distance of the animal from the camera is too uncertain, since all joints share this
+        error.
         """
         if not self.motion.jitters:
             return None
         if self.motion.solution.position_error_time_s is None:
-            return "each frame was solved separately, and the depth in a single frame is hardly known"
+            return "each frame was solved separately, and a single frame hardly shows the distance from the camera"
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
         return f"its peak is {interval_text(peak, sigma, 'm/s')}" if sigma > SPEED_KNOWN * peak else None
 
@@ -361,13 +361,13 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def portraits(self) -> dict[str, phase.Portrait]:
-        """Return phase portraits of the fit's own angles over `stride`, or without one over the whole clip."""
+        """Return phase portraits of the fit's own angles over `stride`, or over the whole clip without a stride."""
         ends = () if self.stride is None else (self.stride.start_s, self.stride.end_s)
         return {name: phase.phase_portrait(angle, *ends) for name, angle in self.skeleton_angles.items()}
 
     @cached_property
     def closures(self) -> dict[str, phase.Closure]:
-        """Return degrees of closure of the portraits over `stride` that have no gaps; empty without a stride."""
+        """Return the degrees of closure of all portraits over `stride` without gaps; empty without a stride."""
         if self.stride is None:
             return {}
         complete = {
@@ -379,15 +379,15 @@ class ClipAnalysis(Brief):
 def analyse(
     motion: Motion, stride_s: tuple[float, float] | None = None, belt_speed_m_s: float | None = None
 ) -> ClipAnalysis:
-    """Return the analysis of a motion.
+    """Analyse a fitted motion.
 
     Parameters
     ----------
     motion : Motion
         A fitted clip.
     stride_s : tuple of float, optional
-        Start and end of the stride that phase portraits show, in seconds; None for the first complete stride, or for a
-        chain without one its foot's nearest return.
+        Start and end of the stride that phase portraits show, s; by default the first complete stride or, for a chain
+        without a complete stride, the nearest return of its foot.
     belt_speed_m_s : float, optional
         Speed of a treadmill's belt, m/s, if the fit was made without this speed.
 
@@ -406,7 +406,7 @@ def analyse(
 
 
 def over_belt(motion: Motion, speed_m_s: float) -> Motion:
-    """Return a motion relative to a treadmill's belt, without the finding that its feet slide.
+    """Return a motion relative to a treadmill's belt (speed in m/s), without the finding that its feet slide.
 
     Raises InputError if the fit already had the belt's speed.
     """
@@ -423,8 +423,8 @@ def over_belt(motion: Motion, speed_m_s: float) -> Motion:
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     """Return the stride given by `--stride`, which does not belong to a foot.
 
-    It begins at the frame with a pose nearest to the given start, because inverse kinematics starts from a pose, and
-    has the given duration. Raises InputError for times outside the clip.
+    The stride has the given duration and begins at the frame nearest to the given start that has a pose, because
+    inverse kinematics starts from a pose. Raises InputError for times outside the clip.
     """
     start_s, end_s = stride_s
     first_s, last_s = motion.time_s[[0, -1]]
@@ -436,7 +436,7 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
 
 
 def _from_pose(motion: Motion, stride: Stride) -> Stride:
-    """Return a stride of the same duration that begins at the nearest frame with a pose and is within such frames."""
+    """Return the stride moved to begin at the nearest frame with a pose and to end before the last such frame."""
     known_s = motion.time_s[longest_stretch(motion.solved)]
     if not len(known_s):
         return stride
@@ -447,7 +447,7 @@ def _from_pose(motion: Motion, stride: Stride) -> Stride:
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
-    """Return the joints along every limb attached to the trunk, and along the trunk itself.
+    """Return the joints along each limb attached to the trunk and along the trunk itself, by name.
 
     Chains have at least three joints. The chain of a limb begins with the preceding joint of the trunk, so that the
     limb's first link has a parent.
@@ -467,7 +467,7 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
-    """Return the errors of the joints (T, J, 3) of a motion, whose `error_time_s` is `error_s`."""
+    """Return the errors of a motion's joints (T, J, 3), given the motion's `error_time_s`."""
     solution, floor = motion.solution, 1e-4
     if motion.jitters:
         independent_and_lasting, path = kinematics.lasting_errors(xyz_m, motion.fps), solution.reference_path
@@ -477,7 +477,7 @@ def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
         path_sigma = np.sqrt(np.diagonal(path.covariance[:, :3, :3], axis1=1, axis2=2))[:, None]
         rest = np.broadcast_to(np.maximum(path_sigma, floor), xyz_m.shape)
         return *independent_and_lasting, Errors(_by_size(motion), np.inf), Errors(rest, position_time_s)
-    # These are the common errors of all joints. The relative errors of one joint can exceed its absolute errors.
+    # These errors are common to all joints. The relative error of a joint can exceed its absolute error.
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_ERROR_TIME * error_s)
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
@@ -488,7 +488,7 @@ def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
 
 
 def _by_size(motion: Motion) -> Array:
-    """Return the errors of the joints (T, J, 3) from the animal's size, which scales the distance from the camera."""
+    """Return the errors of joints (T, J, 3) due to the animal's size, which scales the distance from the camera."""
     solution = motion.solution
     size_sigma = getattr(solution, "size_sigma", None) or 0.0
     return np.asarray(size_sigma / solution.size * (solution.joints_m - solution.views[0].centre_m[:, None]))
@@ -497,8 +497,8 @@ def _by_size(motion: Motion) -> Array:
 def error_time_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
 
-    The latter is the root mean square distance of the joints (T, J, 3), relative to their mean, from their average
-    position, divided by the root mean square of their speed. This time is at most the former.
+    The pose's time is that of the joints (T, J, 3) relative to their mean: the root mean square distance from their
+    average position over the root mean square speed. It is at most the correlation time of the detections' errors.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)
@@ -515,7 +515,7 @@ def _with_sigma(
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[phase.LinkField, ...]]:
-    """Return the fields with standard deviations from the errors of the angles' rates, taken as independent."""
+    """Return the fields with standard deviations, from the errors of the angles' rates as if independent."""
     rates = [angle.series.rate_sigma for angle in angles]
     names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}
@@ -537,7 +537,7 @@ def _with_sigma(
 
 
 def _seen(motion: Motion, pose: Pose3D) -> Pose3D:
-    """Return the pose without a foot while it and the joint above it are unseen for more than `UNSEEN_S`."""
+    """Return the pose with a foot set to NaN while it and the joint above it are unseen for over `UNSEEN_S`."""
     xyz_m = pose.xyz_m.copy()
     for joint in motion.foot_names.values():
         foot = motion.names.index(joint)

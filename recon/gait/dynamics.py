@@ -1,24 +1,24 @@
 """Compute the centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
 
-All values are per kilogram of the animal; forces are in body weights. The centre of mass is that of the segments, each
-with its mass in the middle of its capsules; about this point a segment turns as a rod with the capsules' radius of
-gyration. The uncertainty is that of position and pose (`recon.gait.clip`) and of the masses. Derivatives are those of
+All values are per kilogram of the animal; forces are in body weights. The centre of mass is computed from the segments,
+each with its mass in the middle of its capsules. About this point a segment rotates as a rod with the capsules' radius
+of gyration. The uncertainty comes from position and pose (`recon.gait.clip`) and from the masses. Derivatives come from
 splines (`recon.gait.kinematics`).
 
 The second derivative of the centre of mass does not give the forces of single stances: even from several cameras its
-error is 0.6 to 1.3 body weights. A least-squares fit of the forces, integrated twice, to the heights of the centre of
-mass improves the forces of simulated runs by 5 %, and those measured by plates not at all. The net acceleration is not
-known well enough for a balance of pitch moments. Instead each stance has a shape,
+error is 0.6 to 1.3 body weights. Fitting the forces, integrated twice, to the heights of the centre of mass by least
+squares improves them by 5 % in simulated runs, and not at all where force plates measured them. The net acceleration is
+not known well enough for a balance of pitch moments. Instead, the force of each stance is assumed to have the shape
 
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
-and all stances of a stride together have the impulse of the body's weight over the stride, because over a level stride
-the height returns to its initial value. The duration of the stride is that of the strides around a stance.
-`GALLOP_FORE` is the fraction of the impulse on the fore feet; the feet of a pair share their part equally within
-`FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at an instant is
-the mean of the draws. Its maximum is lower than the peak, whose time is not known exactly. The shape and the spread
-within a pair were measured by force plates under two galloping cheetahs (`benchmarks/gait.py`); other animals or gaits
-may differ by more. Joint torques are left out, because their intervals would be wider than the values.
+and all stances of a stride together have the impulse of the body's weight over the stride, because over a stride on
+level ground the height returns to its initial value. The duration of the stride is the mean of the strides around a
+stance. `GALLOP_FORE` is the fraction of the impulse on the fore feet; the feet of a pair share their part equally
+within `FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at an
+instant is the mean of the draws. Its maximum is lower than the peak, whose time is not known exactly. The shape and the
+spread within a pair were measured by force plates under two galloping cheetahs (`benchmarks/gait.py`); other animals or
+gaits may differ by more. Joint torques are left out, because their intervals would be wider than the values.
 """
 
 from __future__ import annotations
@@ -49,15 +49,14 @@ G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
 """Components of the kinetic energy of the centre of mass."""
 SKEW = 0.8
-"""Exponent of time in the force over a stance. The force rises faster than it falls, so its centre is at 0.41 of the
+"""Exponent of time in the force over a stance. The force rises faster than it falls, so its centroid is at 0.41 of the
 stance (0.36 to 0.48).
 """
 GALLOP_FORE = (0.44, 0.11)
 """Fraction of a gallop's impulse on the fore feet, and its standard deviation.
 
-They are the mean and spread of these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (greyhounds at their fastest, J.
-Exp. Biol. 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50 (racehorses,
-222:jeb204107).
+The two values summarise these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (greyhounds at their fastest, J. Exp. Biol.
+215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50 (racehorses, 222:jeb204107).
 """
 OTHER_FORE = (0.5, 0.16)
 """Fraction of the impulse on the fore feet in other gaits, and its standard deviation; a guess."""
@@ -69,25 +68,25 @@ that walks, trots and gallops; the fore and hind feet of galloping racehorses di
 209:4389).
 """
 DRAWS = 400
-"""Number of random draws of the unknowns behind the forces, from which their intervals come."""
+"""Number of random draws from which the intervals of the forces are computed."""
 SEED = 0
-"""Seed of these draws, so that the same motion gives the same intervals."""
+"""Seed of the random draws of forces, so that the same motion gives the same intervals."""
 NODES = 41
-"""Number of times in and around a stance at which the force is drawn. Values in between are interpolated."""
+"""Number of times in and around a stance at which the force is computed. Values in between are interpolated."""
 FLIGHT_FRAMES = 5
-"""Smallest number of frames of a flight that determine an acceleration."""
+"""Smallest number of frames of a flight for which an acceleration is computed."""
 OFF_GRAVITY = 3.0
-"""Deviation of a flight's acceleration from gravity, in standard deviations, above which there is a finding."""
+"""Deviation of a flight's acceleration from gravity, in standard deviations, above which a finding is reported."""
 NET_FRAMES = 500
 """Maximum number of frames used for the net acceleration of a clip. More add little, because errors last for several
 frames.
 """
 MASS_LASTS_S = 10.0
-"""Correlation time of errors of masses, which are constant."""
+"""Correlation time of the errors of masses, s; longer than a clip, because masses are constant."""
 
 
 class StanceForce(NamedTuple):
-    """Vertical force of a foot in a stance that is completely in the clip, with the ends of its 90 % intervals."""
+    """Peak and impulse of a foot's vertical force in a complete stance, with the ends of their 90 % intervals."""
 
     foot: str
     start_s: float
@@ -104,15 +103,15 @@ class Flight(NamedTuple):
     """A part of the clip in which no foot stands, within the errors of touch-down and lift-off."""
 
     first: int
-    """Row of its first frame."""
+    """Row of the flight's first frame."""
     stop: int
-    """Row after its last frame."""
+    """Row after the flight's last frame."""
     start_s: float
     end_s: float
     up_m_s2: float
-    """Acceleration of a parabola through the heights of the centre of mass: -`G_M_S2` in free fall."""
+    """Upward acceleration of a parabola through the heights of the centre of mass; -`G_M_S2` in free fall."""
     sigma_m_s2: float
-    """Its standard deviation from the errors of position, pose and masses."""
+    """Standard deviation of `up_m_s2` from the errors of position, pose and masses."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,7 +126,7 @@ class Dynamics(Brief):
     net_acceleration_m_s2: tuple[float, float]
     """Acceleration of the centre of mass along its direction of travel over the clip, and its standard deviation."""
     internal_j_kg: Array
-    """Kinetic energy of the segments about the centre of mass, shape (N,)."""
+    """Kinetic energy of the segments' motion about the centre of mass, shape (N,)."""
     internal_sigma_j_kg: Array
     """Standard deviation of `internal_j_kg`, shape (N,)."""
     angular_momentum: Array
@@ -137,29 +136,29 @@ class Dynamics(Brief):
     ground_m: Array
     """Height of the ground under the centre of mass, shape (N,)."""
     stance_forces: Sequence[StanceForce]
-    """Forces of the stances that are completely in the clip."""
+    """Forces of the stances whose touch-down and lift-off are in the clip."""
     force: Mapping[str, Array]
-    """Expected vertical force of each foot and the ends of its 90 % interval, shape (N, 3)."""
+    """Expected vertical force of each foot and the ends of its 90 % interval, body weights, shape (N, 3)."""
     flight_parts: Sequence[Flight]
     """Parts of the clip in which no foot stands."""
 
     @cached_property
     def forces(self) -> pd.DataFrame:
-        """Return `stance_forces` as a table."""
+        """Return the forces of complete stances as a table with a row for each stance."""
         import pandas as pd  # slow to import
 
         return pd.DataFrame(self.stance_forces, columns=[*StanceForce._fields])
 
     @cached_property
     def flights(self) -> pd.DataFrame:
-        """Return `flight_parts` as a table."""
+        """Return the flights as a table with a row for each flight."""
         import pandas as pd  # slow to import
 
         return pd.DataFrame(self.flight_parts, columns=[*Flight._fields])
 
     @property
     def mean_peak_bw(self) -> tuple[float, float, float] | None:
-        """Return the mean of the stances' peak forces and the means of their intervals' ends, or None without any."""
+        """Return the mean peak force and the means of the ends of its intervals, or None without complete stances."""
         if not self.stance_forces:
             return None
         peak, low, high = zip(*((s.peak_bw, s.peak_low_bw, s.peak_high_bw) for s in self.stance_forces), strict=True)
@@ -167,7 +166,7 @@ class Dynamics(Brief):
 
     @cached_property
     def directions(self) -> Array:
-        """Return the directions (3, 3) forwards along the centre's path over the clip, sideways, and up, in columns."""
+        """Return unit vectors forwards (along the centre's path over the clip), sideways and up, in columns (3, 3)."""
         level_m = self.centre.series.value[:, :2]
         known_m = level_m[np.isfinite(level_m[:, 0])]
         direction = known_m[-1] - known_m[0] if len(known_m) > 1 else np.array([1.0, 0.0])
@@ -176,7 +175,7 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_j_kg(self) -> dict[str, Array]:
-        """Return potential, kinetic (forwards, sideways, up), internal and total energy, each of shape (N,)."""
+        """Return potential, kinetic (forwards, sideways, up), internal and total energy (N,), J/kg, by name."""
         series = self.centre.series
         energy = {"potential": G_M_S2 * (series.value[:, 2] - self.ground_m)}
         energy |= dict(zip(KINETIC, 0.5 * (series.rate @ self.directions).T ** 2, strict=True))
@@ -185,7 +184,7 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_sigma_j_kg(self) -> dict[str, Array]:
-        """Return the standard deviation (N,) of each energy."""
+        """Return the standard deviation (N,) of each energy, J/kg, by name."""
         series = self.centre.series
         kinetic_sigma = np.abs(series.rate @ self.directions) * np.sqrt(series.rate_sigma**2 @ self.directions**2)
         sigma = {"potential": G_M_S2 * series.value_sigma[:, 2]} | dict(zip(KINETIC, kinetic_sigma.T, strict=True))
@@ -194,9 +193,9 @@ class Dynamics(Brief):
 
 
 def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dynamics | None:
-    """Return the dynamics of a motion, or None for a skeleton without masses or feet, and for a chain.
+    """Return the dynamics of a motion; None for a chain or a skeleton without masses or feet.
 
-    `errors` are the errors of the joints, as in `recon.gait.clip`.
+    `errors` (T, J, 3) are those of the joints, metres, as in `recon.gait.clip`.
     """
     shares = motion.body.mass
     if not shares or gait is None or motion.side is not None:
@@ -216,7 +215,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     net = kinematics.net_acceleration(
         motion.time_s[every_few], centre_m[every_few], [error[every_few] for error in centre_errors]
     )
-    # The rotation about the centre is computed at the frames only: on the fine grid it would take far longer.
+    # The rotation about the centre is computed at the frames only, because the fine grid would take far longer.
     flat_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
     rod_motion = kinematics.series_kinematics(motion.time_s, flat_rods_m, oversampling=1)
     value, rate = (values.reshape(len(values), -1, 3) for values in (rod_motion.value, rod_motion.rate))
@@ -243,10 +242,10 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
 
 
 def _rods(motion: Motion) -> Array:
-    """Return two points of each segment, upright, shape (T, S, 2, 3).
+    """Return the ends of the rods that represent the segments, upright, shape (T, S, 2, 3).
 
     A rod with half of the segment's mass at each point has the moment of inertia of the segment's capsules about an
-    axis across the longest capsule.
+    axis perpendicular to the longest principal axis.
     """
     tree = motion.body.tree
     capsule_shape = capsules(tree, motion.body.markers)
@@ -277,9 +276,10 @@ def _turning_sigma(
 ) -> Array:
     """Return the standard deviations (T, 4) of the internal energy and the angular momentum of the rods.
 
-    at_m: ends of rods (T, E, 3), two for each segment. share: fractions (E,) of the mass; share_sigma: their standard
-    deviations by segment (S,). The ends have the errors of their joints: equal for all ends of a joint, independent
-    between joints. An error that lasts for `correlation_s` has the rate sigma / correlation_s.
+    at_m: ends of the rods (T, E, 3), two for each segment. rate_m_s: their velocities (T, E, 3). share: fractions (E,)
+    of the mass; share_sigma: standard deviations of the segments' fractions (S,). Each end has the error of its nearest
+    joint: equal for all ends of a joint, independent between joints. An error that lasts for `correlation_s` changes at
+    the rate sigma / correlation_s.
     """
     axes = np.eye(3)
     by_rate = np.concatenate([rate_m_s[:, :, :, None], np.cross(at_m[:, :, None], axes)], axis=3)
@@ -308,9 +308,9 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 
 
 def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
-    """Draw times of touch-down and lift-off and impulses (D, S) of S stances.
+    """Draw times of touch-down and lift-off, and impulses, of S stances, shape (D, S).
 
-    The first draw is the middle of every distribution.
+    The first draw has the central value of every distribution.
     """
     rng, stances = np.random.default_rng(SEED), gait.stances
     count, feet = len(stances), gait.tracks.feet
@@ -328,12 +328,12 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     factor = np.exp(FOOT * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
     pair_sum = np.stack([factor[:, is_fore == pair].sum(axis=1) for pair in is_fore], axis=1)
-    # the feet of a pair share the impulse of the pair
+    # The impulse of a pair is divided between its feet.
     share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / pair_sum
     stride_s, stride_sigma_s = np.array([gait.stride_time(s.start_s, s.end_s) for s in stances]).reshape(count, 2).T
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)
     foot_rows = np.array([feet.index(s.foot) for s in stances], dtype=int)
-    # The duration of a stance is known from its ends, and from the other stances of the foot.
+    # The duration of a stance is known from its touch-down and lift-off, and from the other stances around it.
     is_whole = np.array([s.begins and s.ends for s in stances], dtype=bool)
     drawn_s = ends - starts
     noise = normal(count)
@@ -342,7 +342,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
         is_near = is_whole & (start < end[i] + stride_s[i]) & (end > start[i] - stride_s[i])
         typical = np.median(drawn_s[:, is_near], axis=1)
         spread = STANCE_SPREAD * typical[0]
-        # The uncertainty inside a stance is larger than the ends of the stance suggest.
+        # If the two estimates of the duration disagree, the combined uncertainty is larger than each suggests.
         inflation = max(1.0, (typical[0] - drawn_s[0, i]) ** 2 / (variance[i] + spread**2))
         change = inflation * (typical + spread * noise[:, i] - drawn_s[:, i]) / (inflation * variance[i] + spread**2)
         starts[:, i] -= start_sigma[i] ** 2 * change
@@ -354,7 +354,7 @@ _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
 def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
-    """Return the forces of whole stances, and each foot's force over time, NaN in stances cut by the clip."""
+    """Return the forces of complete stances, and each foot's force over time, NaN in stances cut by the clip."""
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []
     durations_s = np.where([stance.begins and stance.ends for stance in gait.stances], ends - starts, np.nan)
@@ -383,8 +383,8 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> list[Flight]:
     """Return the flights between the first and the last stance, for an animal with four known feet.
 
-    by_mass_m: (T, S, 3), shift of the centre by one standard deviation of each segment's mass fraction. errors: (T, 3),
-    those of the centre from all other causes.
+    by_mass_m (T, S, 3): shift of the centre by one standard deviation of each segment's mass fraction, metres. errors
+    (T, 3): errors of the centre from all other causes.
     """
     time_s, flights = motion.time_s, list[Flight]()
     if len(gait.tracks.feet) >= 4 and gait.stances:
@@ -409,7 +409,7 @@ def off_gravity(flights: Sequence[Flight]) -> Array:
 
 
 def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...]:
-    """Return a finding if the flight that differs most from free fall deviates far more than its uncertainty."""
+    """Return a finding if a flight deviates from free fall by far more than its uncertainty."""
     deviation = np.abs(off_gravity(result.flight_parts))
     if not (deviation > OFF_GRAVITY).any():
         return ()
@@ -419,23 +419,23 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 OVER_STRIDE = {"net_work": "_j_kg", "net_power": "_w_kg", "net_acceleration": "_m_s2", "exchange": ""}
-"""Quantities of a stride and the units in their columns."""
+"""Quantities of a stride, with the unit that ends the name of their column."""
 
 
 def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tuple[float, float, float]]:
     """Return the changes over a stride, each with the ends of its interval.
 
-    Net work and power are those of the total energy without the internal energy. The net acceleration is that of the
-    centre of mass along its path. The exchange is Cavagna's recovery: the fraction of the rises of two energies that
-    one takes from the other. The two are potential energy with the vertical kinetic energy, and the horizontal kinetic
-    energy. The exchange is near 1 for a pendulum and near 0 for a spring.
+    Net work and power are computed from the total energy without the internal energy. The net acceleration is that of
+    the centre of mass along its path. The exchange is Cavagna's energy recovery: the fraction of the increases of two
+    energies that is covered by decreases of the other. The two are the potential plus vertical kinetic energy, and the
+    horizontal kinetic energy. The exchange is near 1 for a pendulum and near 0 for a spring.
     """
     series, energy, sigma = result.centre.series, result.energy_j_kg, result.energy_sigma_j_kg
     ends = np.minimum(np.searchsorted(series.time_s, [start_s, end_s - 1e-9]), len(series.time_s) - 1)
     rows = slice(ends[0], ends[1] + 1)
 
     def rises(names: Sequence[str]) -> tuple[float, float]:
-        """Return the sum of the rises of these energies and its standard deviation."""
+        """Return the sum of all increases of these energies and its standard deviation, J/kg."""
         steps = np.diff(np.sum([energy[name][rows] for name in names], axis=0))
         turns = np.diff((steps > 0).astype(int), prepend=0, append=0) != 0
         variance = np.sum([sigma[name][rows][turns] ** 2 for name in names])

@@ -1,4 +1,4 @@
-"""Find the boundaries of strides from the end effector, the foot of a chain, as in the publication.
+"""Find the boundaries of strides from the end effector, the foot of a chain, as published (see References).
 
 The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
 strides its horizontal position has a local minimum, so its horizontal velocity crosses zero upwards, near an extremum
@@ -21,35 +21,35 @@ from recon.base.arrays import Array, Index
 from recon.gait.kinematics import series_kinematics
 
 REAR_SHARE = 0.25
-"""Fraction of the range of the horizontal position that is its rear part, where a swing may begin."""
+"""Rear fraction of the range of the horizontal position, within which a swing may begin."""
 SWING_SHARE = 0.5
-"""Fraction of this range that a foot moves at least between two boundaries."""
+"""Smallest forward movement between two boundaries, as a fraction of the range of the horizontal position."""
 _SHORT_M = 0.1
-"""Length of the body's path below which the path has no direction."""
+"""Shortest path of the body that defines a direction of travel."""
 
 
 @dataclass(frozen=True, eq=False)
 class EndEffector:
-    """Path of an end effector relative to the body at N times, ten for each frame, and its boundaries."""
+    """Path of an end effector relative to the body at N times, ten per frame, and the boundaries of its strides."""
 
     foot: str
     time_s: Array
     """Times, shape (N,)."""
     forward_m: Array
-    """Along the travel, NaN in gaps, shape (N,)."""
+    """Position relative to the body along the direction of travel, shape (N,); NaN in gaps."""
     up_m: Array
-    """Height, shape (N,)."""
+    """Height relative to the body, shape (N,)."""
     forward_rate_m_s: Array
-    """Horizontal velocity, shape (N,)."""
+    """Rate of `forward_m`, shape (N,)."""
     boundaries_s: Array
     """Times of the boundaries between strides, shape (B,)."""
     height_extrema_s: Array
-    """Time of the extremum of the height nearest to each boundary, NaN without one, shape (B,)."""
+    """Time of the extremum of `up_m` nearest to each boundary, shape (B,); NaN without an extremum."""
     oversampling: int = 10
-    """Number of times for each frame."""
+    """Number of times per frame."""
 
     def stride_s(self, frames_s: Array) -> tuple[float, float] | None:
-        """Return the beginning and end of the first stride that begins at one of the frames, or None."""
+        """Return the beginning and end, s, of the first stride that begins at one of the frames (F,), or None."""
         for begin, end in zip(self.boundaries_s[:-1], self.boundaries_s[1:], strict=True):
             start = float(frames_s[np.argmin(np.abs(frames_s - begin))])
             if start + (end - begin) <= frames_s[-1] + 1e-9:
@@ -65,11 +65,11 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
     foot : str
         Label of the foot.
     time_s : ndarray
-        Times of the frames, shape (T,).
+        Times of the frames, s, shape (T,).
     foot_m, body_m : ndarray
-        Positions of the foot and of the body's reference joint, z up, shape (T, 3), NaN where unknown.
+        Positions of the foot and of the body's reference joint, metres, z up, shape (T, 3), NaN where unknown.
     heading : ndarray
-        Direction in which the animal faces, shape (3,), for a body that hardly moves.
+        Direction in which the animal faces, shape (3,); used if the body hardly moves.
     """
     known = body_m[np.isfinite(body_m).all(axis=1)]
     chord = (known[-1] - known[0])[:2] if len(known) else np.full(2, np.nan)

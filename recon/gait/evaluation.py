@@ -1,13 +1,13 @@
-"""Compare a reconstruction with the truth: MPJPE and related errors.
+"""Compare a reconstruction with ground truth: MPJPE and related errors.
 
-Positions are arrays (T, J, 3) in metres, NaN where missing. A joint counts in the frames in which both sides have it.
-Centring, scaling and rotating use only these common joints.
+Positions are arrays (T, J, 3) in metres, NaN where missing. A joint counts in the frames in which both the
+reconstruction and the truth have it. Centring, scaling and rotating use only these common joints.
 
 Every mean is first taken within a frame and then over frames, so that all frames have equal weight for any number of
 known joints.
 
-The errors of a fit differ from frame to frame. If a single motion of the whole clip removes most of the error, the two
-files have different axes, units or names (`mismatches`).
+The errors of a fit differ from frame to frame. If one transform of the whole clip removes most of the error, the two
+files differ in axes, units or names (`mismatches`).
 """
 
 from __future__ import annotations
@@ -37,30 +37,30 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
-"""Thresholds of PCK for large animals."""
+"""Thresholds of the percentage of correct keypoints (PCK) for large animals."""
 PCK_LARGEST = 1 / 3
-"""Largest threshold as a fraction of the animal's extent.
+"""Largest PCK threshold as a fraction of the animal's extent.
 
-The thresholds are divided by ten until they are smaller, since a whole mouse is smaller than 0.15 m.
+The thresholds are divided by ten until they are small enough, since a whole mouse is smaller than 0.15 m.
 """
 SAME_RATE = 2e-3
-"""Relative difference of frame rates that counts as equal, as between 29.97 and 30."""
+"""Relative difference up to which frame rates count as equal, such as 29.97 and 30."""
 WHOLE_FRAME = 1e-4
-"""Distance from a frame, in frames, below which a time belongs to the frame."""
+"""Distance from a frame, in frames, below which a time counts as that frame's time."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
-"""Files of `recon triangulate`."""
+"""Names of the files that `recon triangulate` writes."""
 LEVELS = (0.5, 0.9)
-"""Levels of the intervals that are compared with the truth."""
+"""Probabilities of the intervals that are compared with the truth."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Score(Brief):
-    """One metric; NaN if nothing could be scored."""
+    """Values of one metric; NaN if nothing could be scored."""
 
     mean: float
     """Mean of `per_frame` over the frames."""
     per_frame: np.ndarray
-    """The error of each of the T frames, shape (T,)."""
+    """Mean over the joints of each frame, shape (T,)."""
     per_joint: np.ndarray
     """Mean over each joint's frames, shape (J,)."""
 
@@ -79,20 +79,21 @@ class Evaluation(Brief):
     names: tuple[str, ...]
     frames: np.ndarray
     mpjpe_m: _Score
-    """Error after centring on the mean of the frame's common joints."""
+    """Error after both poses of a frame are centred on the mean of their common joints."""
     mpe_m: _Score
     """Error of the positions, without centring."""
     scale_mpjpe_m: _Score
     """Error after centring and scaling each frame."""
     pa_mpjpe_m: _Score
-    """Error after a similarity transform (Procrustes) of each frame."""
+    """Error after the best similarity transform (Procrustes) of each frame."""
     position_m: float
-    """Distance between the means of a frame's common joints, mean over the frames."""
+    """Distance between the two means of a frame's common joints, averaged over the frames."""
     pck: tuple[tuple[float, _Score], ...]
-    """Thresholds (m), each with the fraction of centred errors up to it."""
+    """PCK thresholds (m), each with the fraction of centred errors that do not exceed it."""
     inside: dict[str, tuple[float, ...]]
-    """Fraction of the coordinates within the intervals stated by the reconstruction, for each of `LEVELS`: "place" for
-    positions, "pose" after centring. Empty if no intervals are stated.
+    """Fraction of the coordinates within the stated intervals for each of `LEVELS`.
+
+    The keys are "place" for positions and "pose" for positions after centring. Empty if no intervals are stated.
     """
     frames_not_scored: int
     frames_without_pa: int
@@ -101,12 +102,15 @@ class Evaluation(Brief):
     frames_only_in_pose: tuple[tuple[int, int], ...]
     frames_only_in_truth: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
-    """Probable causes, if a motion of the whole clip, or an exchange of names, removes most of the error."""
+    """Probable causes of the error, if a transform of the whole clip or an exchange of names removes most of it."""
     verdict: Verdict | None = None
-    """Verdict on the clip, if a results folder is scored."""
+    """Verdict on the clip, if a results folder is evaluated."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON types: keys that end in `_mm` are millimetres, PCK values are fractions, NaN is None."""
+        """Return the evaluation in plain JSON types.
+
+        Values of keys that end in `_mm` are in millimetres, PCK values are fractions, and NaN becomes None.
+        """
         result = {
             name: value for name, value in vars(self).items() if not isinstance(value, _Score) and name != "names"
         }
@@ -143,19 +147,18 @@ def evaluate_files(
     up: str | None = None,
     rename: str | None = None,
 ) -> Evaluation:
-    """Evaluate a file of 3D positions against a reference.
+    """Compare a file of 3D positions with a reference.
 
     Parameters
     ----------
     pose_path, truth_path : path
-        Files for `read_pose3d`, or a results folder of `recon fit`, whose standard deviations are then compared with
-        the errors.
+        Files for `read_pose3d`, or a results folder of `recon fit`, whose intervals are then compared with the errors.
     anyway : bool
         Accept results whose verdict is "do not use".
     unit, up : str, optional
         Unit and upward axis of the reference, if its file does not state them.
     rename : str, optional
-        Map of the joints' names, for the scored file, or for the reference if a results folder is scored.
+        Name map for the joints of the evaluated file, or of the reference if a results folder is evaluated.
 
     Raises
     ------
@@ -172,14 +175,14 @@ def evaluate_files(
     result = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *result.notes, *_counted_from_one(pose, truth, result)
     common_count, smaller_count = len(result.frames), min(len(pose.frames), len(truth.frames))
-    # One set of frames may contain the other, for example if only a few frames were labelled.
+    # One set of frames may contain the other, for example if only a few frames were labelled; this is no problem.
     if common_count <= smaller_count / 2:
         shared = f"only {common_count} of {smaller_count} frame numbers are in both"
         notes += (f"{shared}: the reference may belong to another run",)
     notes += () if rename else tuple(_other_names(pose, truth, result))
     if _is_result(truth_path) and not _is_result(pose_path):
         notes += (
-            f"the reference, {truth_path}, is a result of recon fit, the scored file is not: are they exchanged?",
+            f"the reference, {truth_path}, is a result of recon fit, the evaluated file is not: are the two exchanged?",
         )
     return replace(result, notes=tuple(dict.fromkeys(notes)))
 
@@ -187,8 +190,9 @@ def evaluate_files(
 def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     """Return a reference interpolated at the times of a pose's frames, if the frame rates differ.
 
-    Frame 0 of both is at 0 s, or frame 1 of a reference that counts from 1, as TRC files do. An interpolated position
-    is unknown if one of its neighbours is unknown. Raises InputError if the two have no time in common.
+    Frame 0 of both is at 0 s; in a reference that counts frames from 1, as TRC files do, frame 1 is at 0 s. An
+    interpolated position is unknown if one of its neighbours is unknown. Raises InputError if the two files have no
+    time in common.
     """
     if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
         return truth
@@ -230,14 +234,14 @@ def _renamed(pose: Pose3D, rename: str) -> Pose3D:
 
 
 def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if one of the package's name maps gives the two files more joints in common."""
+    """Yield a note if one of the package's name maps gives the two files more common joints."""
     for name in fitting_maps(pose.names, truth.names)[:1]:
         count = len({*_renamed(pose, name).names} & {*truth.names})
         yield f"--rename {name} would give {count} joints in common instead of {len(result.names)}."
 
 
 def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if one side counts frames from 1, as TRC files do, and the other counts from 0.
+    """Yield a note if one file counts frames from 1, as TRC files do, and the other from 0.
 
     The note is given only if equal numbering makes the positions agree better.
     """
@@ -248,7 +252,7 @@ def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterat
     if renumbered.mpe_m.mean < result.mpe_m.mean:
         shifted, unshifted = ("the reconstruction", "the reference")[:: 1 if first_frames[0] else -1]
         yield (
-            f"{shifted} counts frames from 1, {unshifted} from 0: with equal numbers the MPE is "
+            f"{shifted} counts frames from 1, {unshifted} from 0: with equal frame numbers the MPE is "
             f"{1000 * renumbered.mpe_m.mean:.1f} mm instead of {1000 * result.mpe_m.mean:.1f} mm; "
             "give both the same frame numbers"
         )
@@ -257,9 +261,10 @@ def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterat
 def _positions(
     path: Path, anyway: bool, unit: str | None = None, up: str | None = None
 ) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None, Verdict | None]:
-    """Return the positions of a file or a folder of results, with standard deviations and the verdict.
+    """Return the positions of a file or a results folder, their standard deviations and the verdict.
 
-    The standard deviations are those of the positions and of the positions relative to the mean of all joints.
+    The standard deviations (T, J, 3), in metres, are those of the positions, and of the positions relative to the mean
+    of all joints. A file has neither standard deviations nor a verdict.
     """
     if not path.is_dir():
         return read_pose3d(path, unit=unit, up=up), None, None
@@ -273,21 +278,22 @@ def _positions(
 
 
 def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
-    """Score a reconstruction.
+    """Evaluate a reconstruction against the truth.
 
-    Joints are matched by name, frames by number; the result lists joints and frames that only one side has.
+    Joints are matched by name, frames by number. The result lists the joints and frames that only one of the two has.
 
     Parameters
     ----------
     pose, truth : Pose3D
-        The reconstruction and the truth.
+        The reconstruction and the truth, in metres.
     sigmas_m : tuple of ndarray, optional
-        Standard deviations of the pose's positions, and of those relative to the mean of all joints.
+        Standard deviations of the pose's positions and of the positions relative to the mean of all joints, metres,
+        shape (T, J, 3) each.
 
     Raises
     ------
     InputError
-        If they have no joint, no frame, or no point in common.
+        If the two have no joint, no frame, or no known position in common.
     """
     names = tuple(name for name in pose.names if name in truth.names)
     frames, in_pose, in_truth = np.intersect1d(pose.frames, truth.frames, assume_unique=True, return_indices=True)
@@ -335,9 +341,9 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 def _nothing_in_common(
     pose: Pose3D, truth: Pose3D, names: Sequence[str], frames: np.ndarray, common: np.ndarray
 ) -> list[Problem]:
-    """Return the problem of two sides without a joint, a frame or a point in common.
+    """Return the problems of two poses without a joint, a frame or a position in common.
 
-    `names` and `frames` are those on both sides; `common` (T, J) states which points are known on both.
+    `names` and `frames` are those that both poses have; `common` (T, J) is the mask of positions known in both.
     """
     pose_name, truth_name = str(pose.source or "pose"), str(truth.source or "truth")
     problems = []
@@ -348,12 +354,12 @@ def _nothing_in_common(
         examples = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
         problems.append(Problem(pose_name, "frames", f"none in common ({examples})", f"frames of {truth_name}"))
     if not problems and not common.any():
-        problems.append(Problem(pose_name, "positions", "no joint known on both sides in any frame", "at least one"))
+        problems.append(Problem(pose_name, "positions", "no joint known in both files in any frame", "at least one"))
     return problems
 
 
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
-    """Return the PCK thresholds for the median extent of joints (T, J, 3) over the frames."""
+    """Return the PCK thresholds, m, for the median extent over the frames of joints (T, J, 3)."""
     size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
     # a single joint has no extent
     tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0
@@ -361,13 +367,13 @@ def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
 
 
 def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
-    """Return the fraction of coordinates (T, J, 3) within their interval for each of `LEVELS`, NaN without any."""
+    """Return the fraction of coordinates (T, J, 3) within their intervals for each of `LEVELS`; NaN without any."""
     relative_error = (np.abs(error_m) / sigma_m)[np.isfinite(error_m) & (sigma_m > 0)]
     return tuple(float(np.mean(relative_error < radius(level))) if len(relative_error) else np.nan for level in LEVELS)
 
 
 def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """Return a mask (T, J) of the joints with all three coordinates on both sides."""
+    """Return a mask (T, J) of the joints whose three coordinates are known in both poses (T, J, 3)."""
     return np.all(~np.isnan(pose_m + truth_m), axis=2)
 
 
@@ -377,7 +383,7 @@ def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 
 def score(values: np.ndarray) -> _Score:
-    """Return the means of values (T, J), some of which may be NaN."""
+    """Return the means of values (T, J) over joints and frames, without NaN."""
     per_frame = mean_along(values, axis=1)
     return _Score(mean=float(mean_along(per_frame, axis=0)), per_frame=per_frame, per_joint=mean_along(values, axis=0))
 
@@ -385,9 +391,9 @@ def score(values: np.ndarray) -> _Score:
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
     """Return the pose (T, J, 3) aligned with the truth in each frame, by least squares (Umeyama 1991).
 
-    The means of the common joints coincide. With `scale`, the pose is also scaled by a factor, which cannot be negative
-    because this would mirror the animal. With `turn`, the pose is also rotated, without reflection. Frames with fewer
-    than 3 common joints are NaN, since these do not determine a rotation.
+    The means of the common joints coincide. With `scale`, the pose is also scaled by a factor that is not negative,
+    since a negative factor would mirror the animal. With `turn`, the pose is also rotated, without reflection. Frames
+    with fewer than 3 common joints are NaN, since so few joints do not determine a rotation.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
     aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)
@@ -405,9 +411,9 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 
 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
-    """Return both poses (2, T, J, 3), centred on the mean of the common joints, and the means (2, T, 1, 3).
+    """Return both poses (2, T, J, 3), centred on the mean of their common joints, and the means (2, T, 1, 3).
 
-    All other joints are NaN.
+    Joints that are not common are NaN.
     """
     common = np.where(common_joints(pose_m, truth_m)[..., None], np.stack([pose_m, truth_m]), np.nan)
     means = mean_along(common, axis=2)[:, :, None]
@@ -415,24 +421,27 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 
 
 SHARE = 1 / 3
-"""Fraction of an error that may remain if the error counts as explained."""
+"""Largest fraction of an error that an explanation may leave."""
 SMALL = 0.05
 """Error relative to the animal's size below which no explanation is needed. The size is the root mean square distance
 of the joints from their mean.
 """
 SCALED = 2.0
-"""Factor between the sizes within which no explanation is needed, since one camera hardly determines the size."""
+"""Ratio of the two sizes up to which no explanation is needed, since one camera hardly determines the size."""
 UNLIKE = 0.3
-"""Error relative to the size above which a motion and its truth are different clips.
+"""Error relative to the size above which a motion and its truth count as different clips.
 
-Running cheetahs differ by 0.27 to 0.67 of their size, and the poorest fit in docs/benchmarks.md has an error of 0.22.
+Two clips of running cheetahs differ by 0.27 to 0.67 of the size, and the poorest fit in docs/benchmarks.md has an error
+of 0.22.
 """
 FAR = 4.0
-"""Distance between the two, in sizes, above which they are at different positions."""
+"""Distance between a motion and its truth, relative to the size, above which they count as being at different
+positions.
+"""
 
 
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return findings on two sets of positions (T, J, 3), in metres, that do not belong together; NaN for missing."""
+    """Return a finding if positions (T, J, 3), in metres, and their truth do not belong together; NaN for missing."""
     rows = np.isfinite(pose_m + truth_m).all(axis=2).sum(axis=1) >= 3
     pose_m, truth_m = pose_m[rows], truth_m[rows]
     if not rows.any():
@@ -445,7 +454,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
         if error_left > SMALL * size and remaining <= SHARE * error_left:
             explanation = finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers)
             error_left = remaining
-    if error_left > UNLIKE * size:  # different clips, even if a motion removes part of the error
+    if error_left > UNLIKE * size:  # different clips, even if a transform removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
     if error_left > UNLIKE * size:
         return (finding("reference_unlike", left_mm=1000 * error_left, share=error_left / size),)
@@ -461,7 +470,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
 
 
 def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterator[tuple[str, float, dict[str, Any]]]:
-    """Yield possible explanations, the simplest first: code, remaining error and numbers.
+    """Yield possible explanations of the error, the simplest first, as code, remaining error and numbers.
 
     Each explanation includes the best single rotation of the whole clip.
     """
@@ -488,6 +497,6 @@ def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
     is_known = np.isfinite(pose[..., 0])
     if not is_known.any():
         return pose, 0.0
-    with warnings.catch_warnings(action="ignore"):  # several rotations fit points on a line
+    with warnings.catch_warnings(action="ignore"):  # points on a line fit several rotations equally well
         turn, _ = Rotation.align_vectors(truth[is_known], pose[is_known])
     return pose @ turn.as_matrix().T, float(turn.magnitude())

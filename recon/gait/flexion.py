@@ -1,13 +1,13 @@
 """Measure anatomical joint angles in degrees, over time and over the stride.
 
-The skeleton's file states which three markers meet at a joint (`[anatomy]`). The flexion is the angle between the line
-from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the segment
-that carries the first marker. It is 0 for a straight joint, positive for flexion, and negative for extension beyond
-straight.
+The skeleton's file lists the three markers that define each joint (`[anatomy]`). The flexion is the angle between the
+line from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the
+segment that carries the first marker. It is 0 for a straight joint, positive for flexion, and negative for extension
+beyond straight.
 
-Standard deviations combine the uncertainty of the fit's angles, propagated linearly and taken as independent, and
-`MODEL_RAD` for the skeleton, whose joints turn about fixed axes. Curves over a stride are means over the strides of the
-limb's own foot. The posterior's uncertainty and the spread between strides are reported separately.
+Standard deviations combine the uncertainty of the fit's angles, propagated linearly as if independent, and `MODEL_RAD`
+for the skeleton, whose joints turn about fixed axes. Curves over a stride are means over the strides of the limb's own
+foot. The uncertainty of the fit and the spread between strides are reported separately.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
 MODEL_RAD = np.radians(5.0)
-"""Standard deviation of an angle from motion that a skeleton of hinges cannot follow
-(`benchmarks/gait.py --only flexion`).
+"""Standard deviation of an angle due to motion that a skeleton of hinges cannot follow (`benchmarks/gait.py --only
+flexion`).
 """
 PERCENT = np.arange(101.0)
-"""Percent of the stride, from one touch-down to the next."""
+"""Phases of the stride at which curves are given, percent from one touch-down to the next."""
 LEAST_KNOWN = 0.9
-"""Smallest fraction of a stride's frames with a pose for the stride to count."""
+"""Smallest fraction of a stride's frames that need a pose for the stride to count."""
 _STEP_RAD = 1e-4
 _ROWS_AT_ONCE = 2000
-"""Number of frames whose derivatives are computed at once."""
+"""Number of frames whose derivatives are computed at once, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,14 +65,14 @@ class StrideCurve(Brief):
     foot: str
     """Foot whose touch-downs begin the strides."""
     mean_rad: Array
-    """Mean over the strides, shape (101,)."""
+    """Mean flexion over the strides, shape (101,)."""
     posterior_sigma_rad: Array
     """Standard deviation from the fit's uncertainty, root mean square over the strides, shape (101,)."""
     between_sigma_rad: Array
     """Standard deviation between strides, shape (101,); NaN for a single stride."""
     strides: int
     duty_factor: float
-    """Fraction of the stride for which the foot stands, from 0 % on."""
+    """Fraction of the stride for which the foot stands, beginning at 0 %."""
 
     @property
     def name(self) -> str:
@@ -82,11 +82,11 @@ class StrideCurve(Brief):
 
 @dataclass(frozen=True)
 class Extreme:
-    """Greatest or least flexion of a mean curve over the stride, and its phase."""
+    """Greatest or least flexion of a mean curve over the stride, and the phase at which it occurs."""
 
     value_rad: float
     sigma_rad: float
-    """Standard deviation: the fit's uncertainty and the scatter of the strides."""
+    """Standard deviation of the flexion from the fit's uncertainty and the scatter of the strides."""
     percent: float
     percent_low: float
     """Lower end of the 90 % interval of the phase, percent of the stride; below 0 if it begins before touch-down. NaN
@@ -98,7 +98,8 @@ class Extreme:
 def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
     """Return the flexion of the joints of `body.anatomy` in states (T, D), shape (A, T), rad.
 
-    The range is -90 to 270 degrees: no joint extends so far beyond straight, and a folded joint may pass 180 degrees.
+    Angles are between -90 and 270 degrees, because no joint extends 90 degrees beyond straight, while a folded joint
+    may pass 180 degrees.
     """
     points_m = body.tree.pose(states, size).points_m
     orientations = body.tree.orientations(states)
@@ -114,7 +115,7 @@ def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
 
 
 def _sagittal_angle(proximal: Array, distal: Array, left: Array) -> Array:
-    """Return the angle (T,) from one link to the next about an axis to the left, all (T, 3)."""
+    """Return the angle (T,), rad, from one link to the next about an axis to the left; all three are vectors (T, 3)."""
     sine = np.sum(np.cross(proximal, distal) * left, axis=1)
     across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
     return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)
@@ -136,7 +137,7 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
 
 
 def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
-    """Return the variance (A, T) of the flexions from independent errors of the fit's angles (T, D - 3)."""
+    """Return the variance (A, T) of the flexions due to independent errors (T, D - 3) of the fit's angles, rad."""
     variance = np.zeros((len(body.anatomy), len(states)))
     every_few, columns = states[:: -(-len(states) // 3)], np.arange(3, states.shape[1])
     matters = np.abs(_changes(body, every_few, size, columns)).max(axis=(1, 2), initial=0.0) > 1e-6
@@ -149,7 +150,7 @@ def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Arr
 
 
 def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
-    """Return the derivatives (C, A, T) of the flexions along columns (C,) of the states, all evaluated at once."""
+    """Return the derivatives (C, A, T) of the flexions with respect to columns (C,) of the states (T, D)."""
     steps = _STEP_RAD * (np.arange(states.shape[1]) == columns[:, None])[:, None]
     stepped = np.concatenate([states + steps, states - steps])
     flexions = flexion_rad(body, stepped.reshape(-1, states.shape[1]), size).reshape(len(body.anatomy), -1, len(states))
@@ -160,7 +161,7 @@ def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
     """Return the mean curve of each joint over the complete strides of the foot of its limb.
 
-    For spine and neck, the strides are those of the foot with the most strides. Joints without strides are left out.
+    Spine and neck use the strides of the foot that has the most. Joints without strides are left out.
     """
     if gait is None or not gait.strides:
         return ()
@@ -177,7 +178,7 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 
 
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
-    """Return the foot of a joint's limb, the reference foot for a joint without a limb, or None without strides."""
+    """Return the foot whose strides a joint uses: that of its limb, else the reference; None if it has no strides."""
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:
         return reference
@@ -194,7 +195,7 @@ def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], tim
         is_known = np.isfinite(flexion.angle_rad)
         if not is_inside.any() or is_known[is_inside].mean() < LEAST_KNOWN:
             continue
-        # A stride between lift-offs ends with its stance, so touch-down is the duty factor before its end.
+        # A stride between lift-offs ends with its stance, so its touch-down is one stance before its end.
         touch_down_s = stride.end_s - stride.duty_factor * stride.duration_s if stride.at == "lift-off" else None
         at_s = stride.start_s + PERCENT / 100 * stride.duration_s
         if touch_down_s is not None:
@@ -218,11 +219,11 @@ def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], tim
 
 
 def extreme(curve: StrideCurve, sign: int = 1) -> Extreme:
-    """Return the greatest flexion of a curve (`sign` 1), or the least (-1).
+    """Return the greatest (`sign` 1) or the least (-1) flexion of a curve.
 
-    The interval of the phase contains the percents at which the mean differs from the extreme by less than 1.645
-    standard deviations of a difference whose two errors are independent. Errors of neighbouring frames are correlated,
-    so the interval contains the phase at least as often.
+    The interval of the phase contains all phases at which the mean differs from the extreme by less than 1.645 standard
+    deviations of the difference between two independent values. Errors of neighbouring frames are correlated, so the
+    interval contains the true phase in at least 90 % of cases.
     """
     values = sign * curve.mean_rad
     scatter = np.nan_to_num(curve.between_sigma_rad) / curve.strides**0.5

@@ -1,11 +1,11 @@
 """Find strides, duty factors, the footfall order and the name of the gait from the stances (`recon.gait.stances`).
 
-Strides: an animal whose four feet all stand for half a stride or more stands still, and that time is not part of a
-stride. A missed stance joins two strides into one, and a stance that is cut in two splits one stride. A stride counts
-if its duration is within `AGREE` of the median over all feet's strides at its time or, without such strides, over the
-strides before and after; the only stride of a clip is compared with the period of the motion, if this is known. The
-stride's duration is the mean over the strides that count or, in a clip without any, the period of the feet's motion
-relative to the body, if the clip holds enough of it.
+An animal whose four feet all stand for half a stride or more is standing still, and that time is not part of a stride.
+A missed stance joins two strides into one, and a stance that is cut in two splits a stride. A stride therefore counts
+only if its duration is within `AGREE` of the median over all feet's strides at that time or, without such strides, over
+the strides before and after. The only stride of a clip is compared with the period of the motion, if the period is
+known. The stride duration is the mean over the strides that count. In a clip without any, it is the period of the
+feet's motion relative to the body, if the clip contains enough of a period.
 """
 
 from __future__ import annotations
@@ -25,39 +25,41 @@ from recon.gait.stances import FEET, OVERSAMPLING, Stance, Tracks, interval_of, 
 from recon.io.common import Pose3D
 
 PERIOD_OF_CLIP = (0.5, 1 / 0.6)
-"""Shortest and longest period that is searched for in a clip without a complete stride, in durations of the clip."""
+"""Shortest and longest period searched for in a clip without a complete stride, relative to the clip's duration."""
 PERIOD_SIGMA = 0.08
-"""Relative standard deviation of that period, measured on a dog's strides cut to 0.7 to 1.2 of their duration."""
+"""Relative standard deviation of this period, measured on clips of a dog that last 0.7 to 1.2 of a stride."""
 PERIODIC = 0.9
-"""Smallest fraction of the feet's motion that the period has to explain."""
+"""Smallest fraction of the variance of the feet's motion that the period has to explain."""
 AGREE = 0.2
-"""Relative tolerance of a stride's duration. A stride with a missed stance in it is twice as long, and the ends of a
-correct stride are off by at most two of about ten frames.
+"""Relative tolerance of a stride's duration. A stride with a missed stance is twice as long, whereas the ends of a
+correct stride are wrong by at most two of about ten frames.
 """
 
 TOGETHER = 0.05
 """Largest difference, in strides, between two touch-downs of a pair that land together (bound)."""
 ALTERNATE = 0.4
-"""Smallest difference, in strides, between feet of a pair that alternate (0.5 is exact), as in symmetrical gaits."""
+"""Smallest difference, in strides, between two feet that alternate, as in symmetrical gaits (0.5 is exact)."""
 IN_PHASE = 0.125
-"""Largest phase of a fore foot relative to its diagonal (trot) or same-sided (pace) hind foot: Hildebrand's eighths."""
+"""Largest phase of a fore foot relative to the diagonal (trot) or same-sided (pace) hind foot, an eighth of a stride as
+in Hildebrand (1965).
+"""
 STEADY = 0.5
-"""Smallest mean resultant length of a steady phase."""
+"""Smallest mean resultant length of a phase that counts as steady."""
 MOST = 2 / 3
-"""Fraction of strides with a duty factor above one half that makes a walk, or below one half that makes a run."""
+"""Smallest fraction of strides whose duty factor is above one half in a walk, or below one half in a run."""
 
 
 WHOLE_CLIP = "whole clip"
 
 
 class StrideWords(NamedTuple):
-    """How messages and figures call a stride."""
+    """Words with which messages and figures describe a stride."""
 
     ends: str
-    """What the stride begins and ends with."""
+    """Events at which the stride begins and ends."""
     title: str = "one stride of {foot}"
     """Title of a figure of the stride."""
-    caption: str = "a stride: the first complete one of the foot with the most strides, which begins at 0 %"
+    caption: str = "the first complete stride of the foot with the most strides, which begins at 0 %"
     """Part of the side view's caption."""
 
 
@@ -71,9 +73,9 @@ STRIDE_WORDS: Mapping[str, StrideWords] = {
         caption="the first stride of the end effector, which begins at 0 %",
     ),
     "return": StrideWords(
-        "the clip has no complete stride: from a position of the foot to its nearest return there",
+        "the clip has no complete stride: from a position of the foot to its nearest return to this position",
         "no complete stride: nearest return of {foot}",
-        "the time after which the end effector returns; 0 %: its beginning",
+        "the time from a position of the end effector, at 0 %, to its nearest return to this position",
     ),
     WHOLE_CLIP: StrideWords(
         "the clip has no complete stride: the whole clip",
@@ -81,8 +83,8 @@ STRIDE_WORDS: Mapping[str, StrideWords] = {
         "the clip, which has no complete stride, with the times of the poses",
     ),
 }
-"""Words for a stride by the event at its ends (`Stride.at`); "gait" is a touch-down or a lift-off, and `WHOLE_CLIP` is
-used without a stride.
+"""Words for a stride by the event at its ends (`Stride.at`). "gait" means touch-down or lift-off; `WHOLE_CLIP` is for a
+clip without a stride.
 """
 
 
@@ -91,8 +93,8 @@ class Stride:
     """One stride: the time from one touch-down of a foot to the next.
 
     If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
-    given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_WORDS` describes the
-    others.
+    given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_WORDS` describes all kinds
+    of strides.
     """
 
     foot: str
@@ -107,8 +109,9 @@ class Stride:
     at: Literal["touchdown", "lift-off", "end effector", "return", "given"]
     """Event at the beginning and the end of the stride."""
     others_s: float = np.nan
-    """For a stride that does not count, the median duration of all feet's strides around its time, or the period of the
-    motion.
+    """Duration expected of a stride that does not count.
+
+    It is the median over all feet's strides around its time, or the period of the motion.
     """
 
     @property
@@ -136,17 +139,18 @@ class _GaitName(Brief):
     criterion: str
     """Criterion that decided the name."""
     phase: Mapping[str, float]
-    """Touch-down of each foot after the first foot's, in strides, [0, 1)."""
+    """Touch-down of each foot after that of LH, in strides, [0, 1)."""
     duty_factor: float
-    """Median over the strides, which a single cut stance does not change; NaN without strides."""
+    """Median duty factor over the strides, which one cut stance hardly affects; NaN without strides."""
     duty_sigma: float
-    """Standard deviation of the duty factor, NaN without strides. A foot's events are shifted equally in all its
-    strides, so only more feet reduce it, not more strides.
+    """Standard deviation of the duty factor; NaN without strides.
+
+    The events of a foot have the same error in all its strides, so only more feet reduce it.
     """
 
     @property
     def duty_interval(self) -> tuple[float, float]:
-        """Return the `INTERVAL` of the duty factor."""
+        """Return the value and the ends of the 90 % interval of the duty factor."""
         _, low, high = interval_of(self.duty_factor, self.duty_sigma)
         return max(low, 0.0), min(high, 1.0)
 
@@ -156,7 +160,7 @@ class Gait(Brief):
     """Gait of a clip.
 
     Lengths and frequencies are means over complete strides, duty factors are medians. All are NaN without complete
-    strides; `quantities` of a clip's analysis then has those by the period of the motion.
+    strides. `ClipAnalysis.quantities` then derives them from the period of the motion.
     """
 
     tracks: Tracks
@@ -174,12 +178,12 @@ class Gait(Brief):
     speed_m_s: float
     name: _GaitName
     rejected_strides: tuple[Stride, ...] = ()
-    """Strides whose durations contradict the other feet. They are not in `strides`."""
+    """Strides whose durations contradict those of the other feet; not in `strides`."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
-        """Return the mean duration of the strides around a time, and its standard deviation.
+        """Return the mean duration of the strides around a time interval, s, and its standard deviation.
 
-        If no stride around that time is complete, the values are those of the whole clip.
+        If no complete stride is near, the values are those of the whole clip.
         """
         near = [stride for stride in self.strides if stride.start_s < end_s and stride.end_s > start_s]
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
@@ -198,7 +202,7 @@ def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> 
 
 
 def gait(tracks: Tracks) -> Gait:
-    """Find stances, strides and the gait's name; each foot's strides are compared with those of all feet."""
+    """Find stances and strides, and name the gait."""
     all_stances = stances(tracks)
     all_strides = strides(tracks, all_stances)
     counted, rejected = _counted(all_strides, pose_period_s(tracks) if len(all_strides) == 1 else np.nan)
@@ -233,7 +237,7 @@ def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options
 
 
 def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...]:
-    """Return the complete strides: both touch-downs and the stance are in the clip.
+    """Return the strides whose two touch-downs and stance are all in the clip.
 
     For a foot without two touch-downs, strides last from one lift-off to the next.
     """
@@ -266,9 +270,9 @@ def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
 
 
 def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Split strides, sorted by their beginnings, into those that count and those that do not.
+    """Split strides, sorted by their beginnings, into strides that count and strides that do not.
 
-    The only stride of a clip is compared with the period of the motion in seconds, unless this is NaN.
+    The only stride of a clip is compared with the period of the motion, s, unless the period is NaN.
     """
     counted, rejected = [], []
     start_s, end_s, duration_s = (
@@ -289,13 +293,13 @@ def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[St
 
 
 def rejection_text(stride: Stride) -> str:
-    """Return a sentence on why a stride does not count."""
+    """Return a sentence that states why a stride does not count."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
-    return f"{text}: around its time the motion repeats after {stride.others_s:.3f} s"
+    return f"{text}, because the motion around it repeats after {stride.others_s:.3f} s"
 
 
 def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
-    """Return the stride's duration in seconds and its standard deviation, from strides or from the period of the pose.
+    """Return the stride duration, s, and its standard deviation, from strides or from the period of the motion.
 
     Both are NaN if neither is known.
     """
@@ -306,17 +310,17 @@ def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, floa
 
 
 def _mean_time(counted: Sequence[Stride], count: int) -> tuple[float, float]:
-    """Return the mean duration of strides and the standard deviation of the mean of `count` of them."""
+    """Return the mean duration of strides, s, and its standard deviation if `count` of them are independent."""
     durations_s = np.array([stride.duration_s for stride in counted])
     event_sigmas_s = np.array([stride.duty_sigma for stride in counted]) * durations_s
     return float(durations_s.mean()), float(np.hypot(durations_s.std() / count**0.5, np.median(event_sigmas_s)))
 
 
 def pose_period_s(tracks: Tracks) -> float:
-    """Return the stride's duration in a clip without a complete stride, s; NaN if unknown.
+    """Return the stride duration, s, of a clip without a complete stride; NaN if unknown.
 
-    It is the period whose first two harmonics best fit the feet's positions relative to the body, with a weak prior on
-    both harmonics.
+    The duration is the period whose first two harmonics best fit the feet's positions relative to the body, with a weak
+    prior on both harmonics.
     """
     values = (tracks.foot_m - tracks.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(tracks.feet))
     is_known = np.isfinite(values).all(axis=1)
@@ -340,8 +344,8 @@ def name_gait(
 ) -> _GaitName:
     """Name the gait by the phases of the four feet (`classify`).
 
-    `stride_s` is the duration of a stride, NaN if unknown. `why_unknown` is the reason why stances of four feet are
-    missing.
+    `stride_s` is the duration of a stride, s, NaN if unknown. `why_unknown` is the reason why the gait cannot have a
+    name, if this is already known.
     """
     duties = np.array([s.duty_factor for s in counted])
     feet = len({s.foot for s in counted})
@@ -354,27 +358,29 @@ def name_gait(
         return _GaitName("unknown", why_unknown, dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.duration_s for s in counted])) if counted else stride_s
     phase = {"LH": 0.0} | {foot: _lag(all_stances, "LH", foot, period) for foot in ("RH", "LF", "RF")}
-    # The times of LH and a foot may not overlap in the clip: then take the phase through RH.
+    # If the clip has no events of LH and the foot near each other, their phase is found through RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
             phase[foot] = (phase["RH"] + _lag(all_stances, "RH", foot, period)) % 1.0
     name, criterion = classify(phase, duty[0])
     if not counted:
         criterion = f"no complete stride, but the motion has a period of {period:.2f} s: {criterion}"
-        # Stances that the clip cuts are at least as long. The order of the feet is not known well enough for a walk.
+        # A stance that the clip cuts is longer than the part in the clip. For a walk, the order of the feet is not
+        # known well enough.
         longest_s = [max(s.duration_s for s in all_stances if s.foot == foot) for foot in FEET]
         if name != "unknown" and median(longest_s) > 0.5 * period:
-            name, criterion = "unknown", f"{criterion}; but the feet stand for over half of the period"
+            name, criterion = "unknown", f"{criterion}; but the feet stand for more than half of the period"
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
-        name, criterion = "unknown", f"{criterion}: over 0.5 in {percent(share)} of strides, walk or run is undecided"
+        criterion += f"; above 0.5 in {percent(share)} of strides: undecided between walk and run"
+        name = "unknown"
     return _GaitName(name, criterion, phase, *duty)
 
 
 def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
-    """Return the phase of a foot's touch-down after another foot's, in strides, [0, 1), as a circular mean.
+    """Return the phase of a foot's touch-downs after another foot's, a circular mean in strides, [0, 1).
 
-    Each time is taken to the nearest touch-down of the other foot. If the clip has no touch-down of one of the feet,
-    lift-offs are used. The result is NaN if it has neither, or if the times are not `STEADY`.
+    Each touch-down is compared with the nearest touch-down of the other foot. If the clip has no touch-down of one of
+    the feet, lift-offs are used. The result is NaN without lift-offs too, or if the phases are not `STEADY`.
     """
     for is_known, event in (("begins", "start_s"), ("ends", "end_s")):
         reference_s, foot_s = (
@@ -383,7 +389,7 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
         )
         if len(reference_s) and len(foot_s):
             lags_s = foot_s - reference_s[np.argmin(np.abs(foot_s[:, None] - reference_s), axis=1)]
-            # Events that are more than a stride apart have drifted out of phase.
+            # The phase may drift between events that are more than a stride apart.
             nearby_s = lags_s[np.abs(lags_s) <= max(period_s, np.abs(lags_s).min())]
             resultant = np.mean(np.exp(2j * np.pi * nearby_s / period_s))
             return float(np.angle(resultant) / (2 * np.pi) % 1.0) if np.abs(resultant) >= STEADY else np.nan
@@ -396,13 +402,13 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     In symmetrical gaits both pairs are at least 0.4 apart. The gait is a walk if the duty factor is over 0.5; otherwise
     a trot or a pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot. In asymmetrical
     gaits both pairs are less than 0.4 apart. The gait is a bound if both pairs land within 0.05, and a half-bound if
-    only the hind pair does; otherwise it is a gallop, transverse if the same side leads (lands second) in both pairs,
+    only the hind pair does. Otherwise it is a gallop: transverse if the same side leads (lands second) in both pairs,
     else rotary.
 
     Parameters
     ----------
     phase : mapping
-        Touch-down of LH, RH, LF and RF, in strides.
+        Phase of the touch-downs of LH, RH, LF and RF, in strides.
     duty_factor : float
         Fraction of a stride for which a foot stands.
 
@@ -420,7 +426,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
         lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
         measured += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
         if np.isnan(duty_factor):
-            return "unknown", measured + ": walk or run is undecided"
+            return "unknown", measured + ": undecided between walk and run"
         if duty_factor > 0.5:
             return "walk", measured
         if abs(_signed(lateral - 0.5)) <= IN_PHASE:

@@ -1,23 +1,24 @@
 """Compute velocity, acceleration, joint angles and their rates, with standard deviations.
 
-A series is a cubic spline through the frames that have a value, evaluated at ten times the frame rate. There are two
-kinds:
+A series is evaluated at ten times the frame rate from a cubic spline through the frames that have a value. There are
+two kinds of splines:
 
-- exact (not-a-knot ends): passes through every value. White noise of s in the values becomes about 1.2 s fps in the
-  rate and 6 s fps^2 in the acceleration.
+- exact (not-a-knot ends): passes through every value. White noise with the standard
+  deviation s in the values becomes about 1.2 s fps in the rate and 6 s fps^2 in the acceleration.
 - smoothing (natural ends): minimises sum(((x - f) / sigma)^2) + lam * integral(f''^2), with the largest lam that leaves
   the sum at no more than the number of values (Reinsch 1967). Its acceleration is zero at the ends by construction.
 
-Both ends of a span are weaker than its middle. At the very end of an exact spline the rate is about four times as
-uncertain as in the middle, in the next frame 1.3 times, and the acceleration at the end 1.5 times; from the third frame
-on, all are within 10 %. The standard deviations include this. Nothing is extrapolated. A gap longer than `max_gap_s`
-splits a series into spans; a shorter one is interpolated.
+Both ends of a span are less certain than its middle. At the very end of an exact spline, the standard deviation of the
+rate is about four times as large as in the middle, and that of the acceleration 1.5 times as large. In the next frame,
+the factor of the rate is 1.3; from the third frame on, all are within 10 %. The stated standard deviations include this
+effect. Nothing is extrapolated. A gap longer than `max_gap_s` splits a series into spans; a shorter one is
+interpolated.
 
-For a given lam a spline is linear in its values, so their covariance C propagates exactly: C' = W C W^T, with W the
-splines through unit vectors. Coordinates are independent of one another, and so are the `Errors` that add up; each has
-C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). The errors of a fit over time are smooth: with
-independent frames, the standard deviations of the rates would be too large. The propagation includes neither the choice
-of lam nor the motion that smoothing removes.
+For a given lam a spline is linear in its values, so their covariance C propagates exactly, C' = W C W^T, where the
+columns of W are the splines through unit vectors. Coordinates are independent of one another, and so are several
+`Errors` of the same values. Each has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). The errors of a
+fit over time are smooth, and if frames were treated as independent, the standard deviations of the rates would be too
+large. The propagation includes neither the choice of lam nor the motion that smoothing removes.
 """
 
 from __future__ import annotations
@@ -37,37 +38,38 @@ from recon.gait.spline import MIN_POINTS, Curve, cubic_spline
 from recon.io.common import Pose3D
 
 Angle = Callable[[Array, Array, Array], Array]
-"""An angle (T,) of three points (T, 3)."""
+"""Function of three points' positions, each (T, 3), that returns an angle (T,), rad."""
 
 MAX_GAP_S = 0.2
 """Longest time between two known frames over which missing frames are interpolated."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
-"""Smallest number of points for smoothing."""
+"""Smallest number of values for a smoothing spline."""
 _LOG10_LAM = (-16.0, 8.0)
-"""Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
+"""Range of log10(lam), with lam relative to (span / number of values)^3, from an exact spline to a straight line."""
 JITTER_LASTS_S = 0.05
-"""Correlation time of the errors of a method that solves frame by frame.
+"""Correlation time, s, of the errors of a method that solves frame by frame.
 
-With this time and `JITTER_TIMES`, the standard deviations of speeds are right to 25 % in each of five real runs
+With this time and `JITTER_TIMES`, the standard deviations of speeds are accurate to 25 % in each of five real runs
 (`python benchmarks/gait.py --only speeds`).
 """
 JITTER_TIMES = 2.0
-"""Size of these errors relative to the jitter within that time."""
+"""Size of the errors that last for `JITTER_LASTS_S`, relative to the jitter."""
 
 _WINDOW = 200
 """Number of frames of an exact spline whose standard deviations are computed at once."""
 _MARGIN = 40
-"""Number of frames on either side that contribute.
+"""Number of frames on either side of a window that still affect the spline in it.
 
 The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to 1e-23 over the margin.
+
 """
 _REACH = 20
-"""Number of evenly spaced frames on either side that contribute, away from the ends; their influence falls to 1e-11."""
+"""Number of evenly spaced frames on either side of a sample that affect it, away from the ends, down to 1e-11."""
 _LEAST_PRODUCT = 1e-11
-"""Smallest product of two influences that contributes, relative to the largest."""
+"""Product of two influences, relative to the largest, below which the product is neglected."""
 _AT_ONCE = 1000
-"""Number of evenly spaced frames computed at once."""
+"""Number of evenly spaced frames computed at once, to limit memory."""
 
 STRAIGHT_SIGMAS = 2.0
 """Deviation from straight, in standard deviations, below which a joint may be bent to either side."""
@@ -75,10 +77,10 @@ STRAIGHT_SIGMAS = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
-    """Standard deviations of errors, and how long an error lasts."""
+    """Standard deviations of errors, and their correlation time."""
 
     sigma: Array
-    """Standard deviations of the values, in their shape and unit; with signs if one error lasts through the clip."""
+    """Standard deviations of the values, in their shape and unit; with signs if one error lasts throughout the clip."""
     correlation_s: float = 0.0
     """Correlation time of the errors: 0 for independent frames, inf for one error throughout."""
 
@@ -99,11 +101,11 @@ class Series(Brief):
     value: Array
     """The values at the N times, shape (N, d)."""
     rate: Array
-    """(N, d), per second in the values' unit."""
+    """First derivatives, in the values' unit per second, shape (N, d)."""
     acceleration: Array
-    """(N, d), per second^2 in the values' unit."""
+    """Second derivatives, in the values' unit per second^2, shape (N, d)."""
     value_sigma: Array
-    """Standard deviations of the values, shape (N, d). All three are NaN without errors."""
+    """Standard deviations of the values, shape (N, d); NaN without errors, like those of the derivatives."""
     rate_sigma: Array
     """Standard deviations of the rates, shape (N, d)."""
     acceleration_sigma: Array
@@ -116,21 +118,22 @@ class JointKinematics(Brief):
     """Motion of a point in the world frame, NaN if unknown."""
 
     series: Series
-    """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
+    """Position (m), velocity (m/s) and acceleration (m/s^2), each of shape (N, 3)."""
     speed_m_s: Array
-    """Norm of the velocity, shape (N,)."""
+    """Magnitude of the velocity, shape (N,)."""
     acceleration_m_s2: Array
-    """Norm of the acceleration, shape (N,)."""
+    """Magnitude of the acceleration, shape (N,)."""
     speed_sigma_m_s: Array
-    """Standard deviation of the speed by linear propagation, shape (N,); NaN without errors. Noise also raises the
-    speed itself, by about sigma^2 / speed, which is not subtracted.
+    """Standard deviation of the speed by linear propagation, shape (N,); NaN without errors.
+
+    Noise also raises the speed itself by about sigma^2 / speed; this bias is not subtracted.
     """
     acceleration_sigma_m_s2: Array
-    """Standard deviations of the acceleration, shape (N,)."""
+    """Standard deviation of `acceleration_m_s2`, shape (N,)."""
     distance_m: float
-    """Arc length of the known spans."""
+    """Length of the path over all known spans."""
     mean_speed_m_s: float
-    """Mean speed over the time of the known spans."""
+    """Mean speed over all known spans."""
     peak_speed_m_s: float
     peak_speed_sigma_m_s: float
     """Standard deviation of the peak speed; NaN without errors."""
@@ -141,14 +144,14 @@ class JointKinematics(Brief):
 
     @property
     def why_no_acceleration(self) -> str:
-        """Return the sentence that figures show instead of an acceleration that is not known well enough.
+        """Return the sentence that figures show instead of an acceleration that is too uncertain.
 
-        The sentence is empty if the acceleration is known.
+        The sentence is empty if the acceleration is known well enough.
         """
         values, is_known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
         if is_known.any() and np.mean(self.acceleration_sigma_m_s2[is_known] > values[is_known]) <= 0.5:
             return ""
-        return "The instantaneous acceleration is not shown: mostly it is smaller than its standard deviation."
+        return "The instantaneous acceleration is not shown, because it is mostly smaller than its standard deviation."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,7 +159,7 @@ class AngleKinematics(Brief):
     """An angle over time, NaN if unknown."""
 
     series: Series
-    """(N, 1), rad, rad/s, rad/s^2."""
+    """Angle (rad), rate (rad/s) and acceleration (rad/s^2), each of shape (N, 1)."""
     range_rad: tuple[float, float]
     """Smallest and largest angle."""
     peak_rate_rad_s: float
@@ -174,9 +177,9 @@ _Kind = TypeVar("_Kind", Series, JointKinematics)
 
 
 def at_frames(motion: _Kind) -> _Kind:
-    """Return the motion at the frames only, which takes a tenth of the memory.
+    """Return the motion at the frames only, which needs a tenth of the memory.
 
-    Means and peaks are still those of all samples.
+    Means and peaks remain those of all samples.
     """
     series = motion if isinstance(motion, Series) else motion.series
     changed = {
@@ -197,24 +200,26 @@ def series_kinematics(
     oversampling: int = OVERSAMPLING,
     max_gap_s: float = MAX_GAP_S,
 ) -> Series:
-    """Return the spline through values and its derivatives.
+    """Return a spline through values, with its derivatives and their standard deviations.
 
     Parameters
     ----------
     time_s : ndarray
-        Increasing times, shape (T,).
+        Increasing times, s, shape (T,).
     values : ndarray
-        Values, shape (T, d); NaN in any dimension is a missing frame. A span needs four values, five with `smooth`.
+        Values, shape (T, d); a frame with NaN in any dimension is missing. A span needs four values, five with
+        `smooth`.
     errors : sequence of Errors
-        Errors of the values that add up, sigma (T, d) each; with `smooth` the first also gives the weights.
+        Independent errors of the values, with `sigma` of shape (T, d). With `smooth`, the first item also sets the
+        weights.
     smooth : bool
         Smooth the values instead of passing through them.
     propagate : bool
-        Compute standard deviations, which with `smooth` takes 8 bytes x N x T of memory and a spline for each value.
+        Compute standard deviations. With `smooth`, this needs 8 N T bytes of memory and one spline per value.
     oversampling : int
-        Samples for each frame.
+        Samples per frame.
     max_gap_s : float
-        Longest gap that is bridged.
+        Longest gap that is interpolated, s.
 
     Raises
     ------
@@ -241,14 +246,14 @@ def series_kinematics(
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
-    """Return the rows of known values (T, d), split at long gaps, without parts that have too few values."""
+    """Return the rows of known values (T, d), split at long gaps, without spans that have too few values."""
     known_rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     is_too_long = (np.diff(known_rows) > 1) & (np.diff(time_s[known_rows]) > max_gap_s * (1 + 1e-9))
     return [rows for rows in np.split(known_rows, np.flatnonzero(is_too_long) + 1) if len(rows) >= min_points]
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
-    """Return the curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
+    """Return a spline through x (n, ...), exact for lam 0, as a function of times (M,) and a derivative's order."""
     known = np.isfinite(x)
     if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges
         t, x, weight = t[known], x[known], weight[known]
@@ -265,15 +270,15 @@ def _evaluate(curve: Curve, time_s: Array) -> Array:
 
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
-    """Return the lam with sum((weight (x - f))^2) = n.
+    """Return the lam for which sum((weight (x - f))^2) = n.
 
-    If a straight line is that close already, the result is the largest lam in the range.
+    If a straight line is at least as close to the values, the result is the largest lam of the range.
     """
     from scipy.optimize import brentq
 
     scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
-    # Reinsch's equations of the curve's second derivatives g at the inner times are (R + lam Q' W^-1 Q) g = Q' x and
-    # x - f = lam W^-1 Q g. R and `pull`, which is Q' W^-1 Q, are stored as bands.
+    # Reinsch's equations for the curve's second derivatives g at the inner times are (R + lam Q' W^-1 Q) g = Q' x and x
+    # - f = lam W^-1 Q g. R and `pull`, which is Q' W^-1 Q, are stored as bands.
     left, right = 1 / h[:-1], 1 / h[1:]
     middle = -left - right
     R, pull = np.zeros((2, 3, len(middle)))
@@ -296,10 +301,10 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
 
 
 def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
-    """Return standard deviations (3, M, d) of value, rate and acceleration of a span's splines (n,) at times (M,)."""
+    """Return standard deviations (3, M, d) of value, rate and acceleration at times (M,) of a span of n values."""
     variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
-    # an error that lasts through the whole clip propagates like a value
+    # An error that lasts throughout the clip propagates like a value.
     for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
         variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2
@@ -323,8 +328,8 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
 def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
     """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), away from its ends.
 
-    There are `per_frame` samples per frame. The `_REACH` frames at either end are left out: elsewhere the samples of
-    every frame depend on the values around it in the same way.
+    There are `per_frame` samples per frame. The `_REACH` frames at either end are left out. Elsewhere, the samples of
+    every frame depend in the same way on the values around them.
     """
     width, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = cubic_spline(step * np.arange(2 * width), np.eye(2 * width))
@@ -349,7 +354,7 @@ def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_fram
 
 
 def _windows(t: Array, sample_s: Array) -> Iterator[tuple[slice, slice]]:
-    """Yield pieces of the sample times, each with the span's values on which its samples depend."""
+    """Yield windows of the sample times as slices, each with the slice of the values on which its samples depend."""
     for first in range(0, max(len(t) - 1, 1), _WINDOW):
         last = min(first + _WINDOW, len(t) - 1)
         begin, end = np.searchsorted(sample_s, [t[first], t[last]])
@@ -358,7 +363,7 @@ def _windows(t: Array, sample_s: Array) -> Iterator[tuple[slice, slice]]:
 
 
 def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
-    """Return the variances (3, M) of operators (3, M, n), already multiplied by sigma."""
+    """Return the variances (3, M) of the results of operators (3, M, n) that are already multiplied by sigma (n,)."""
     if correlation_s == 0:
         return np.sum(weighted**2, axis=-1)
     return np.maximum(np.sum((weighted @ _correlation(t[:, None] - t, correlation_s)) * weighted, axis=-1), 0.0)
@@ -369,7 +374,7 @@ def _correlation(difference_s: Array, correlation_s: float) -> Array:
 
 
 def frame_times(frames: Array | Index, fps: float) -> Array:
-    """Return the times (T,) of frame numbers in seconds; frame 0 is at 0.
+    """Return the times (T,) of frame numbers (T,), s; frame 0 is at 0 s.
 
     Raises ValueError unless fps is positive.
     """
@@ -379,7 +384,7 @@ def frame_times(frames: Array | Index, fps: float) -> Array:
 
 
 def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
-    """Return the positions of joints in a pose's list.
+    """Return the indices of joints in a pose.
 
     Raises InputError, naming every joint that the pose lacks.
     """
@@ -397,11 +402,11 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
     Parameters
     ----------
     time_s : ndarray
-        Increasing times, shape (T,).
+        Increasing times, s, shape (T,).
     xyz_m : ndarray
-        Positions, shape (T, 3), metres; NaN for missing frames.
+        Positions, metres, shape (T, 3); NaN for missing frames.
     errors : sequence of Errors
-        Errors of the positions that add up, sigma (T, 3) each.
+        Independent errors of the positions, with `sigma` of shape (T, 3).
     **options
         As in `series_kinematics`.
     """
@@ -414,23 +419,23 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
 def path_kinematics(
     time_s: Array, path: ReferencePath, is_known: Bools, with_size: bool = True, oversampling: int = OVERSAMPLING
 ) -> JointKinematics:
-    """Return speed, acceleration and distance of the reference joint from a path with velocities of its own.
+    """Return speed, acceleration and distance of the reference joint from a path that includes velocities.
 
-    Between the frames, the path is the polynomial of the fifth degree with the positions, velocities and accelerations
-    of the frames.
+    Between two frames, the path is the polynomial of degree five that has their positions, velocities and
+    accelerations.
 
     Parameters
     ----------
     time_s : ndarray
-        Increasing times, shape (T,).
+        Increasing times, s, shape (T,).
     path : ReferencePath
         The path at these times.
     is_known : ndarray
-        Frames with a pose, shape (T,). The result is NaN before, after and in long gaps.
+        Frames with a pose, shape (T,). The result is NaN before the first, after the last and in long gaps.
     with_size : bool
         Include the uncertainty of the animal's size.
     oversampling : int
-        Samples for each frame.
+        Samples per frame.
     """
     from scipy.interpolate import BPoly  # slow to import
 
@@ -454,7 +459,7 @@ def path_kinematics(
 
 
 def _between(time_s: Array, values: Array, fine_s: Array) -> Array:
-    """Return values (T, ...) interpolated linearly at finer times (N,)."""
+    """Return values (T, ...) at times (T,) interpolated linearly at finer times (N,)."""
     flat = values.reshape(len(time_s), -1)
     columns = [np.interp(fine_s, time_s, column) for column in flat.T]
     return np.stack(columns, axis=1).reshape(len(fine_s), *values.shape[1:])
@@ -468,7 +473,7 @@ def _norm_of(vector: Array, covariance: Array) -> tuple[Array, Array]:
 
 
 def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: tuple[Array, Array]) -> JointKinematics:
-    """Return a point's motion from its series, and from its speed and acceleration with their standard deviations."""
+    """Return a point's motion from its series, its speed and its acceleration, the last two with sigmas (N,)."""
     (speed, speed_sigma), (acceleration, acceleration_sigma) = speeds, accelerations
     steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
     is_known = np.isfinite(steps_m)
@@ -490,15 +495,15 @@ def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: t
 
 
 def _at_peak(values: Array, quantity: Array) -> float:
-    """Return the element of a quantity (N,) at the largest of some values (N,), NaN if no value is known."""
+    """Return the element of a quantity (N,) at the largest of values (N,); NaN if no value is known."""
     return float(quantity[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
 
 
 def frame_jitter_m(points_m: Array) -> Array:
     """Return the standard deviation (d,) of independent noise in each coordinate of points (T, d), metres.
 
-    It is a robust estimate (median absolute value) from third differences over four consecutive frames. In these
-    differences a smooth motion nearly vanishes, and white noise of unit variance has a standard deviation of sqrt(20).
+    The estimate is robust: it uses the median absolute third difference over four consecutive frames. In these
+    differences, smooth motion nearly vanishes, and white noise of unit variance has a standard deviation of sqrt(20).
     The result is NaN with fewer than three differences.
     """
     differences = np.diff(points_m, 3, axis=0)
@@ -511,15 +516,15 @@ def frame_jitter_m(points_m: Array) -> Array:
 def jitter_errors(values: Array) -> tuple[Errors]:
     """Return independent errors as large as the frame-to-frame jitter of values (T, ...)."""
     jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
-    smallest = 1e-9  # an exact series has no jitter
+    smallest = 1e-9  # avoids a zero sigma, as an exact series has no jitter
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
 
 
 def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
     """Return the errors of values (T, ...) from a method that starts each frame at the result of the previous frame.
 
-    Such a method repeats its errors for some time. The first item is `jitter_errors`, which sets the smoothing. The
-    second has `JITTER_TIMES` the size of the jitter over `JITTER_LASTS_S`, single large errors included.
+    The errors of such a method persist for some time. The first item is `jitter_errors`, which sets the smoothing. The
+    second lasts for `JITTER_LASTS_S` and is `JITTER_TIMES` the jitter over this time, single large errors included.
     """
     (independent,) = jitter_errors(values)
     step = max(1, round(JITTER_LASTS_S * fps))
@@ -534,9 +539,9 @@ def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
     """Return the acceleration along the direction of travel over a whole clip and its standard deviation, m/s^2.
 
-    It is the acceleration of a least-squares parabola in time through a path (T, 3) with z up, along the level
-    direction from the first to the last point. `errors` (T, 3) are as in `series_kinematics`; without errors the
-    standard deviation is NaN. The result is NaN with fewer than four frames or without any travel.
+    A parabola in time is fitted by least squares to a path (T, 3), metres, z up, along the horizontal direction from
+    the first to the last point. `errors` (T, 3) are as in `series_kinematics`; without errors the standard deviation is
+    NaN. The result is NaN with fewer than four frames or without any travel.
     """
     known_rows = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
     travel_m = xyz_m[known_rows[-1], :2] - xyz_m[known_rows[0], :2] if len(known_rows) >= MIN_POINTS else np.zeros(2)
@@ -550,7 +555,7 @@ def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ())
 
 
 def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
-    """Return the acceleration of the least-squares parabola in time through values (T,) and its standard deviation.
+    """Return the acceleration of a least-squares parabola in time through values (T,), and its standard deviation.
 
     The standard deviation is NaN without errors.
     """
@@ -561,7 +566,7 @@ def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]
 
 
 def _variance_of_sum(sigma: Array, t: Array, correlation_s: float) -> float:
-    """Return the variance of the sum of errors (T,), whose correlation decreases with the time between them."""
+    """Return the variance of the sum of errors (T,) whose correlation decreases with the time between them."""
     variance = sigma @ sigma
     for lag in range(1, len(t)):
         difference_s = t[lag:] - t[:-lag]
@@ -572,7 +577,7 @@ def _variance_of_sum(sigma: Array, t: Array, correlation_s: float) -> float:
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
-    """Return the speed (T,) of a path (T, 3) at its frames, m/s; with `smooth`, smoothed by the path's jitter."""
+    """Return the speed (T,) of a path (T, 3) at its frames, m/s; `smooth` smooths the path according to its jitter."""
     errors = jitter_errors(xyz_m) if smooth else ()
     return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=False, oversampling=1).speed_m_s
 
@@ -589,15 +594,15 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
 
 
 def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return the norms (N,) of vectors (N, d) and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
+    """Return the norms (N,) of vectors (N, d) and their standard deviations, sqrt(sum((v_k / |v|)^2 sigma_k^2))."""
     norm = np.linalg.norm(vector, axis=1)
-    # At rest the direction is unknown: use the mean over all directions.
+    # At rest the direction is unknown, so the mean over all directions is used.
     share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
     return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
-    """Return the angle (T,) at b between a and c, 0 to pi, from positions (T, 3); NaN if two of them coincide."""
+    """Return the angle (T,) at b between a and c, rad, 0 to pi, from positions (T, 3); NaN if b coincides with one."""
     u, v = a_m - b_m, c_m - b_m
     # atan2 keeps its precision near 0 and pi, where arccos loses half the digits.
     angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
@@ -609,7 +614,8 @@ def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
 
     Positions (T, 3) have z up. The sagittal plane is the vertical plane through rear and front, so roll is neglected.
     Positive means flexed: the back is arched upwards, and the middle is above the line from rear to front. Negative
-    means extended: the back is hollow. The flexion is the inclination of rear -> middle minus that of middle -> front.
+    means extended: the back is hollow. The flexion is the inclination of the line from rear to middle minus that of the
+    line from middle to front.
     """
     forward = (front_m - rear_m)[:, :2]
     length = np.linalg.norm(forward, axis=1, keepdims=True)
@@ -620,7 +626,7 @@ def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
 
 
 def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] = (), **options) -> AngleKinematics:
-    """Return an angle (T,) over times (T,) with its rate and acceleration.
+    """Return an angle (T,), rad, over times (T,), s, with its rate and acceleration.
 
     `errors` (T,) are in rad. Jumps of 2 pi between known frames are removed. Options are those of `series_kinematics`.
     """
@@ -646,7 +652,7 @@ def joint_angle(
     angle_of: Angle = angle_between,
     **options,
 ) -> AngleKinematics:
-    """Return the angle at the middle one of three joints over time.
+    """Return the angle at the second of three joints over time.
 
     The rate of an angle between 0 and pi changes its sign when the joint passes through a straight line. Peaks are
     therefore taken only at times at which the angle is at least two standard deviations from straight.
@@ -660,7 +666,7 @@ def joint_angle(
     fps : float
         Frames per second.
     errors : sequence of Errors
-        Errors (T, J, 3), metres, of joints independent of each other.
+        Errors of the positions, metres, with `sigma` of shape (T, J, 3), independent between joints.
     angle_of : callable
         Function of the three joints' positions (T, 3); `angle_between` by default.
     **options
@@ -678,8 +684,7 @@ def joint_angle(
         Errors(angle_sigma(angle_of, points, error.sigma[:, joint_rows]), error.correlation_s) for error in errors
     ]
     for stated in angle_errors:
-        # Near straight the angle cannot be differentiated, and its linearised standard deviation is unknown: leave it
-        # out.
+        # Near straight the angle cannot be differentiated, so its linearised standard deviation is unknown.
         angle = np.where(np.isfinite(stated.sigma) & (stated.sigma > 0), angle, np.nan)
     result = angle_kinematics(frame_times(pose.frames, fps), angle, angle_errors, **options)
     if angle_of is not angle_between or not errors:
@@ -699,15 +704,16 @@ def spine_flexion(
 ) -> AngleKinematics:
     """Return the flexion of the back over time, positive when arched upwards (`sagittal_flexion`).
 
-    `joints` are the rear, middle and front joints.
+    `joints` are the rear, the middle and the front joint of the back.
     """
     return joint_angle(pose, joints, fps, errors, sagittal_flexion, **options)
 
 
 def angle_sigma(angle_of: Angle, points_m: Array, sigma_m: Array) -> Array:
-    """Return the linear standard deviation (T,) of an angle between three points (T, 3, 3) with errors sigma_m.
+    """Return the standard deviation (T,), rad, of an angle of three points (T, 3, 3) by linear propagation.
 
-    The derivatives with respect to the nine coordinates are central differences with a step of a micrometre.
+    `sigma_m` (T, 3, 3) are the standard deviations of the coordinates. The derivatives with respect to the nine
+    coordinates are central differences with a step of one micrometre.
     """
     step, variance = 1e-6, np.zeros(len(points_m))
     for shift_m in step * np.eye(9).reshape(9, 3, 3):

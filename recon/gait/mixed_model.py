@@ -1,4 +1,4 @@
-"""Estimate how much animals, runs of an animal, strides of a run and the measurement vary in an experiment.
+"""Estimate the variances between animals, runs, strides and measurements in an experiment, and its power.
 
 A stride's value is y = X b + a + r + s + m. The columns of X are the groups and the speed. a, r and s are independent
 deviations of the animal, the run and the stride with unknown variances. m is the measurement's error, the same for all
@@ -20,14 +20,14 @@ from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
 _LEAST = 1e-4
-"""Smallest standard deviation of a level in the fit, relative to that of all values."""
+"""Smallest standard deviation of a level that the fit tries, relative to that of all values."""
 _SHOWN = 1e-2
-"""Smallest standard deviation of a level that is not 0 in the result, relative to that of all values."""
+"""Standard deviation of a level, relative to that of all values, below which the result is 0."""
 
 
 @dataclass(frozen=True)
 class LevelSigmas:
-    """Standard deviations of an experiment's levels, in the unit of the quantity."""
+    """Standard deviations of an experiment's levels (animal, run, stride, measurement), in the quantity's unit."""
 
     animal: float
     run: float
@@ -36,7 +36,7 @@ class LevelSigmas:
     """Standard deviation of a run's error if one camera measures it."""
 
     def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
-        """Return the variance of the mean of an animal's runs."""
+        """Return the variance of an animal's mean over `runs` runs with `strides` strides each."""
         of_run = self.run**2 + self.measurement**2 / cameras + self.stride**2 / strides
         return self.animal**2 + of_run / runs
 
@@ -47,7 +47,7 @@ class LevelSigmas:
         return self.animal**2 / total if total else float("nan")
 
     def detectable_change(self, strides: float) -> float:
-        """Return the change of an animal between two runs that 95 % of unchanged animals stay below."""
+        """Return the difference between two runs that an unchanged animal exceeds with a probability of 5 %."""
         return 1.96 * float(np.sqrt(2 * (self.of_mean(1, strides) - self.animal**2)))
 
 
@@ -65,7 +65,7 @@ class MixedModel:
     """A fitted model of an experiment."""
 
     names: tuple[str, ...]
-    """Columns of the design, (P,)."""
+    """Names of the design's columns, (P,)."""
     effects: Array
     """Coefficients of the columns, shape (P,)."""
     covariance: Array
@@ -83,7 +83,8 @@ class MixedModel:
         weights : ndarray
             Weight of each effect, shape (P,).
         shared : float
-            Relative error that all clips share, such as that of the size; more animals do not reduce it.
+            Relative standard deviation of an error that all clips share, such as that of the size. More animals do not
+            reduce it.
         """
         from scipy.stats import t  # slow to import
 
@@ -153,14 +154,14 @@ def fit_mixed_model(
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """N strides of one animal, or of B groups of animals with equally many strides: (B, n, ...)."""
+    """Strides of one animal, or of B groups of animals with n strides per animal, stacked as (B, n, ...)."""
 
     columns: Array
-    """Design and values of each of A animals of the same runs and measurement, (n, A (P + 1))."""
+    """Design and values of A animals with the same runs and measurement errors, side by side, shape (n, A (P + 1))."""
     same_run: Array
-    """1 if two strides share a run, shape (n, n)."""
+    """1 where two strides are of the same run, else 0, shape (n, n)."""
     known: Array
-    """Covariance of the measurement, (n, n)."""
+    """Covariance of the measurement errors, shape (n, n)."""
     animals: int = 1
     """Number A of animals."""
 
@@ -171,7 +172,7 @@ def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
 
 
 def _grouped(single: Sequence[_Block]) -> list[_Block]:
-    """Return the animals' blocks: those with equal covariances are joined, those of equal shape are stacked."""
+    """Join the animals' blocks that have equal covariances, and stack those of equal shape."""
     by_covariance: dict[tuple[bytes, bytes], list[_Block]] = {}
     for block in single:
         by_covariance.setdefault((block.same_run.tobytes(), block.known.tobytes()), []).append(block)
@@ -191,7 +192,7 @@ def _grouped(single: Sequence[_Block]) -> list[_Block]:
 
 
 def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float]:
-    """Return effects, their covariance and minus twice the restricted log-likelihood, for three sigmas."""
+    """Return effects (P,), their covariance (P, P) and -2 times the restricted log-likelihood for sigmas (3,)."""
     animal, run, stride = sigmas**2
     columns = blocks[0].columns.shape[-1] // blocks[0].animals
     moments, log_determinant = np.zeros((columns, columns)), 0.0
@@ -226,7 +227,7 @@ def power(
     sigmas : LevelSigmas
         Standard deviations of the levels.
     animals, runs, strides, cameras : int
-        Numbers of animals per group, runs per animal and group, strides per run, and cameras that film a run.
+        Number of animals per group, runs per animal and group, strides per run, and cameras that film a run.
     paired : bool
         Whether both groups are the same animals, as before and after a treatment.
     """
@@ -240,7 +241,7 @@ def power(
     limit, shift = t.ppf(0.975, freedom), abs(effect) / max(float(sigma), 1e-12)
     if shift > 30:
         return 1.0
-    wrong_side = nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0  # scipy's lower tail is NaN for larger shifts
+    wrong_side = nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0  # scipy's cdf is NaN for larger shifts
     return float(nct.sf(limit, freedom, shift) + wrong_side)
 
 

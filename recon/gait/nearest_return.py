@@ -1,8 +1,9 @@
 """Find the nearest return of a foot to a position, for a clip in which no stride is complete.
 
-From each frame, the foot has to move away by half the diameter of its path and return to within a quarter of it, while
-its direction stays within a right angle of its first direction; the return ends at the nearest point, which may lie
-between two frames. A return counts if it spans most of the path's diameter. The return with the smallest gap is taken.
+After each frame, the foot has to move away by half the diameter of its path and then return to within a quarter of the
+diameter, moving within a right angle of its initial direction. The return ends at the point nearest to its beginning,
+which may lie between two frames. A return counts if it spans most of the path's diameter. The result is the return
+whose ends are closest to each other.
 
 Between frames, the foot follows a cubic spline. Only the longest stretch of frames without a gap of more than
 `MAX_GAP_FRAMES` counts.
@@ -17,21 +18,21 @@ from recon.gait.phase import diameter
 from recon.gait.spline import MIN_POINTS, cubic_spline
 
 MAX_GAP_FRAMES = 4
-"""Longest stretch without data that the spline bridges, frames."""
+"""Longest gap in the data that the spline bridges, frames."""
 AWAY_SHARE = 0.5
-"""Fraction of the path's diameter by which a return leads away."""
+"""Smallest distance by which the foot has to move away, as a fraction of the path's diameter."""
 BACK_SHARE = 0.25
-"""Fraction of the path's diameter within which a return comes back."""
+"""Distance within which the foot has to return, as a fraction of the path's diameter."""
 SPAN_SHARE = 0.8
-"""Fraction of the path's diameter that a return spans at least."""
+"""Smallest fraction of the path's diameter that a return has to span."""
 _STEPS = 100
-"""Points per frame at which the end of a return is searched."""
+"""Number of points per frame at which the end of a return is searched for."""
 
 
 def longest_stretch(is_known: Bools) -> Index:
     """Return the known frames of the longest stretch without a gap of more than `MAX_GAP_FRAMES`.
 
-    is_known has the shape (T,).
+    `is_known` is a mask of the frames, shape (T,).
     """
     known = np.flatnonzero(is_known)
     return max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
@@ -43,7 +44,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
     Parameters
     ----------
     path_m : ndarray
-        Positions of the foot relative to the body, shape (T, dim), NaN where unknown.
+        Positions of the foot relative to the body, metres, shape (T, dim), NaN where unknown.
     shortest, longest : float
         Shortest and longest possible duration of the return, in frames.
     """
@@ -61,7 +62,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
 
 
 def _best_rows(frames: Index, points: Array, shortest: float, longest: float) -> tuple[int, int] | None:
-    """Return the rows of `points` (F, dim) between which the return with the smallest gap lies, or None."""
+    """Return the two rows of `points` (F, dim) between which the nearest return lies, or None."""
     velocity = np.gradient(points, frames, axis=0)
     extent = diameter(points)
     best, smallest = None, np.inf
@@ -75,7 +76,7 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
         back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
             continue
-        # Look only until the limb leaves again.
+        # Only the frames until the foot moves away again belong to this return.
         visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
         j = int(visit[np.argmin(distance[visit])])
         if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN_SHARE * extent:

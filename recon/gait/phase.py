@@ -1,25 +1,26 @@
 """Compute the motion of links relative to their parents (vector field), phase portraits and the degree of closure.
 
-The vector field of a chain of joints holds, for each link but the first, the position and velocity of its tip in the
-frame of the previous link. The origin of this frame is the joint between the two links. x points along the parent. z is
-the level direction across the travel, to the animal's right, made normal to x. y = z x x. For a parent that points
-forwards y is up; for a parent that hangs down y is forwards. In the plane of x and y, in polar form,
+For each link of a chain but the first, the vector field holds the position and velocity of the link's tip in the frame
+of the preceding link, its parent. The origin of this frame is the joint between the two links. The x axis points along
+the parent. The z axis is the horizontal direction across the travel, to the animal's right, made perpendicular to x.
+The y axis is the cross product of z and x. If the parent points forwards, y is up; if the parent hangs down, y is
+forwards. In polar form, the motion in the plane of x and y is
 
     r = |(x, y)|,   dr = (x dx + y dy) / r,   dtheta = (x dy - y dx) / r^2
 
-so a rigid link in the plane has dr = 0 and moves with r |dtheta|. The coordinate out of the plane is `z`. The frame
-turns with the parent, and (dx, dy, dz) are the derivatives of the coordinates in it. The first link is the reference of
-the second and has no motion of its own (zero by definition in published tables).
+so a rigid link in this plane has dr = 0 and the speed r |dtheta|. The frame turns with the parent, and (dx, dy, dz) are
+the derivatives of the coordinates in this frame. The first link is the reference of the second and has no motion of its
+own (zero by definition in published tables).
 
-The degree of closure of a path in phase space is D = 100 (1 - d / d_max) in percent. d is the distance between the
-start and the end of the path, and d_max is its diameter, the largest distance between any two of its points. D is 100
-for a path that ends at its start, and 0 for a path that ends as far from its start as its diameter. The publication
+The degree of closure of a path in phase space is D = 100 (1 - d / d_max), in percent, where d is the distance between
+the start and the end of the path, and d_max is its diameter, the largest distance between any two of its points. D is
+100 for a path that ends at its start, and 0 for a path that ends as far from its start as its diameter. The publication
 does not define d_max.
 
-If angles have standard deviations, closures have them too: they are those of the closures of `DRAWN` paths drawn from
+If the angles have standard deviations, so do the closures, computed from `DRAWN` paths that are drawn at random from
 the angles' errors. An error of the angle is sigma(t) z(t), with z smooth noise of unit variance, and the error of the
 rate follows z'. The rate's standard deviation is also known, and the ratio of the two gives the time over which z
-changes. The errors of start, end and turning points therefore have the right joint distribution.
+changes. The errors of start, end and turning points are therefore correlated as they should be.
 
 References
 ----------
@@ -48,9 +49,9 @@ CHUNK = 1000
 DRAWN = 100
 """Number of paths drawn for a closure's standard deviation."""
 _WAVES = 50
-"""Number of waves in each of these paths."""
+"""Number of waves that make up the noise of each drawn path."""
 _DIRECTIONS = 32
-"""Number of directions in which the paths' extent is measured."""
+"""Number of directions in which the extent of a drawn path is measured."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,7 +63,7 @@ class LinkField(Brief):
     parent: tuple[str, str]
     """Start and end joint of the link's parent."""
     position_m: Array
-    """Coordinates x, y, z, shape (T, 3)."""
+    """Coordinates x, y, z of the tip, shape (T, 3)."""
     velocity_m_s: Array
     """Derivatives of the coordinates, shape (T, 3)."""
     radius_m: Array
@@ -72,7 +73,7 @@ class LinkField(Brief):
     dtheta_rad_s: Array
     """Angular velocity of the link's tip, shape (T,)."""
     speed_m_s: Array
-    """Norm of (dr, r dtheta), shape (T,)."""
+    """Speed in the plane, the norm of (dr, r dtheta), shape (T,)."""
     dr_sigma_m_s: Array | float = np.nan
     """Standard deviation of `dr_m_s` (`field_with_sigma`), shape (T,); NaN if unknown."""
     dtheta_sigma_rad_s: Array | float = np.nan
@@ -88,18 +89,18 @@ class Closure:
     angle: float
     """Degree of closure of the angle alone."""
     plane: float
-    """Degree in the plane of angle and rate, with both axes divided by their ranges."""
+    """Degree of closure in the plane of angle and rate, with both axes divided by their ranges."""
     angle_sigma: float = np.nan
     """Standard deviation of `angle`, NaN if unknown."""
     plane_sigma: float = np.nan
     """Standard deviation of `plane`, NaN if unknown."""
     unscaled: float = np.nan
-    """Degree in the plane of rad and rad/s without scaling, as published."""
+    """Degree of closure in the plane of rad and rad/s without scaling, as published."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Portrait(Brief):
-    """A path in phase space."""
+    """Path of an angle and its rate in phase space."""
 
     time_s: Array
     """The times of the N samples, shape (N,)."""
@@ -114,16 +115,16 @@ class Portrait(Brief):
 
 
 def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward_m: Array) -> tuple[LinkField, ...]:
-    """Return the fields of the J - 2 links of a chain of joints that have a parent.
+    """Return the fields of the J - 2 links of a chain that have a parent link.
 
     Parameters
     ----------
     time_s : ndarray
-        Times, shape (T,).
+        Times, s, shape (T,).
     joints_m : ndarray
-        Positions of J >= 3 joints in order, shape (T, J, 3).
+        Positions of J >= 3 joints in the order of the chain, metres, shape (T, J, 3).
     names : tuple of str
-        Their names.
+        Names of the joints.
     forward_m : ndarray
         Any vector from rear to front, shape (T, 3); only its horizontal part is used.
 
@@ -141,10 +142,11 @@ def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward
 def pose_vector_field(
     pose: Pose3D, chain: tuple[str, ...], fps: float, forward: tuple[str, str] = FORWARD
 ) -> tuple[LinkField, ...]:
-    """Return the field of a chain of a pose's joints.
+    """Return the fields of a chain of a pose's joints.
 
-    chain: such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw). forward: two joints, from rear to front.
-    Raises InputError with every joint that the pose lacks, and the ValueError of `vector_field`.
+    `chain` names the joints in order, such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw); `forward`
+    names a rear and a front joint. Raises InputError that names every joint the pose lacks, and ValueError like
+    `vector_field`.
     """
     joint_rows, (rear, front) = joint_index(pose, (*chain, *forward))[: len(chain)], joint_index(pose, forward)
     forward_m = pose.xyz_m[:, front] - pose.xyz_m[:, rear]
@@ -165,7 +167,7 @@ class FieldMeans(NamedTuple):
     dtheta_rad_s: float
     """Mean of |dtheta|."""
     speed_sigma_m_s: float
-    """Root mean square of the speed's standard deviation in a frame."""
+    """Root mean square over the frames of the speed's standard deviation."""
     frames: int
 
 
@@ -188,7 +190,7 @@ def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
 
 
 def tips(joints_m: Array, forward_m: Array) -> Array:
-    """Return the positions (T, J - 2, 3) of `vector_field` for joints (T, J, 3) and forward_m (T, 3)."""
+    """Return the link tips in their parents' frames, shape (T, J - 2, 3), for joints (T, J, 3) and forward_m (T, 3)."""
     right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(forward_m))], axis=1)
     result = []
     for parent, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
@@ -200,10 +202,10 @@ def tips(joints_m: Array, forward_m: Array) -> Array:
 
 
 def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
-    """Return the field with standard deviations.
+    """Return the field with standard deviations by linear propagation.
 
-    moved_m_s (K, T, 3): changes of the tip's velocity by one standard deviation of K independent errors. The
-    propagation is linear. The result is unknown at rest and at radius 0.
+    `moved_m_s` (K, T, 3) are the changes of the tip's velocity due to one standard deviation of each of K independent
+    errors. The standard deviations are NaN at rest and at radius 0.
     """
     (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
     ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
@@ -247,7 +249,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:
-    """Return the path of (angle, rate) on the fine grid of `angle` between two times, both inclusive."""
+    """Return the path of (angle, rate) on the fine grid of `angle` between two times, s, both inclusive."""
     s = angle.series
     # Allow for rounding errors of the grid's times.
     is_inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
@@ -258,7 +260,7 @@ def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: floa
 def closure(portrait: Portrait) -> Closure:
     """Return the degrees of closure of a path, from its first to its last point.
 
-    Raises ValueError if a point of the path is unknown, since it may have been the turning point, or if there are fewer
+    Raises ValueError if a point of the path is unknown, since this point may be a turning point, or if there are fewer
     than two points.
     """
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
@@ -269,12 +271,12 @@ def closure(portrait: Portrait) -> Closure:
 
 
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
-    """Return the standard deviations of the closures of the angle and in the plane (see the module)."""
+    """Return the standard deviations of the closures of the angle alone and in the plane."""
     sums = np.sum(portrait.angle_sigma_rad), np.sum(portrait.rate_sigma_rad_s)
-    if not sums[1] > 0:  # also true for NaN
+    if not sums[1] > 0:  # `not >` also catches NaN
         return np.nan, np.nan
     correlation_s = sums[0] / sums[1]
-    # angular frequencies of smooth noise whose correlation time is 1
+    # Angular frequencies of smooth noise whose correlation time is 1.
     turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])
     phase = np.outer(turn_rates, portrait.time_s / correlation_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
@@ -309,6 +311,6 @@ def diameter(path: Array) -> float:
     from scipy.spatial import ConvexHull, QhullError  # slow to import
 
     with suppress(QhullError):  # all points are on a line
-        path = path[ConvexHull(path).vertices]  # the two points that are farthest apart are corners of the hull
+        path = path[ConvexHull(path).vertices]  # the farthest two points are vertices of the hull
     rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]
     return max(float(np.sqrt(np.sum((a[:, None] - b) ** 2, axis=2)).max()) for a in rows for b in rows)

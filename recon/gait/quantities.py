@@ -1,18 +1,18 @@
 """Summarise a clip's gait: speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
 
 The standard deviation of a mean has four independent parts: the scatter of the strides; the errors of touch-down and
-lift-off, which are equal in all strides of a foot, so that only more feet reduce them; the error of the path; and
+lift-off, which are the same in all strides of a foot, so that only more feet reduce them; the error of the path; and
 errors common to the whole clip, which are proportional to the value. The common errors are those of the animal's size,
 which scales all lengths seen by one camera, and of the focal length, which scales the distance from the camera and thus
 the motion along the line of sight.
 
-If no foot completes a stride, the clip has the period of its motion (`recon.gait.gait.pose_period_s`). The stride
-length is then the speed times the period, and the duty factor is the duration of complete stances over the period. A
-period that is much longer than the clip is not used.
+If no foot completes a stride, the stride duration is the period of the motion (`recon.gait.gait.pose_period_s`). The
+stride length is then the speed times the period, and the duty factor is the duration of complete stances divided by the
+period. A period much longer than the clip is not used.
 
-The asymmetry is (left - right) / mean of both. Errors of touch-down and lift-off that are equal for both feet cancel in
-it; those that differ from stride to stride are part of the scatter of the strides. It is not computed if the pose of
-one side comes from the prior rather than from the video.
+The asymmetry is (left - right) / mean of both. Errors of touch-down and lift-off that are equal for both feet cancel;
+errors that differ from stride to stride are part of the scatter of the strides. The asymmetry is not computed if the
+pose of one side comes from the prior rather than from the video.
 """
 
 from __future__ import annotations
@@ -34,18 +34,20 @@ from recon.gait.stances import Stance, interval_of
 
 Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
-"""Feet by girdle: left, right."""
+"""Left and right foot of each girdle."""
 NEXT_STEP = 0.6
 """Largest time, in strides, between two touch-downs that form a step: half a stride in symmetrical gaits, plus 0.1."""
 LONGEST_PERIOD = 1.3
-"""Longest period of the motion that is used, in durations of the clip. In parts of a dog's walks and runs, 97 % of the
-true strides are in the 90 % intervals of shorter periods, but only 61 % in those of longer periods.
+"""Longest period of the motion that is used, relative to the clip's duration.
+
+In parts of a dog's walks and runs, the 90 % intervals contain the true stride in 97 % of cases for shorter periods, but
+only in 61 % for longer ones.
 """
 LEAST_STRIDES = 3
 """Smallest number of strides on each side for an asymmetry."""
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.02}
-"""Standard deviation of the asymmetry that a single camera causes between the near and the far side. Intervals with
-this value are right for a dog's walks and runs (`benchmarks/gait.py --only asymmetry`).
+"""Standard deviation of the apparent asymmetry between near and far side caused by a single camera. Intervals with this
+value have the correct coverage for a dog's walks and runs (`benchmarks/gait.py --only asymmetry`).
 """
 
 
@@ -57,9 +59,9 @@ class AnalysedClip:
     gait: Gait | None
     errors: Sequence[Errors]
     reference_motion: JointKinematics
-    """Motion of the reference joint, with all errors."""
+    """Motion of the reference joint, with standard deviations from all errors."""
     unsized_motion: JointKinematics
-    """Motion of the reference joint, without the error of the animal's size."""
+    """Motion of the reference joint, with standard deviations that exclude the error of the animal's size."""
     why_no_speed: str | None
 
 
@@ -96,8 +98,8 @@ class GaitQuantity:
 def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
     """Return the quantities of a clip's gait by name.
 
-    Lengths and speeds are in metres and metres per second, phases in strides after the left hind foot, asymmetries
-    relative to the mean of both sides. A chain without feet has a speed only.
+    Lengths and speeds are in metres and metres per second, phases in strides after the left hind foot's touch-down,
+    asymmetries relative to the mean of both sides. For a chain without feet, only the speed is given.
     """
     quantities = [_speed(analysis)]
     if (gait := analysis.gait) is not None:
@@ -121,10 +123,10 @@ def shared_sigma(motion: Motion) -> float:
 
 
 def shared_sigma_columns(motion: Motion) -> dict[str, float]:
-    """Return the columns of a clip from which `recon compare` joins cameras, all relative standard deviations.
+    """Return the columns with which `recon compare` combines cameras, all relative standard deviations.
 
-    `size_sigma` is that of lengths (`shared_sigma`), `size_prior_sigma` that of the size before the fit, and
-    `focal_sigma` that of the speed from the focal length alone.
+    `size_sigma` applies to lengths (`shared_sigma`), `size_prior_sigma` to the animal's size before the fit, and
+    `focal_sigma` to the speed, from the focal length alone.
     """
     size_sigma, prior_sigma = _size_sigma(motion), getattr(motion.solution, "size_prior_sigma", None) or 0.0
     return {
@@ -135,7 +137,7 @@ def shared_sigma_columns(motion: Motion) -> dict[str, float]:
 
 
 def _size_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation of the size, which scales all lengths; 0 with several cameras."""
+    """Return the relative standard deviation of the animal's size, which scales all lengths; 0 with several cameras."""
     solution = motion.solution
     size_sigma: float | None = getattr(solution, "size_sigma", None)
     return 0.0 if size_sigma is None or len(solution.views) > 1 else size_sigma / solution.size
@@ -144,8 +146,8 @@ def _size_sigma(motion: Motion) -> float:
 def _focal_sigma(motion: Motion) -> float:
     """Return the relative standard deviation of the speed from the error of the focal length.
 
-    The focal length scales the distance from the camera. It scales the component u of the speed along the line of
-    sight, so that dv / v = (u / v)^2 df / f for the speed v.
+    The focal length scales the distance from the camera. A change of the scale changes the component u of the speed v
+    along the line of sight, so that dv / v = (u / v)^2 df / f.
     """
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1 or not solution.focal_sigma[0] > 0:
@@ -205,7 +207,7 @@ def _scatter(values: Array) -> tuple[float, float]:
 
 
 def event_sigma_s(stride: Stride) -> float:
-    """Return the standard deviation of a stride's or a stance's duration; both last from event to event."""
+    """Return the standard deviation of a duration between two events of the stride's foot, s."""
     return stride.duty_sigma * stride.duration_s
 
 
@@ -254,7 +256,7 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
 
 
 def _without_long_period(gait: Gait) -> Gait:
-    """Return the gait without the duration of a stride if it is a period far beyond the ends of the clip."""
+    """Return the gait, without the stride duration if this is a period much longer than the clip."""
     if gait.strides or not gait.stride_s > LONGEST_PERIOD * np.ptp(gait.tracks.time_s):
         return gait
     return replace(gait, stride_s=np.nan, stride_sigma_s=np.nan)
@@ -319,13 +321,13 @@ def _phases(gait: Gait) -> Iterator[GaitQuantity]:
 
 
 def _event_sigma_s(stances: Sequence[Stance]) -> float:
-    """Return the root mean square of the touch-downs' standard deviations."""
+    """Return the root mean square of the touch-downs' standard deviations, s."""
     sigmas = np.array([stance.start_sigma_s for stance in stances if stance.begins])
     return float(np.sqrt(np.mean(sigmas**2))) if len(sigmas) else np.nan
 
 
 def _lags(gait: Gait, reference: str, foot: str, near: float) -> Array:
-    """Return the phases of a foot's touch-downs after the nearest ones of another foot, unwrapped around a phase."""
+    """Return the phases of a foot's touch-downs after the nearest ones of another foot, unwrapped around `near`."""
     reference_s, foot_s = (
         np.array([s.start_s for s in gait.stances if s.foot == label and s.begins]) for label in (reference, foot)
     )
@@ -349,7 +351,7 @@ def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
 
 
 def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the time for which both feet of a pair stand, or minus the time between their stances."""
+    """Return the time for which both feet of a pair stand; if negative, the time between their stances."""
     name, source = f"overlap_{girdle}_s", "footfalls"
     steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
     if not steps:
@@ -361,7 +363,7 @@ def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
 
 
 def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return how far the left foot is to the left of the right foot, across the direction of travel."""
+    """Return the distance of the left foot to the left of the right foot, across the direction of travel."""
     name, source, tracks = f"step_width_{girdle}_m", "footfalls", gait.tracks
     steps = _steps(gait, feet)
     if not steps:
@@ -387,7 +389,7 @@ def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str
 
 
 def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
-    """Return the mean of points (N, 3) during a stance."""
+    """Return the mean during a stance of points (N, 3) at times (N,)."""
     first, stop = np.searchsorted(time_s, [stance.start_s, stance.end_s])
     return np.asarray(points_m[first : max(stop, first + 1)].mean(axis=0))
 
@@ -395,10 +397,9 @@ def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
 def _distance_variance(
     analysis: AnalysedClip, feet: tuple[str, str], middles_s: Sequence[float], across: Array
 ) -> float:
-    """Return the variance of the distance between two feet at two times along a direction.
+    """Return the variance, m^2, of the distance along a direction between two feet at two times.
 
-    Errors of the position move both feet equally as far as they last from one time to the other. Errors of the pose do
-    not.
+    Errors of the position cancel to the extent that they persist from one time to the other. Errors of the pose do not.
     """
     motion = analysis.motion
     rows = [int(np.argmin(np.abs(motion.time_s - middle_s))) for middle_s in middles_s]
@@ -413,7 +414,7 @@ def _distance_variance(
 
 
 def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> Iterator[GaitQuantity]:
-    """Yield the asymmetry of a pair's stances and of its excursion, (left - right) / mean of both."""
+    """Yield the asymmetries of a pair's stances and excursions, (left - right) / mean of both."""
     reason = _why_no_asymmetry(analysis.motion, gait, feet)
     for kind in SIDE_SIGMA:
         name, sides = f"asymmetry_{kind}_{girdle}", asymmetry_values(gait, kind, feet)
@@ -429,10 +430,10 @@ def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[st
 
 
 def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array]:
-    """Return the values that an asymmetry compares, for each stride of the left and of the right foot.
+    """Return the values that an asymmetry compares, one array (strides,) for each of the two feet.
 
-    kind: "stance", the time on the ground in seconds, or "excursion", the distance that the foot swings beneath the
-    body in metres.
+    `kind` is "stance" for the time on the ground, s, or "excursion" for the distance by which the foot moves relative
+    to the body, m.
     """
 
     def value(stride: Stride) -> float:
@@ -442,7 +443,7 @@ def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array
 
 
 def _side_sigma(analysis: AnalysedClip, kind: str) -> float:
-    """Return the asymmetry that the view itself causes between the sides; more cameras on both sides reduce it."""
+    """Return the standard deviation of the asymmetry due to the view, which cameras on both sides reduce."""
     return SIDE_SIGMA[kind] / len(analysis.motion.sources) ** 0.5
 
 
@@ -452,7 +453,7 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
         return "only one side was fitted"
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution):
-        return "the method does not report how much of each limb was seen"
+        return "the method does not report how much of each limb the cameras see"
     for foot in feet:
         joints = next(limb for limb in motion.limbs.values() if motion.names.index(motion.foot_names[foot]) in limb)
         if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_SHARE:
@@ -464,7 +465,7 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
 
 
 def _excursion_m(gait: Gait, stride: Stride) -> float:
-    """Return how far a foot swings beneath the body in a stride, along the body's travel."""
+    """Return the distance that a foot moves relative to the body in a stride, along the body's travel, m."""
     tracks = gait.tracks
     first, stop = np.searchsorted(tracks.time_s, [stride.start_s, stride.end_s])
     body_m = tracks.body_m[first:stop, :2]

@@ -2,30 +2,30 @@
 
 Feet are LH, RH, LF, RF (left and right, hind and fore). The world frame has z up and metres; the ground may lie at any
 height and may slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and
-events are timed on the same grid. The mean of `body`'s joints stands for the body.
+events are timed on the same grid. The mean of the `body` joints represents the body.
 
-Stances: a foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its
-height is below `LOW[1]` of the leg's length. Such a time is a stance if at least one instant in it is below `SLOW[0]`
-and `LOW[0]` too (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below
-`LANDS`) to the last below `LIFTS`: a foot lands flat and rolls over its toes before it lifts. A foot's speed in the
-swing is its 95th percentile, or `SWING` times the body's mean speed if the clip shows less. This speed is twice the
-body's at a gallop and four times the body's at a walk, because the swing is short or long, so that one threshold
-relative to the body's speed cannot be right for both. The marker lies some centimetres above the sole and rises with
-the heel during the stance; hence 0.15 of the leg (9 cm of 0.6 m) for a low foot, and 0.3 for the end of the push-off. A
-standing foot seems to move by the error of its speed, `SPEED_ERROR` of the stated standard deviation, whose square is
+A foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its height is
+below `LOW[1]` of the leg length. Such a time is a stance if at least one instant in it is also below `SLOW[0]` and
+`LOW[0]` (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below `LANDS`)
+to the last below `LIFTS`. The two differ because a foot lands flat but rolls over its toes before it lifts. A foot's
+speed in the swing is its 95th percentile, or `SWING` times the body's mean speed if the clip shows less. The speed in
+the swing is twice the body's speed at a gallop and four times at a walk, so that no single threshold relative to the
+body's speed suits both. The marker lies some centimetres above the sole and rises with the heel during the stance;
+hence 0.15 of the leg length (9 cm of 0.6 m) for a low foot, and 0.3 for the end of the push-off. A standing foot seems
+to move because of the error of its speed, which is `SPEED_ERROR` of the stated standard deviation; its square is
 subtracted first. Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the positions of the slow
 feet, fitted with Tukey weights. Clips of a few strides hardly determine its slope across the track, so the slopes have
-a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed separately, has a plane of its
-own. If no foot is slow, or if the slow feet are `LOW[0]` of the leg away from a plane, the ground is unknown and there
-are no stances.
+a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, which is a stretch that was reconstructed separately, has its own
+plane. If no foot is slow, or if the slow feet are `LOW[0]` of the leg length away from a plane, the ground is unknown
+and there are no stances.
 
-Standard deviations of events: the uncertainty of a foot's speed has two parts. One is the path's error, scaled to the
-speed below which standing feet seem to move in nine of ten instants (`Tracks.rest_sigmas`). The other is the landing or
-lift-off threshold itself, `EVENT_SIGMAS` of the speed in the swing. Divided by the foot's acceleration at the event,
-their sum is a time. No event is further off than the middle of the stance. `benchmarks/gait.py` compares stances and
-intervals with force plates and motion capture.
+The standard deviation of an event comes from two parts, divided by the foot's acceleration at the event. One is the
+error of the path, scaled to the apparent speed that standing feet do not exceed in nine of ten instants
+(`Tracks.rest_sigmas`). The other is the uncertainty of the landing or lift-off threshold itself, `EVENT_SIGMAS` of the
+speed in the swing. The 90 % interval ends at the middle of the stance at the latest. `benchmarks/gait.py` compares
+stances and intervals with force plates and motion capture.
 
-The leg's length is the median height of the body above the ground, which is the length in Froude numbers.
+The leg length is the median height of the body above the ground, as used in Froude numbers.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longest gap of a foot or the body that is interpolated. A longer gap could hide a touch-down."""
 SLOW = (0.16, 0.32)
-"""Speed of a foot over the ground, relative to its speed in the swing: it certainly stands below the first value, and
-may stand below the second.
+"""Speeds of a foot over the ground, relative to its speed in the swing. Below the first value the foot certainly
+stands, below the second it may stand.
 """
 SWING = 1.3
 """Smallest speed of a foot in the swing relative to the body's speed."""
@@ -65,15 +65,15 @@ LANDS = 0.12
 LIFTS = 0.22
 """Relative speed of a foot at lift-off, fitted to force plates."""
 EVENT_SIGMAS = (0.05, 0.1)
-"""Standard deviations of these two speeds."""
+"""Standard deviations of the relative speeds at touch-down and at lift-off."""
 SPEED_ERROR = 0.6
 """Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
-the value on two of three kinds of recordings, and times the stances of the third with this value.
+the value on two of three kinds of recordings and tests it on the stances of the third.
 """
 LOW = (0.15, 0.3)
-"""Height above the ground, in leg lengths, below which a slow foot certainly stands, and below which it may stand."""
+"""Heights above the ground, in leg lengths, below which a slow foot certainly stands and below which it may stand."""
 INTERVAL = 0.9
-"""Probability with which the intervals contain times and duty factors."""
+"""Probability with which the intervals of times and duty factors contain the true value."""
 MIN_STANCE_S = 0.02
 """Shortest stance, far below the 0.06 s of a galloping cheetah."""
 SLOPE_SIGMA = 0.1
@@ -90,13 +90,13 @@ class Stance:
     start_s: float
     end_s: float
     start_row: float
-    """Row of the clip at which the stance begins, with a fraction."""
+    """Fractional row of the clip at which the stance begins."""
     end_row: float
-    """Row of the clip at which the stance ends, with a fraction."""
+    """Fractional row of the clip at which the stance ends."""
     begins: bool = True
     """False if the clip, or a gap in it, cuts the beginning, so that the stance may have begun earlier."""
     ends: bool = True
-    """False if the clip, or a gap in it, cuts the end."""
+    """False if the clip, or a gap in it, cuts the end, so that the stance may have ended later."""
     start_sigma_s: float = np.nan
     """Standard deviation of the beginning, NaN if the clip cuts it."""
     end_sigma_s: float = np.nan
@@ -114,17 +114,17 @@ class Stance:
 
     @property
     def duration_s(self) -> float:
-        """Return how long the foot stands, s."""
+        """Return the time for which the foot stands, s."""
         return self.end_s - self.start_s
 
     @property
     def start_interval_s(self) -> tuple[float, float]:
-        """Return the `INTERVAL` of the touch-down, NaN if the clip cuts the touch-down."""
+        """Return the ends of the 90 % interval of the touch-down, s; NaN if the clip cuts the touch-down."""
         return interval_of(self.start_s, self.start_sigma_s)[1:]
 
     @property
     def end_interval_s(self) -> tuple[float, float]:
-        """Return the `INTERVAL` of the lift-off, NaN if the clip cuts the lift-off."""
+        """Return the ends of the 90 % interval of the lift-off, s; NaN if the clip cuts the lift-off."""
         return interval_of(self.end_s, self.end_sigma_s)[1:]
 
 
@@ -138,12 +138,13 @@ class Plane:
     spread_m: float
     """Robust standard deviation of the slow feet from the plane."""
     samples: int
-    """Number of samples of slow feet (fine grid). If it is 0, the plane is level through the lowest position of any
-    foot.
+    """Number of samples of slow feet on the fine grid.
+
+    Without samples, the plane is horizontal through the lowest position of any foot.
     """
 
     def above(self, xyz_m: Array) -> Array:
-        """Return the heights (...) of points (..., 3) above the plane."""
+        """Return the heights (...), m, of points (..., 3) above the plane."""
         return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
 
 
@@ -165,18 +166,18 @@ class Tracks(Brief):
     body_speed_m_s: Array
     """The horizontal speed of the body, shape (N,)."""
     slow_m_s: Array
-    """Speeds (4, F) below which each foot certainly stands, possibly stands, has landed, and has not lifted."""
+    """Speeds below which each foot certainly stands, may stand, has landed, and has not lifted off, shape (4, F)."""
     swing_m_s: Array
     """Speed of each foot in the swing, minus its apparent speed at rest, shape (F,)."""
     height_m: Array
     """Heights of the feet above the ground, shape (N, F)."""
     grounds: tuple[tuple[slice, Plane], ...]
-    """Rows of the clip and the plane under the feet in these rows, one pair for each segment of the clip."""
+    """Rows of each segment of the clip, with the plane under the feet in these rows."""
     leg_m: float
 
     @cached_property
     def rest_sigmas(self) -> float:
-        """Return the speed that standing feet stay below in nine of ten instants, relative to its standard deviation.
+        """Return the speed that standing feet do not exceed in nine of ten instants, in its standard deviations.
 
         The value is 1 if no foot stands.
         """
@@ -194,7 +195,7 @@ _Value = TypeVar("_Value", float, Array)
 
 
 def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _Value]:
-    """Return a value and the ends of its `INTERVAL`.
+    """Return a value and the ends of its 90 % interval.
 
     Parameters
     ----------
@@ -245,12 +246,12 @@ def pose_tracks(
     segments : sequence of slice
         Rows of each segment, which has its own ground.
     restless : bool
-        Whether the poses jitter. Standing feet then seem to move, at the 10th percentile of their speed.
+        Whether the poses jitter. The 10th percentile of a foot's speed then counts as its apparent speed at rest.
 
     Raises
     ------
     InputError
-        If the pose lacks joints; names all of them.
+        If the pose lacks joints. The error names all of them.
     ValueError
         If there are fewer than `MIN_POINTS` frames.
     """
@@ -263,7 +264,7 @@ def pose_tracks(
         return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
-        """Return positions, speeds and standard deviations of one foot; the path of a long clip needs much memory."""
+        """Return positions, speeds and standard deviations of one foot, so that memory is needed for one path only."""
         series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
         deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
@@ -298,7 +299,7 @@ def pose_tracks(
 
 
 def _fine(rows: slice) -> slice:
-    """Return the rows of the fine grid between the first and the last of the clip's rows."""
+    """Return the slice of the fine grid from the first to the last of the clip's rows."""
     return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
 
 
@@ -310,9 +311,9 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
 
 
 def ground_plane(foot_m: Array, slow: Bools) -> Plane:
-    """Fit a plane to the feet (N, F, 3) where they are slow (N, F).
+    """Fit a plane to the feet (N, F, 3), m, where they are slow (N, F).
 
-    The fit is by least squares with Tukey's weights and a prior on the slopes. If no foot is slow, the plane is level
+    The fit uses least squares with Tukey weights and a prior on the slopes. If no foot is slow, the plane is horizontal
     through the lowest position.
     """
     points_m = foot_m[slow]
@@ -321,7 +322,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
         return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
     middle = np.median(points_m[:, :2], axis=0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
-    # Samples of the fine grid within a stance are not independent: the prior has at least the weight of one of them.
+    # Samples of the fine grid within a stance are not independent, so the prior has at least the weight of one sample.
     prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
     weight = np.ones(len(points_m))
     parameters, spread = np.zeros(3), 0.0
@@ -348,10 +349,10 @@ def why_no_ground(tracks: Tracks) -> str | None:
     """Return why the ground under the feet is unknown, or None if it is known."""
     planes = [plane for _, plane in tracks.grounds if plane.samples]
     if not planes:
-        return "the ground is not known: no foot is slow enough to be standing"
+        return "the ground is not known, because no foot is slow enough to be standing"
     spread_m = max(plane.spread_m for plane in planes)
     if not spread_m < LOW[0] * tracks.leg_m:
-        return f"the ground is not known: slow feet are {length_text(spread_m)} off a plane (median)"
+        return f"the ground is not known, because slow feet are {length_text(spread_m)} (median) from a common plane"
     return None
 
 
@@ -385,10 +386,10 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
 
 
 def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
-    """Return the standard deviation, in seconds, of an event of the k-th foot at the i-th instant.
+    """Return the standard deviation, s, of an event of foot k at sample i.
 
-    most_s: time from the event to the middle of the stance. threshold_sigma: standard deviation of the threshold,
-    relative to the speed in the swing.
+    `most_s` is the largest half-width of the 90 % interval, the time from the event to the middle of the stance.
+    `threshold_sigma` is the standard deviation of the threshold relative to the speed in the swing.
     """
     nearby = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
     speed, time = tracks.foot_speed_m_s[nearby, k], tracks.time_s[nearby]

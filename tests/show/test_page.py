@@ -128,7 +128,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "few joints were seen and trusted",
         "The grey line is the ground under the feet",
         "rings: detections within the expected error",
-        "The instantaneous acceleration is not shown: mostly it is smaller than its standard deviation.",
+        "The instantaneous acceleration is not shown, because it is mostly smaller than its standard deviation.",
     ):
         assert text in page.text
     assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames per second" in page.text
