@@ -1,4 +1,4 @@
-"""Name the joints of an animal, with the marker of each joint and the direction of flexion."""
+"""Name the joints of an animal, and state the markers and the direction of flexion of each joint."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ FLEXES_CAUDALLY: Mapping[str, int] = {
     "spine": 1,
     "neck": 1,
 }
-"""Joints of `[anatomy]`, with the direction of flexion.
+"""Names allowed in `[anatomy]`, each with the joint's direction of flexion.
 
-1: flexion turns the lower bone backwards, or the front of the trunk and the head downwards. -1: flexion turns the lower
-bone forwards.
+At 1, flexion turns the lower bone backwards, or the front of the trunk and the head downwards. At -1, flexion turns the
+lower bone forwards.
 """
 GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
     **dict.fromkeys(("shoulder", "elbow", "carpus", "fetlock"), "F"),
@@ -46,7 +46,7 @@ def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str,
 
 
 def joint_and_side(name: str) -> tuple[str, Side | None]:
-    """Return joint and side of a name such as left_elbow; the side is None for the middle, or a chain's only side."""
+    """Return joint and side of a name such as left_elbow; the side is None on the midline and in a chain."""
     side, _, joint = name.partition("_")
     if side == "left" or side == "right":
         return joint, side
@@ -54,7 +54,7 @@ def joint_and_side(name: str) -> tuple[str, Side | None]:
 
 
 def anatomy_problems(table: Mapping[str, tuple[str, str, str]], source: str) -> Iterator[Problem]:
-    """Yield the problems of `[anatomy]`: unknown names of joints, and markers that are named twice."""
+    """Yield the problems of `[anatomy]`: unknown joints, and joints whose markers are not all different."""
     for joint, markers in table.items():
         if joint not in FLEXES_CAUDALLY:
             yield Problem(source, f"anatomy.{joint}", "no joint with this name", f"one of {', '.join(FLEXES_CAUDALLY)}")

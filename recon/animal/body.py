@@ -1,11 +1,11 @@
-"""Describe an animal: its segments and markers, and the expected pose.
+"""Describe an animal by its segments, its markers and the expected pose.
 
 A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. Its states are those of the tree,
-with x forwards, y left and z up. One class serves both a whole animal and a chain (`recon.animal.chain`). A chain is a
-tree with the limbs of one side, and has two keypoints for each marker.
+with x forwards, y left and z up. The class `Body` describes both a whole animal and a chain (`recon.animal.chain`). A
+chain is a tree with the limbs of one side, and has a left and a right keypoint for each marker.
 
-Only this module decides what is left, right, fore and hind: a word in the name of a segment or marker gives its side
-(`SIDES`), and the skeleton's file gives the position of each foot (`FOOT_LABELS`).
+Only this module decides what is left, right, fore and hind. A word in the name of a segment or marker gives its side
+(`SIDES`), and the skeleton file states which foot is which (`FOOT_LABELS`).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 ROUGH_SIZE_SIGMA = 0.25
-"""Relative standard deviation of the size above which a skeleton belongs to no particular species.
+"""Relative standard deviation of the size above which a skeleton counts as one of no particular species.
 
-Skeletons of species have up to 0.15.
+Skeletons of single species have at most 0.15.
 """
 MIN_JOINTS = 5
 """Smallest number of detected joints that determine an animal's pose."""
 MIN_REACH_PX = 50.0
-"""Length in the picture, limbs end to end, below which an animal is too far away to be detected."""
+"""Length in the picture of the outstretched animal, below which it is too far away to be detected."""
 
 Side = Literal["left", "right"]
 
@@ -44,7 +44,7 @@ _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
 
 
 def _side_pattern() -> re.Pattern[str]:
-    """Return a pattern of the word in a name that gives its side.
+    """Return a pattern for the word in a name that states a side.
 
     The word stands between separators, as in front_left_paw or eye.L, or is set off by capitals, as in frontLeftPaw,
     hipR or Nearknee. A letter may be part of a leg's code: LF, FL, RH, HR, LB, BL. A letter next to a digit does not
@@ -53,7 +53,7 @@ def _side_pattern() -> re.Pattern[str]:
     words = [word for word in _OPPOSITE if len(word) > 1]
     lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
     return re.compile(
-        f"^(?:{title}|(?:left|right)(?=[a-z]{{3}})(?!over))"  # as in leftear; of other words only leftover begins so
+        f"^(?:{title}|(?:left|right)(?=[a-z]{{3}})(?!over))"  # as in leftear, but not in leftover
         f"|(?<![A-Za-z])(?:{upper})(?![A-Za-z])"
         f"|(?<![A-Za-z])(?:{lower}|{title})(?![a-z])"
         f"|(?<=[a-z0-9])(?:{title})(?![a-z])"
@@ -73,7 +73,7 @@ FOOT_LABELS = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_
 """Positions of a whole animal's feet, with their labels."""
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
 CHAIN_FOOT_LABELS = {"fore": "F", "hind": "H"}
-"""Positions of a chain's feet; the letter of the fitted side is put in front of the label."""
+"""Positions of a chain's feet, with their labels, which the letter of the fitted side precedes."""
 
 
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
@@ -100,21 +100,21 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
 
 
 def side_of(name: str) -> Side | None:
-    """Return the side given by the first word for a side in a name; None is the middle."""
+    """Return the side given by the first word for a side in a name; None for a name on the midline."""
     word = SIDE_WORD.search(name)
     return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
 
 def other_side(name: str) -> str:
-    """Return the name of the other side, l_paw -> r_paw and back; a name without a side is unchanged."""
+    """Return the name on the other side, such as r_paw for l_paw; a name without a side is unchanged."""
     word = SIDE_WORD.search(name)
     return name if word is None else name[: word.start()] + opposite_word(word[0]) + name[word.end() :]
 
 
 def opposites(names: Sequence[str]) -> Index:
-    """Return the index of each name's other side among the names, (N,).
+    """Return the index of each name's counterpart on the other side, shape (N,).
 
-    Names of the middle, and names without a counterpart, have their own index.
+    Names on the midline and names without a counterpart have their own index.
     """
     index_of = {name: i for i, name in enumerate(names)}
     return np.array([index_of.get(other_side(name), i) for name, i in index_of.items()], dtype=np.intp)
@@ -127,7 +127,7 @@ def opposite_word(word: str) -> str:
 
 
 def common_side(sides: Iterable[Side | None]) -> Side | None:
-    """Return the side on which all sides agree; None if they differ or are all in the middle."""
+    """Return the side if all sides are the same; None if they differ or are all on the midline."""
     distinct: set[Side] = {side for side in sides if side is not None}
     return distinct.pop() if len(distinct) == 1 else None
 
@@ -142,13 +142,13 @@ class Skeleton:
 
 @dataclass(frozen=True, repr=False)
 class Body(Brief):
-    """A tree with J markers and D unknowns per frame, and the expected values of the unknowns."""
+    """Tree with J markers and D unknowns per frame, and the expected values of the unknowns."""
 
     name: str
     title: str
     tree: Tree
     keypoints: tuple[tuple[str, str], ...]
-    """Names of each marker's keypoint if the left limbs are fitted, and if the right limbs are, (J,)."""
+    """Name of each marker's keypoint if the left limbs are fitted, and if the right limbs are fitted, (J,)."""
     limbs: dict[str, tuple[str, ...]]
     """Marker names along each limb, for drawing."""
     forward: tuple[str, str]
@@ -156,35 +156,35 @@ class Body(Brief):
     feet: tuple[str, ...]
     """Markers that touch the ground."""
     foot_labels: tuple[str, ...]
-    """Positions of the feet, of `FOOT_LABELS`, or of `CHAIN_FOOT_LABELS` for a chain."""
+    """Position of each foot, a key of `FOOT_LABELS`, or of `CHAIN_FOOT_LABELS` for a chain."""
     keypoint_sigma_m: float
     """Standard deviation of a keypoint's distance from its marker."""
     size_sigma: float
-    """Standard deviation of the size, which is a factor of about 1 on all lengths."""
+    """Relative standard deviation of the size, a factor of about 1 that scales all lengths."""
     mean_rad: Array
-    """Expected angles state[:, 4:], shape (D - 4,): the root's pitch and roll, and the joints' angles."""
+    """Expected values of state[:, 4:], the root's pitch and roll and the joints' angles, shape (D - 4,)."""
     sigma_rad: Array
     """Standard deviations of the angles of `mean_rad`, shape (D - 4,)."""
     acceleration_rad_s2: Array
     """Standard deviations of the accelerations of the angles of `mean_rad`, shape (D - 4,)."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Offset of a detector's keypoint from its marker, (x, y, z) in the marker's segment, by marker."""
+    """Offset of a detector's keypoint from its marker, (x, y, z) in the frame of the marker's segment, by marker."""
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
     """Standard deviation of a keypoint's offset between clips, along each axis, by marker."""
     marker_sigma_m: float = 0.0
-    """Standard deviation, along each axis, of the markers' distance from the animal's points that they represent."""
+    """Standard deviation, along each axis, of a marker's offset from the point of the animal that it represents."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
     """Standard deviation of a keypoint's offset in a single frame, by marker; `keypoint_sigma_m` for other markers."""
     detector: str | None = None
-    """Name of the detector whose keypoints are expected (`recon.animal.skeleton_file`)."""
+    """Name of the detector for which the offsets hold (`recon.animal.skeleton_file`)."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Fraction of the body's mass and its standard deviation, by segment; empty if unknown."""
+    """Fraction of the body's mass in each segment, and its standard deviation; empty if unknown."""
     mass_source: str | None = None
     """Source of the masses."""
     anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
-    """Markers above, at and below each joint, by its name and side, such as left_elbow (`recon.animal.anatomy`)."""
+    """Markers above, at and below each joint, by the joint's name and side, such as left_elbow."""
     subject: str | None = None
-    """Name of the measured animal that has these lengths; None for those of the skeleton."""
+    """Name of the measured animal whose lengths these are; None for the lengths of the skeleton file."""
 
     def scaled(self, size: float) -> Body:
         """Return the body of an animal with the same proportions, `size` times as large."""
@@ -220,7 +220,7 @@ class Body(Brief):
 
     @cached_property
     def markers(self) -> tuple[str, ...]:
-        """Names of the J markers, in the order of all arrays of joints."""
+        """Return the names of the J markers, in the order of all arrays of joints."""
         return tuple(m.name for m in self.tree.markers)
 
     @cached_property
@@ -229,14 +229,14 @@ class Body(Brief):
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
-        """Return the names (J,) of the markers' keypoints if the limbs of `side` are fitted.
+        """Return the names (J,) of the markers' keypoints for a fit of the limbs of `side`.
 
         `side` is None for a whole animal.
         """
         return tuple(right if side == "right" else left for left, right in self.keypoints)
 
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
-        """Return the markers of the feet by LF, RF, LH, RH.
+        """Return the markers of the feet by their labels LF, RF, LH and RH.
 
         `side` is the fitted side of a chain.
         """
@@ -245,12 +245,12 @@ class Body(Brief):
         return dict(zip(labels, self.feet, strict=True))
 
     def side_of(self, marker: str) -> Side | None:
-        """Return the side of a marker from its foot label, or else from its name."""
+        """Return the side of a marker, from its foot label if it is a foot, otherwise from its name."""
         label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
         return _LABELLED[label[0]] if label in FOOT_LABELS.values() else side_of(marker)
 
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
-        """Return the side of each limb; None is the middle, or both sides.
+        """Return the side of each limb; None for a limb on the midline or on both sides.
 
         `side` is the fitted side of a chain.
         """
@@ -262,24 +262,24 @@ class Body(Brief):
 
     @cached_property
     def limb_rows(self) -> dict[str, tuple[int, ...]]:
-        """Indices of the markers along each limb, for drawing."""
+        """Return the indices of the markers along each limb, for drawing."""
         index_of = {marker: j for j, marker in enumerate(self.markers)}
         return {limb: tuple(index_of[marker] for marker in markers) for limb, markers in self.limbs.items()}
 
     @property
     def n_state(self) -> int:
-        """Number D of unknowns of a frame."""
+        """Return the number D of unknowns per frame."""
         return self.tree.n_state
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the unknowns (D,), the root's position and heading first."""
+        """Return the names of the unknowns (D,), the root's position and heading first."""
         return self.tree.state_names
 
     def expected_points_m(self, angle: int | None = None, off_rad: float = 0.0) -> Array:
-        """Return the markers (J, 3) with all angles at their means and the root at zero.
+        """Return the markers (J, 3), metres, with all angles at their means and the root at zero.
 
-        `angle`, an index of state[4:], differs from its mean by `off_rad`.
+        If `angle`, an index into state[4:], is given, this angle differs from its mean by `off_rad`.
         """
         state = np.concatenate([np.zeros(4), self.mean_rad])
         if angle is not None:
@@ -288,7 +288,7 @@ class Body(Brief):
 
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
-        """Permutation and sign, (D,) each, that mirror a state in the x-z plane.
+        """Return the permutation and the signs, (D,) each, that mirror a state in the x-z plane.
 
         state[..., permutation] * sign is the mirrored animal.
         """

@@ -1,7 +1,7 @@
 """Name the bones of an animal and the joints that they connect, from the skeleton's `[anatomy]`.
 
-A bone is the rigid distance between two joints of a limb or of the trunk: the offset of a segment, or of a marker, from
-the segment that it turns with. The skeleton file defines where each offset starts.
+A bone is the constant distance between two joints of a limb or of the trunk. Its length is that of the offset of a
+segment from its parent, or of a marker from its segment, as given in the skeleton file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NAMES: dict[tuple[str, str], str] = {
     ("spine", "neck base"): "front trunk",
     ("neck base", "nose"): "head and neck",
 }
-"""Bones by the joints that they connect, from the trunk outwards."""
+"""Name of each bone by the two joints that it connects, from the trunk outwards."""
 CHAINS = (("shoulder", "elbow", "carpus", "fetlock"), ("hip", "stifle", "hock", "hind_fetlock"))
 """Joints of the fore and the hind limb, from the trunk outwards."""
 
@@ -43,18 +43,18 @@ class Bone:
     connects: tuple[str, str]
     """Joints at both ends, such as shoulder and elbow."""
     offsets: tuple[str, ...]
-    """Segments or markers whose offsets, end to end, give its length."""
+    """Segments or markers whose offsets, laid end to end, have the bone's length."""
     length_m: float
     side: Side | None = None
 
     @property
     def title(self) -> str:
-        """Return the bone with the joints that it connects: upper arm, shoulder to elbow."""
+        """Return the bone's name with its joints, such as "upper arm, shoulder to elbow"."""
         return f"{self.name}, {self.connects[0]} to {self.connects[1]}"
 
 
 def bones_of(body: Body) -> tuple[Bone, ...]:
-    """Return the bones of the left or only side, and of the trunk, from head to tail; empty without `[anatomy]`."""
+    """Return the bones of the trunk and of the left or only side; empty without `[anatomy]`."""
     bones = [*_trunk(body), *_limbs(body)]
     return tuple(bone for bone in bones if bone.length_m > 0)
 
@@ -76,7 +76,7 @@ def _limbs(body: Body) -> Iterator[Bone]:
 
 
 def _trunk(body: Body) -> Iterator[Bone]:
-    """Yield the two parts of the trunk that meet at mid-spine, the whole trunk, and the bones ahead of it."""
+    """Yield the bones of the trunk: its rear and front part, the whole trunk, and the neck or head."""
     if "spine" in body.anatomy:
         rear, _, front = body.anatomy["spine"]
         parts = _bone(body, ("tail base", "spine"), rear, None), _bone(body, ("spine", "neck base"), front, None)
@@ -96,7 +96,7 @@ def _trunk(body: Body) -> Iterator[Bone]:
 
 
 def _bone(body: Body, connects: tuple[str, str], marker: str, side: Side | None) -> Bone:
-    """Return the bone that ends at a marker: its offset, or the offset of the segment whose origin it marks."""
+    """Return the bone that ends at a marker, or at the origin of the marker's segment if the two coincide."""
     offsets = {item.name: np.array(item.offset_m) for item in (*body.tree.segments, *body.tree.markers)}
     name = marker
     if not offsets[marker].any():
@@ -111,6 +111,6 @@ def _segment_of(body: Body, marker: str) -> str:
 
 
 def _segment_at_origin(body: Body, marker: str) -> str | None:
-    """Return the segment at whose origin a marker lies, if it lies at one."""
+    """Return the segment whose origin a marker coincides with, or None."""
     item = next(item for item in body.tree.markers if item.name == marker)
     return None if any(item.offset_m) else item.segment

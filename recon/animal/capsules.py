@@ -1,4 +1,4 @@
-"""Give an animal a rough shape, for pictures and moments of inertia: capsules along the segments of its tree."""
+"""Approximate an animal by capsules along the segments of its tree, for pictures and moments of inertia."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from recon.base.arrays import Array
 from recon.geometry.kinematics import Tree
 
 _SLENDER = 0.12
-"""Smallest radius of a segment, relative to its longest capsule."""
+"""Smallest radius of a segment's capsules, relative to the length of the longest one."""
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """A cylinder with round ends, from a segment's origin to a point (x, y, z) in its frame, metres."""
+    """Cylinder with round ends from a segment's origin to a point (x, y, z) in the segment's frame, metres."""
 
     segment: int
     """Index of the tree's segment that carries the capsule."""
@@ -29,10 +29,10 @@ class Capsule:
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
     """Return the capsules of a tree.
 
-    The capsules lie in the middle plane of a segment. They run from its origin to the origins of the next segments and
+    The capsules lie in the median plane of a segment. They run from its origin to the origins of its child segments and
     to its markers, and their thickness is the spread of these points. A segment of the trunk between two others is at
-    least as thick as the thinner of the two. `names` (J,) are the keypoint names of the markers, which give the sides
-    together with the segments' names.
+    least as thick as the thinner of the two. Sides follow from the names of the segments and from `names` (J,), the
+    keypoint names of the markers.
     """
     segments = tree.segments
     ends, radii, sides = [], [], []
@@ -55,15 +55,15 @@ def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
 
 
 def middles_m(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """Return the centre of each segment's capsules in its frame, (S, 3), or its origin if it has no capsules."""
+    """Return the centre of each segment's capsules in the segment's frame (S, 3), the origin if it has no capsules."""
     ends = [[c.end_m for c in shape if c.segment == i] or [(0.0, 0.0, 0.0)] for i in range(len(tree.segments))]
     return np.array([np.mean(segment_ends, axis=0) / 2 for segment_ends in ends])
 
 
 def inertias_m2(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """Return each segment's moments of inertia about `middles_m`, per kilogram, (S, 3, 3).
+    """Return each segment's inertia tensor about `middles_m`, per kilogram, shape (S, 3, 3).
 
-    Capsules count as solid cylinders of one density without their round ends.
+    Capsules are treated as solid cylinders of uniform density, without the round ends.
     """
     inertia, volume = np.zeros((len(tree.segments), 3, 3)), np.zeros(len(tree.segments))
     middles = middles_m(tree, shape)

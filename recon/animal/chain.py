@@ -2,13 +2,13 @@
 
 The chain starts at a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
 right-handed). Every link has two angles relative to its parent, theta in the sagittal UV plane and phi in the
-transverse UW plane, and no twist. Along a path from the root the angles add up, T = sum of theta, P = sum of phi, and a
-link of length r adds
+transverse UW plane, and no twist. Along a path from the root, the angles add up to T (sum of theta) and P (sum of phi),
+and a link of length r adds
 
     r (cos T cos P,  sin T,  cos T sin P)
 
-to the position, so that it keeps its length for any angles. `Chain.body` is the chain as a tree of segments, like any
-animal. The published unknowns of a frame are in `recon.thesis.chain`.
+to the position, so that the link keeps its length for any angles. `Chain.body` is the chain as a tree of segments, like
+any animal. The published unknowns of a frame are in `recon.thesis.chain`.
 
 Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
 Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
@@ -42,11 +42,11 @@ UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _PITCH_RAD = 0.3
 """Standard deviation of the pitch of a running animal."""
 _ROOT_RAD_S2 = 40.0
-"""Standard deviation of the accelerations of a running animal's pitch and roll."""
+"""Standard deviation of the angular acceleration of a running animal's pitch and roll."""
 
 
 def _left_and_right(keypoint: object) -> object:
-    """Return (left, right) of a table with both names, or of one name for both sides."""
+    """Return the keypoint names (left, right), given a table of both or one name for both sides."""
     if isinstance(keypoint, dict) and {*keypoint} == {"left", "right"}:
         return keypoint["left"], keypoint["right"]
     return (keypoint, keypoint) if isinstance(keypoint, str) else keypoint
@@ -75,7 +75,7 @@ class _Link(FileTable):
 
     @property
     def free(self) -> bool:
-        """Return whether the link has angles; otherwise it lies on its parent's axis."""
+        """Return whether the link has angles; a link without angles lies on its parent's axis."""
         return self.theta is not None
 
 
@@ -108,17 +108,17 @@ class _ChainFile(FileTable):
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """Joints of the chain above, at and below each joint, by joint."""
+    """Joints of the chain above, at and below each anatomical joint."""
     length_m: dict[str, Sigma] = Field(default_factory=dict)
     """Measured lengths of links, which replace their ratios."""
 
 
 @dataclass(frozen=True)
 class AngleRanges:
-    """Expected ranges of the free links' angles, arrays (A,) in the order of the state."""
+    """Expected ranges of the free links' angles, as arrays (A,) in the order of the state."""
 
     mean_rad: Array
-    """Middle of the expected range, which is mean ± tolerance."""
+    """Middle of the expected range; the range is mean ± tolerance."""
     tolerance_rad: Array
     max_rate_rad_s: Array
     """Largest expected rate."""
@@ -126,7 +126,7 @@ class AngleRanges:
 
 @dataclass(frozen=True)
 class Chain(Skeleton):
-    """A chain: its links, its keypoints, and the expected ranges of its angles."""
+    """Chain of links with its keypoints and the expected ranges of its angles."""
 
     record_tag: ClassVar[str] = "chain"
     """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""
@@ -137,7 +137,7 @@ class Chain(Skeleton):
 
     @cached_property
     def links(self) -> tuple[_Link, ...]:
-        """Links of the file, with measured lengths instead of ratios if there are any."""
+        """Return the links of the file, with measured lengths instead of ratios where there are any."""
         nominal_m = self.file.base_length.nominal_m
         measured = {name: length_m / nominal_m for name, length_m in self.file.length_m.items()}
         return tuple(
@@ -147,33 +147,33 @@ class Chain(Skeleton):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, the root first, then the ends of the links in their order."""
+        """Return the names of the joints: the root, then the ends of the links in order."""
         return self.file.root, *(link.end for link in self.links)
 
     @cached_property
     def theta(self) -> AngleRanges:
-        """Expected ranges of the thetas."""
+        """Return the expected ranges of the thetas."""
         return _ranges(link.theta for link in self.links)
 
     @cached_property
     def phi(self) -> AngleRanges:
-        """Expected ranges of the phis."""
+        """Return the expected ranges of the phis."""
         return _ranges(link.phi for link in self.links)
 
     @cached_property
     def n_angles(self) -> int:
-        """Number of free links A."""
+        """Return the number of free links A."""
         return sum(link.free for link in self.links)
 
     @cached_property
     def angle_names(self) -> tuple[str, ...]:
-        """Names theta_<end of the link> and phi_<end of the link> without the joint's letter, such as theta_6."""
+        """Return the names of the angles, such as theta_6 for the link that ends in J6."""
         ends = [link.end.lstrip("J") for link in self.links if link.free]
         return tuple(f"theta_{e}" for e in ends) + tuple(f"phi_{e}" for e in ends)
 
     @cached_property
     def unknown_names(self) -> tuple[str, ...]:
-        """Published names of the unknowns of a frame in their order, (2 A + 7,); 21 for the 8U chain."""
+        """Return the published names of the unknowns of a frame, in order, (2 A + 7,); 21 for the 8U chain."""
         angles = (name.replace("theta_", "th").replace("phi_", "ph") for name in self.angle_names)
         return (*angles, "x0", "y0", "z0", "xi", "psi", "zeta", "base_length")
 
@@ -202,8 +202,9 @@ class Chain(Skeleton):
         expected[:, ROLL] = 0.0, prior.roll_sigma_rad, _ROOT_RAD_S2
         expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
         expected[1, self.body_angles] = np.repeat([prior.theta_sigma_rad, prior.phi_sigma_rad], self.n_angles)
-        # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, accelerates by
-        # w^2 tolerance at most, and by 1 / sqrt(2) of that on average.
+        # A sinusoid that spans the expected range and just reaches the largest rate has the angular frequency w = rate
+        # / tolerance. Its largest acceleration is w^2 tolerance, and its root mean square acceleration is 1 / sqrt(2)
+        # of this.
         swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
         expected[2, self.body_angles] = np.concatenate(swing)
         return Body(
@@ -225,19 +226,19 @@ class Chain(Skeleton):
 
     @cached_property
     def body_angles(self) -> Index:
-        """Columns of the body's state that hold the thetas and then the phis, (2 A,)."""
+        """Return the columns of the body's state that hold the thetas and then the phis, (2 A,)."""
         # After the six unknowns of the root, every free link has its yaw and then its pitch.
         pitch = 7 + 2 * np.arange(self.n_angles)
         return np.concatenate([pitch, pitch - 1])
 
 
 def upright_rotation(heading: Array, up: Array) -> Array:
-    """Return R_camera_local (..., 3, 3) of a level animal: U along heading (..., 3), V down, W to the side."""
+    """Return R_camera_local (..., 3, 3) of a level animal with U along heading (..., 3), V down and W to the side."""
     down = np.broadcast_to(-up, heading.shape)
     return np.stack([heading, down, np.cross(heading, down)], axis=-1)
 
 
-@cache  # every built-in file is parsed
+@cache  # cached because every built-in file is parsed
 def builtin_chains() -> tuple[str, ...]:
     """Return the names of the built-in skeletons that are chains."""
     return tuple(name for name in documents.builtin_names(_SKELETONS, ".toml") if "segments" not in _read(name)[0])
@@ -249,7 +250,7 @@ def load_chain(name_or_path: str | Path) -> Chain:
     Raises
     ------
     InputError
-        If the file cannot be used, or the skeleton is one of a whole animal.
+        If the file cannot be used, or describes a whole animal.
     """
     raw, source = _read(name_or_path, builtin_chains())
     if "segments" in raw:
@@ -263,7 +264,7 @@ def _read(name: str | Path, suggested: Iterable[str] | None = None) -> tuple[dic
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """Return the tables together with those of the skeleton that the file `extends`."""
+    """Return the tables of a file, merged with those of the skeleton that it `extends`."""
     if "extends" not in raw:
         return raw
     if not isinstance(name := raw["extends"], str):
@@ -276,7 +277,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
 
 
 def _file_or_builtin(name: str, source: str) -> str:
-    """Return the skeleton that a file names: a built-in one, or a file in the same or the current folder."""
+    """Return the skeleton that a file names, which is built in or a file in the same or the current folder."""
     file = Path(source).parent / name
     return str(file) if os.path.isfile(file) and name not in documents.builtin_names(_SKELETONS, ".toml") else name
 
@@ -284,7 +285,7 @@ def _file_or_builtin(name: str, source: str) -> str:
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
     """Return the chain that the tables of a file describe.
 
-    Raises InputError with all their problems.
+    Raises InputError with all problems of the tables.
     """
     file = validated(_ChainFile, _extended(raw, source), source)
     raise_problems(_chain_problems(file, source))
@@ -329,8 +330,8 @@ def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
 
     Parameters
     ----------
-    rear_px, front_px
-        Ends of the trunk (T, 2), pixels; NaN if missing.
+    rear_px, front_px : ndarray
+        Ends of the trunk, pixels, shape (T, 2); NaN if missing.
     """
     forward_px = (front_px - rear_px)[:, 0]
     forward_px = forward_px[np.isfinite(forward_px)]

@@ -31,12 +31,15 @@ class _SubjectFile(FileTable):
 
 
 def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
-    """Return a subject's table, checked; raise InputError with every problem."""
+    """Check and return a subject's table.
+
+    Raises InputError with every problem.
+    """
     return validated(_SubjectFile, table, source)
 
 
 class _Row(Protocol):
-    """A segment or a marker in the table of a skeleton."""
+    """Segment or marker in the table of a skeleton."""
 
     @property
     def name(self) -> str: ...
@@ -61,7 +64,7 @@ _Table = TypeVar("_Table", bound=_SkeletonTable)
 def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) -> Iterator[Problem]:
     """Yield the reasons why a subject does not fit a skeleton's table (`recon.animal.skeleton_file`)."""
     if animal.skeleton != file.name:
-        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton with which it is used")
+        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton in use")
         return
     markers = [marker.name for marker in file.markers]
     names = [*(segment.name for segment in file.segments[1:]), *markers]
@@ -72,7 +75,7 @@ def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) ->
 
 
 def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
-    """Return a skeleton's table with an animal's lengths and keypoint offsets; the root does not change."""
+    """Return a skeleton's table with the lengths and keypoint offsets of a measured animal; the root stays as it is."""
 
     def changed(item: _Row) -> _Row:
         measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
@@ -86,7 +89,7 @@ def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
 
 
 def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """Return the text of a subject file: a body's lengths and keypoint offsets.
+    """Return the text of a subject file with a body's lengths and keypoint offsets.
 
     `notes` become comments.
     """
@@ -125,7 +128,7 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
 
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
-    """Write a prior to an .npz file: the arrays in single precision, the texts as JSON, without pickles."""
+    """Write a prior to an .npz file, with arrays in single precision and texts as JSON, without pickles."""
     description: dict[str, Any] = {"format": 1, "name": prior.name, "source": prior.source}
     description |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}

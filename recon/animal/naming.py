@@ -1,7 +1,7 @@
-"""Translate keypoint names of a detector to those of a skeleton, by a map.
+"""Translate a detector's keypoint names into a skeleton's, by a map.
 
-A map is a CSV file with two columns: a keypoint's name in the file, and the skeleton's name for it. An empty second
-cell leaves the keypoint out. Built-in maps are the files of `recon/animal/names`.
+A map is a CSV file with two columns: a keypoint's name in the keypoint file, and the skeleton's name for it. If the
+second cell is empty, the keypoint is left out. Built-in maps are the files in `recon/animal/names`.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ _SAME_WORDS: dict[str, str] = {
     "tarsi": "tarsus",
     "stiffle": "stifle",
 }
-"""Words that mean the same, or are misspelt, with the word for which they stand."""
+"""Synonyms and common misspellings, each with the word that replaces it."""
 _LIMB_OF = {
     **dict.fromkeys(("shoulder", "elbow", "carpus", "wrist"), "front"),
     **dict.fromkeys(("hip", "stifle", "hock", "tarsus"), "back"),
 }
-"""Words of joints that only the fore or only the hind limbs have."""
+"""Joints that only the fore or only the hind limbs have, with their limb."""
 _LEG_WORDS = {*_LIMB_OF, "paw", "foot", "hoof", "hand", "knee", "ankle", "toe", "fetlock", "stiffle"}
-"""Words of a leg before which a letter for fore or hind may stand: LFpaw, RHhock."""
+"""Parts of a leg that a letter for fore or hind may precede, as in LFpaw and RHhock."""
 _SEPARATORS = "_-. "
 _FILLERS = {"of", "the", "limb"}
-"""Words that do not distinguish names."""
+"""Words that are ignored when names are compared."""
 ANATOMICAL = "anatomical"
-"""The built-in map of veterinary names."""
+"""Name of the built-in map of veterinary terms."""
 _NEAR = 0.8
-"""Fraction of common letters above which two names are similar."""
+"""Similarity of two names, from 0 to 1, above which they may mean the same keypoint."""
 _MOST_OF_FILE = 0.8
-"""Share of a file's keypoints above which the skeleton that has them is probably the right one."""
+"""Fraction of a file's keypoints that a skeleton has to have to be suggested as the right one."""
 
 
 _Default = TypeVar("_Default")
@@ -59,10 +59,10 @@ _Default = TypeVar("_Default")
 
 @dataclass(frozen=True)
 class NameMap:
-    """The skeleton's names for keypoints of a file."""
+    """Map from a file's keypoint names to the skeleton's."""
 
     source: str
-    """Name of a built-in map, or of the file."""
+    """Name of the built-in map, or path of the map's file."""
     names: Mapping[str, str]
     """The skeleton's name for each name in the file; empty for keypoints that are left out."""
 
@@ -75,7 +75,7 @@ class NameMap:
     def get(self, name: str, otherwise: _Default | None = None) -> str | _Default | None:
         """Return the skeleton's name for a keypoint of the file, or `otherwise`.
 
-        A built-in map knows a name in any spelling of its side and words: left_carpus, LeftCarpus, carpus_L.
+        A built-in map accepts any spelling of a name's side and words, such as left_carpus, LeftCarpus and carpus_L.
         """
         return self.names.get(name, self._by_words.get(_written(name), otherwise))
 
@@ -84,7 +84,7 @@ class NameMap:
         return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
-        """Return the number of wanted names that a file with these names has after renaming."""
+        """Return how many of the wanted names a file with these names has after renaming."""
         return len({self.get(name, name) for name in names} & {*wanted})
 
 
@@ -127,7 +127,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
-    """Return keypoints with the names of the map, and a note.
+    """Return keypoints renamed by a map, and a note on what was renamed.
 
     Raises InputError like `new_names`.
     """
@@ -142,7 +142,7 @@ def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
 
 
 def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[list[int], tuple[str, ...], str]:
-    """Return the indices of a file's names that stay, their new names, and a note.
+    """Return the indices of the names that are kept, their new names, and a note on what was renamed.
 
     `source` is the file. Raises InputError if none of the map's names is in the file, or two keypoints would have the
     same name.
@@ -181,7 +181,7 @@ def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]
 
 
 def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
-    """Return built-in maps that raise the number of wanted names in a file, the best first."""
+    """Return the built-in maps that give a file more of the wanted names, the best first."""
     wanted = {*wanted}
     shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]
@@ -189,9 +189,9 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 
 
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
-    """Return options for the built-in skeleton with most of these keypoints, and the number of keypoints.
+    """Return the options that select the built-in skeleton with most of these keypoints, and their number.
 
-    The options name the map if one helps: `--skeleton human-25 --rename coco-17`.
+    The options include a map if it helps, such as `--skeleton human-25 --rename coco-17`.
     """
     (skeleton, name_map), count = _best_skeleton(names)
     return f"--skeleton {skeleton}{name_map.source and ' --rename '}{name_map.source}", count
@@ -200,7 +200,7 @@ def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
 def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
     """Return the built-in skeleton with most of these keypoints, and their indices by its markers.
 
-    Names are compared as they are and after each built-in map. The result is None if no skeleton has any of them.
+    Names are compared unchanged and after each built-in map. The skeleton is None if none has any of the keypoints.
     """
     (skeleton, name_map), count = _best_skeleton(names)
     if not count:
@@ -211,7 +211,7 @@ def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
 
 
 def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
-    """Return the built-in skeleton and map that give most of these keypoints a marker, and the number of keypoints."""
+    """Return the built-in skeleton and map with a marker for most of these keypoints, and the number of these."""
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
     counts = [
         ((skeleton, name_map), name_map.common(names, markers))
@@ -228,10 +228,9 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
 
 
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
-    """Return the problem of a file whose names are not those of the skeleton, with a solution.
+    """Return the problem of a file whose names are not those of the skeleton, with a remedy.
 
-    The solution is another skeleton, a built-in map, or a map whose lines the problem shows, unless a built-in one has
-    every name.
+    The remedy is another skeleton, a built-in map or, if no built-in map has every name, a map whose lines are shown.
     """
     detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
     if matching := skeleton_of(names):
@@ -279,9 +278,9 @@ def _written(name: str) -> tuple[str | None, ...]:
 
 
 def _words(name: str) -> list[str]:
-    """Return the words of a name without its side, in lower case: rootOfTail -> base, tail.
+    """Return the words of a name without its side, in lower case, such as base and tail for rootOfTail.
 
-    A word that another word implies is left out: front in LF_carpus, tip in hoof_tip.
+    A word that another word implies is left out, such as front in LF_carpus and tip in hoof_tip.
     """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
     whole = [word.lower() for word in words]
@@ -295,7 +294,7 @@ def _words(name: str) -> list[str]:
 
 
 def without_side(name: str) -> str:
-    """Return a name without its side, front_left_paw -> front_paw; a name without a side is unchanged."""
+    """Return a name without its side, such as front_paw for front_left_paw; other names are unchanged."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name
@@ -306,7 +305,7 @@ def without_side(name: str) -> str:
 
 
 def both_sides(name: str) -> str:
-    """Return a name for both sides, l_paw or r_paw -> l/r_paw; a name without a side is unchanged."""
+    """Return a name for both sides, such as l/r_paw for l_paw or r_paw; other names are unchanged."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name

@@ -1,7 +1,7 @@
-"""Describe a class of motions: which poses occur, how likely they are, and how they change.
+"""Describe which poses occur in a class of motions, how likely they are, and how they change.
 
 A prior describes the angles z = state[4:] of a body: the root's pitch and roll, and the joints' angles. Built-in priors
-are the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` makes priors.
+are the files in `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` creates priors.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from recon.base.documents import FileTable
 from recon.base.errors import InputError, Problem, raise_problems
 
 ANGLES = slice(4, None)
-"""Angles of the state that a prior describes."""
+"""Columns of the state that a prior describes."""
 NONE = "none"
-"""Name of the prior that has only the body's own expectations."""
+"""Name of the prior that consists of the skeleton file's expectations only."""
 LARGEST = 1e12
-"""Largest number in a prior; larger numbers are damage."""
+"""Largest number in a valid prior; a larger number means that the file is damaged."""
 SHAPES = {
     "weights": "K",
     "means": "KA",
@@ -40,7 +40,7 @@ SHAPES = {
 
 @dataclass(frozen=True)
 class SegmentRow:
-    """A continuous piece of motion, and whether the prior was fitted to it."""
+    """Continuous segment of motion, and whether the prior was fitted to it."""
 
     name: str
     frames: int
@@ -51,7 +51,7 @@ class SegmentRow:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
-    """Statistics of A angles in rad, with K components.
+    """Statistics of the poses and accelerations of A angles, rad, with K mixture components.
 
     Raises ValueError with every problem of the arrays.
     """
@@ -64,16 +64,16 @@ class MotionPrior:
     means: Array
     covariances: Array
     mean: Array
-    """One Gaussian of the same poses: mean (A,) and covariance (A, A)."""
+    """Single Gaussian of the same poses: mean (A,) and covariance (A, A)."""
     covariance: Array
     drift: Array
-    """Matrix (A, 2A) of the accelerations: d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
+    """Matrix (A, 2A) of the model of accelerations, d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
     acceleration_covariance: Array
-    """Covariance of the noise of the accelerations, shape (A, A)."""
+    """Covariance of the noise in this model, rad^2/s^4, shape (A, A)."""
     source: str
-    """Origin of the poses."""
+    """Source of the poses, as text."""
     segments: tuple[SegmentRow, ...] = ()
-    """The continuous pieces of motion that were available for the fit of the prior."""
+    """Continuous segments of motion that were available to fit the prior."""
 
     def __post_init__(self) -> None:
         wrong = array_problems({name: getattr(self, name) for name in SHAPES}, len(self.angles))
@@ -81,12 +81,12 @@ class MotionPrior:
             raise ValueError("; ".join(f"{field}: {value}, expected {expected}" for field, value, expected in wrong))
 
     def with_accelerations(self, scale: Array) -> MotionPrior:
-        """Return the prior with factors (A,) on the standard deviations of the accelerations."""
+        """Return the prior with the standard deviations of the accelerations multiplied by factors (A,)."""
         return replace(self, acceleration_covariance=self.acceleration_covariance * np.outer(scale, scale))
 
 
 def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
-    """Return (field, found, expected) for each problem of a prior's arrays."""
+    """Return each problem of a prior's arrays as (field, found, expected)."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:
@@ -112,7 +112,7 @@ def _is_positive_definite(matrices: Array) -> bool:
 
 
 def prior_from_body(body: Body) -> MotionPrior:
-    """Return a prior from the skeleton file alone: independent angles with the expectations of the file."""
+    """Return a prior from the skeleton file alone, with independent angles as the file expects them."""
     mean, covariance, n = body.mean_rad, np.diag(body.sigma_rad**2), len(body.mean_rad)
     dynamics = np.zeros((n, 2 * n)), np.diag(body.acceleration_rad_s2**2)
     arrays = (np.ones(1), mean[None], covariance[None], mean, covariance, *dynamics)
@@ -120,7 +120,7 @@ def prior_from_body(body: Body) -> MotionPrior:
 
 
 def mean_speed_m_s(states: Array, fps: float) -> float:
-    """Return the mean horizontal speed of the root over states (T, D), or 0 without consecutive frames."""
+    """Return the mean horizontal speed, m/s, of the root over states (T, D); 0 without consecutive frames."""
     steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
@@ -146,8 +146,8 @@ def builtin_priors() -> tuple[str, ...]:
 def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     """Load a prior by its built-in name or from a file.
 
-    "none" stands for `prior_from_body`. None stands for the first built-in prior of a body with these angles, or
-    `prior_from_body` if there is none.
+    "none" selects `prior_from_body`. None selects the first built-in prior for a body with these angles, or
+    `prior_from_body` if there is no such prior.
 
     Raises
     ------

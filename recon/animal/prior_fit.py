@@ -1,4 +1,4 @@
-"""Fit a motion prior to segments of motion, and evaluate its likelihood of poses."""
+"""Fit a motion prior to segments of motion, and evaluate the likelihood of poses under it."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
-"""Smallest number of frames for each component of the mixture.
+"""Smallest number of frames per component of the mixture.
 
-A smaller component could be one short piece of one segment.
+A component with fewer frames could describe a short part of a single segment.
 """
 POSE_FLOOR_RAD = 0.1
-"""Amount added to the spread of every angle, because no reconstruction is exact.
+"""Standard deviation added to that of every angle, because no reconstruction is exact.
 
 The value maximises the likelihood of held-out segments (docs/priors.md).
 """
 STILL_SIGMA_RAD = 0.15
-"""Spread of angles that are constant in the data."""
+"""Standard deviation assumed for angles that are constant in the data."""
 MISSING_BELOW_RAD = 0.01
-"""Spread below which an angle does not exist in the model behind the poses."""
+"""Standard deviation below which an angle counts as missing from the model that produced the poses."""
 _EM_ITERATIONS = 30
-"""Iterations of expectation-maximisation for a mixture."""
+"""Number of iterations of expectation-maximisation."""
 _K_MEANS_ITERATIONS = 50
-"""Iterations of k-means, from which a mixture starts."""
+"""Number of iterations of k-means, whose result initialises the mixture."""
 RIDGE_PER_ROW = 0.1
-"""Ridge for each row; the value maximises the likelihood of held-out accelerations (docs/priors.md)."""
+"""Ridge penalty per row of data; the value maximises the likelihood of held-out accelerations (docs/priors.md)."""
 ACCELERATION_FLOOR_RAD_S2 = 10.0
-"""Amount added to the spread of every acceleration."""
+"""Standard deviation added to that of every acceleration."""
 
 
 def fit_prior(
@@ -53,25 +53,25 @@ def fit_prior(
 ) -> MotionPrior:
     """Fit a prior to segments of motion.
 
-    Every segment is used a second time, mirrored left to right.
+    Every segment is also used mirrored left to right.
 
     Parameters
     ----------
-    body
+    body : Body
         The animal.
-    segments
-        Name, states (T, D) and frames per second of each segment. NaN frames are left out.
-    name, source
-        Name of the prior, and origin of the poses.
-    components
+    segments : sequence of tuple
+        Name, states (T, D) and frames per second of each segment. Frames with NaN are left out.
+    name, source : str
+        Name of the prior, and source of the poses.
+    components : int
         Number of components of the mixture.
-    shrink
-        How far the covariance of a component is moved towards the average covariance of all components, 0 to 1.
-    min_speed_m_s
-        Speed below which segments are listed, but not used.
-    apart
-        Segments of the body, such as a tail, whose movement neither follows from the pose nor affects the other angles;
-        their acceleration is noise.
+    shrink : float
+        Weight, 0 to 1, with which each component's covariance is moved towards the mean covariance of all components.
+    min_speed_m_s : float
+        Speed below which segments are listed in the prior but not used, m/s.
+    apart : sequence of str
+        Segments of the body, such as a tail, whose movement neither follows from the pose nor affects the other angles.
+        Their accelerations are modelled as noise.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def fit_prior(
 
 
 class _PosesAndChanges(NamedTuple):
-    """Poses of N frames, of which M are inner frames, with a frame before and a frame after."""
+    """Poses of N frames, M of which are inner frames with a frame before and after them."""
 
     poses: Array
     """Angles, rad, shape (N, A)."""
@@ -139,7 +139,7 @@ def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _
 
 
 def _still(poses: Array) -> Bools:
-    """Return whether each angle of poses (N, A) is constant, (A,)."""
+    """Return a mask (A,) of the angles that are constant over poses (N, A)."""
     return poses.std(axis=0) < MISSING_BELOW_RAD
 
 
@@ -148,7 +148,7 @@ def _mixture(
 ) -> tuple[Array, Array, Array]:
     """Return weights (K,), means (K, A) and covariances (K, A, A) of poses (N, A).
 
-    `shrink` moves each covariance towards the average of all components; `extra` (A, A) is added.
+    `shrink` moves each covariance towards the mean of all components; `extra` (A, A) is added to each.
     """
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
     with warnings.catch_warnings(action="ignore"):  # repeated poses can leave a cluster empty
@@ -175,13 +175,13 @@ def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array)
 
 
 def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
-    """Return the drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the residual covariance (A, A).
+    """Fit accelerations (M, A) to states (M, 2A), and return the drift (A, 2A) and the residual covariance (A, A).
 
-    `loose` (A,) marks the angles that neither follow from the others nor affect them; they are left out.
+    `loose` (A,) marks angles that neither follow from the others nor affect them; their drift is 0.
     """
     scale = states.std(axis=0)
     n_angles = accelerations.shape[1]
-    # An angle that does not change, or changes only by the noise of the fit, explains nothing.
+    # An angle that is constant or changes only by the noise of the fit explains nothing.
     moves = np.tile(~_still(states[:, :n_angles]) & ~loose, 2) & (scale > 0)
     scaled = np.where(moves, states / np.where(moves, scale, 1.0), 0.0)
     normal = scaled.T @ scaled + RIDGE_PER_ROW * len(scaled) * np.eye(scaled.shape[1])
@@ -193,18 +193,18 @@ def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Arr
 
 
 def as_one_gaussian(prior: MotionPrior) -> MotionPrior:
-    """Return a prior with a single Gaussian of poses instead of the mixture."""
+    """Return the prior with its single Gaussian of poses instead of the mixture."""
     return replace(prior, weights=np.ones(1), means=prior.mean[None], covariances=prior.covariance[None])
 
 
 def log_likelihood(prior: MotionPrior, states: Array) -> float:
-    """Return the mean over frames of the mixture's log density (per rad^A) at states (T, D)."""
+    """Return the log density (per rad^A) of the mixture at states (T, D), averaged over the frames."""
     poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
     return float(logsumexp(log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
 
 
 def log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
-    """Return the log of each component's density times its weight, (N, K)."""
+    """Return the log of weight times density of each component at poses (N, A), shape (N, K)."""
     roots = np.linalg.cholesky(covariances)
     white = (solve_triangular(L, (poses - mean).T, lower=True) for L, mean in zip(roots, means, strict=True))
     squares = np.stack([(offset**2).sum(axis=0) for offset in white], axis=1)

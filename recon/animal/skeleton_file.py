@@ -1,7 +1,8 @@
-"""Load skeletons by name or from a file (TOML), with one animal's lengths and a detector's offsets.
+"""Load skeletons by name or from a TOML file, with one animal's lengths and a detector's offsets.
 
 Built-in files are in `recon/animal/skeletons`, `subjects` (one animal's lengths) and `detectors` (offsets from a
-model's markers to the points on the skin that a network marks). The scorer of a keypoint file gives its detector.
+skeleton's markers to the points on the skin that a network detects). The scorer of a keypoint file identifies its
+detector.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
 
     Parameters
     ----------
-    name_or_path
+    name_or_path : str or path
         Name or file of the skeleton.
-    subject
+    subject : str or path, optional
         Name or file of a measured animal; only for skeletons of whole animals.
 
     Raises
@@ -63,7 +64,7 @@ def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
 ) -> tuple[dict[str, Any], str]:
-    """Return the tables of a file, and its name for messages."""
+    """Return the tables of a named or given file, and the file's name for messages."""
     option = "--set detector" if kind == "detector" else f"--{kind}"
     return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 
@@ -114,8 +115,9 @@ class _Marker(FileTable):
 class _Mass(FileTable):
     source: str
     share: dict[str, tuple[_Share, _Share]]
-    """Mass of each segment as a share of the body's, and its standard deviation; 0 for segments that only carry
-    markers.
+    """Fraction of the body's mass in each segment, and its standard deviation.
+
+    Both are 0 for segments that only carry markers.
     """
 
 
@@ -157,7 +159,7 @@ _Item = TypeVar("_Item", _Segment, _Marker)
 
 
 def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
-    """Yield every segment or marker with its row in the file; mirrored ones come twice, first left, then right."""
+    """Yield every segment or marker with its row in the file; a mirrored item twice, first left, then right."""
     for i, item in enumerate(items):
         yield i, item
         if item.mirrored and side_of(item.name) == "left":
@@ -173,7 +175,7 @@ def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
 
 
 def _expected_angles(segment: _Segment) -> list[str]:
-    """Return a segment's angles with an expectation, in the order of the state: all but the root's heading."""
+    """Return the angles of a segment for which the file states expectations, in the order of the state."""
     return [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
 
 
@@ -231,19 +233,19 @@ def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[P
 
 
 def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: str) -> Iterator[Problem]:
-    """Yield problems of shares of the mass that belong to no segment, and of segments without a share."""
+    """Yield problems of mass fractions that belong to no segment, and of segments without a mass fraction."""
     yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
     for name in sorted(segments):
         if name not in shares and other_side(name) not in shares:
-            yield Problem(source, f"mass.share.{name}", "none", "share and standard deviation, as [0.05, 0.01]")
+            yield Problem(source, f"mass.share.{name}", "none", "fraction and standard deviation, such as [0.05, 0.01]")
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems of an item's name, and add it to `used`, the names of earlier items."""
+    """Yield problems of an item's name, and add the name to `used`, the names of earlier items."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":
-        expected = "a name that contains the left side, as l_paw, front_left_paw or LeftPaw"
+        expected = "a name that contains the left side, such as l_paw, front_left_paw or LeftPaw"
         yield Problem(source, f"{field}.mirrored", repr(item.name), expected)
     used.add(item.name)
 
@@ -280,9 +282,9 @@ def _body(f: _BodyFile) -> Body:
 
 
 NONE = "none"
-"""Name of the detector with keypoints at the markers."""
+"""Name of the detector whose keypoints are at the markers."""
 OWN = "own"
-"""Name of the detector if the skeleton's or the subject's own file has the offsets."""
+"""Name of the detector whose offsets are in the skeleton's or the subject's own file."""
 
 
 class _Keypoint(FileTable):
@@ -319,18 +321,18 @@ def with_detector_offsets(
 
     Parameters
     ----------
-    body
+    body : Body
         The animal.
-    detector
-        Name or file of a detector, or "none". By default it is the detector named in the subject's or the skeleton's
-        file, or else that of the scorers.
-    scorers
+    detector : str or path, optional
+        Name or file of a detector, or "none"; by default the detector named in the subject's or the skeleton's file, or
+        else that of the scorers.
+    scorers : mapping, optional
         Scorers of the keypoint files, by file.
 
     Raises
     ------
     InputError
-        If a file does not fit the body, or the scorers are those of two detectors.
+        If a file does not fit the body, or the scorers belong to two detectors.
     """
     if detector is None and body.keypoint_offset_m:
         return replace(body, detector=OWN)

@@ -1,21 +1,21 @@
-"""Calibrate a camera from views of a board, and judge the calibration.
+"""Calibrate a camera from views of a board, and check the quality of the calibration.
 
-Each corner is modelled as the board's point, moved by the view's pose (6 unknowns per view) and projected by the lens
-and the camera matrix. OpenCV minimises the squared errors. The residuals are computed by `Camera.project`, the model
-that the rest of the package uses, so that a difference between the two models would show as an error.
+Each corner is modelled as a point of the board that is moved by the view's pose (6 unknowns per view) and projected by
+the lens and the camera matrix. OpenCV minimises the squared errors. The residuals are computed by `Camera.project`, the
+model that the rest of the package uses, so that a difference between the two models would show as an error.
 
-A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times the median picture's is left
+A picture whose error (root mean square over its corners) exceeds `DROP_FACTOR` times the median over pictures is left
 out, and the remaining pictures are solved again, up to `ROUNDS` times. Errors of good pictures are within a factor of
 two of the median for all lenses; a picture beyond a factor of three has moved, bent or wrongly detected corners. Least
-squares are not robust: one such picture can change the focal length by more than the uncertainty from all the others.
-Errors below `DROP_FLOOR_PX` are as small as those of a good detector, and never a reason to leave a picture out. The
+squares are not robust, so that one such picture can change the focal length by more than the uncertainty from all the
+others. Errors below `DROP_FLOOR_PX` are typical of a good detector and never a reason to leave a picture out. The
 report lists the pictures that were left out, with their errors.
 
-**Is the result good enough?** Each quantity has two limits: beyond the first there is a warning, beyond the second the
-calibration is refused. Three properties matter for a reconstruction. The first is the focal length: an error of 1 % is
-1 % of every distance from the camera, which is small compared with the 3 to 10 % to which an animal's size is known.
-The second is the principal point: 1 % of the width is about 0.6 degrees. The third is that the lens model is valid all
-over the picture, since the animal may be anywhere in it.
+Each quantity that is checked has two limits. Beyond the first there is a warning, beyond the second the calibration is
+refused. Three properties matter for a reconstruction. The first is the focal length: an error of 1 % changes every
+distance from the camera by 1 %, which is small compared with the uncertainty of an animal's size, 3 to 10 %. The second
+is the principal point: 1 % of the width corresponds to about 0.6 degrees. The third is that the lens model is valid in
+the whole picture, since the animal may be anywhere in it.
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ DROP_FLOOR_PX = 0.3
 ROUNDS = 3
 COVERAGE_COLUMNS = 320
 MIN_VIEWS = 3
-"""Minimum number of views. Each view of a plane gives two equations for the four numbers of the matrix, so two are
-enough; this is one more.
+"""Minimum number of views, one more than necessary.
+
+Each view of a plane gives two equations for the four unknowns of the camera matrix.
 """
 FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
@@ -52,12 +53,12 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 @dataclass(frozen=True)
 class _FittedBoardView(BoardView):
-    """A fitted picture with N corners."""
+    """View of the board with N corners and its fitted pose."""
 
     rotation: Array
-    """X_camera = rotation X_board + translation_m, shape (3, 3)."""
+    """Rotation of X_camera = rotation X_board + translation_m, shape (3, 3)."""
     translation_m: Array
-    """Translation of the board, shape (3,)."""
+    """Translation from the board frame to the camera frame, shape (3,)."""
     residual_px: Array
     """Projected minus detected corners, shape (N, 2)."""
     used: bool
@@ -65,17 +66,17 @@ class _FittedBoardView(BoardView):
 
     @cached_property
     def rms_px(self) -> float:
-        """Return the root mean square error of the corners."""
+        """Return the root mean square error of the corners, px."""
         return math.sqrt((self.residual_px**2).sum(axis=1).mean())
 
     @cached_property
     def max_px(self) -> float:
-        """Return the largest error of a corner."""
+        """Return the largest error of a corner, px."""
         return float(np.linalg.norm(self.residual_px, axis=1).max())
 
     @property
     def tilt_rad(self) -> float:
-        """Return the angle between the board and the picture's plane."""
+        """Return the angle between the board and the image plane, rad."""
         return math.acos(min(1.0, abs(float(self.rotation[2, 2]))))
 
 
@@ -87,8 +88,9 @@ class Calibration:
     board: Board
     views: tuple[_FittedBoardView, ...]
     sigma: tuple[float, ...]
-    """Standard deviation of each parameter (see `parameters`), from the residuals and the geometry of the views,
-    without errors of the lens model.
+    """Standard deviation of each of `parameters`, from the residuals and the geometry of the views.
+
+    Errors of the lens model are not included.
     """
 
     @cached_property
@@ -98,13 +100,13 @@ class Calibration:
 
     @cached_property
     def rms_px(self) -> float:
-        """Return the root mean square distance of projected and detected corners over the used pictures."""
+        """Return the root mean square distance, px, between projected and detected corners in the used pictures."""
         residual = np.concatenate([view.residual_px for view in self.used])
         return math.sqrt((residual**2).sum(axis=1).mean())
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Return fx, fy, cx, cy (px) and the lens's coefficients by name."""
+        """Return fx, fy, cx, cy (px) and the lens coefficients by name."""
         matrix = self.camera.matrix
         values = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *self.camera.distortion)
         names = ("fx", "fy", "cx", "cy", *self.camera.lens.coefficients)
@@ -112,7 +114,7 @@ class Calibration:
 
 
 def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
-    """Return the camera that fits the views best.
+    """Find the camera that fits the views best.
 
     Parameters
     ----------
@@ -177,7 +179,7 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
 
 
 def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> _Solution:
-    """Solve for OpenCV's first five coefficients, or for none."""
+    """Calibrate with OpenCV's standard lens model, with its first five coefficients or with none."""
     fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     objects = [points[view.ids].astype(np.float32) for view in views]
     images = [view.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
@@ -188,7 +190,7 @@ def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, 
 
 
 def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> _Solution:
-    """Solve from several fields of view, because OpenCV's result stays near its initial value."""
+    """Calibrate with OpenCV's fisheye model from several initial fields of view, as the result depends on them."""
     objects = [points[view.ids].reshape(1, -1, 3) for view in views]
     images = [view.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
@@ -199,7 +201,7 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
         focal = size[0] / math.radians(field_deg)
         guess = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
         inputs = (objects, images, size, guess, np.zeros(coefficients))
-        with suppress(cv2.error):  # some starts lead to no solution
+        with suppress(cv2.error):  # some initial values lead to no solution
             solutions.append(cv2.fisheye.calibrate(*inputs, flags=flags, criteria=_CRITERIA))
     finite_solutions = [solution for solution in solutions if math.isfinite(solution[0])]
     if not finite_solutions:
@@ -209,7 +211,7 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
 
 
 def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> Array:
-    """Return the standard deviations of the camera's parameters, infinite if the pictures do not determine them.
+    """Return the standard deviations of the camera's parameters, infinite for undetermined parameters.
 
     The unknowns are the parameters and the poses. The variance of the residuals is their sum of squares divided by the
     degrees of freedom.
@@ -217,7 +219,7 @@ def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> 
     by_camera, by_pose = zip(*(_jacobian(view, points, camera) for view in views), strict=True)
     jacobian = np.hstack([np.vstack(by_camera), block_diag(*by_pose)])
     residual, n = np.concatenate([view.residual_px for view in views]), 4 + camera.distortion.size
-    # coefficients and pixels differ by many orders of magnitude
+    # Columns are scaled because lens coefficients and pixels differ by many orders of magnitude.
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
     try:
         inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale))
@@ -228,7 +230,7 @@ def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> 
 
 
 def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
-    """Return the derivatives of a view's pixels by the camera (2N, 4 + coefficients) and by the pose (2N, 6)."""
+    """Return the derivatives of a view's pixels with respect to camera (2N, 4 + coefficients) and pose (2N, 6)."""
     rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
     objects = points[view.ids].reshape(-1, 1, 3)
     pose, n = (rotation, view.translation_m), camera.distortion.size
@@ -246,7 +248,7 @@ Verdict = Literal["ok", "warning", "refused"]
 
 @dataclass(frozen=True)
 class _CalibrationCheck:
-    """A measured value and its limits."""
+    """Measured value of one quantity, with its limits."""
 
     name: str
     quantity: str
@@ -267,11 +269,11 @@ class _CalibrationCheck:
         return "warning" if self._beyond(self.warn) else "ok"
 
     def _beyond(self, bound: float) -> bool:
-        """Return whether the value is beyond a bound: never for a NaN bound, always for a NaN value."""
+        """Return whether the value is beyond a bound; False for a NaN bound, otherwise True for a NaN value."""
         return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
 
     def __str__(self) -> str:
-        """Return the measured value and, if it exceeds a limit, the limit, by how much, and advice."""
+        """Return the measured value and, if it is beyond a limit, the limit, the difference and advice."""
         bound = self.refuse if self.verdict == "refused" else self.warn
         unit = f" {self.unit}" if self.unit else ""
         if self.verdict == "ok":
@@ -284,39 +286,39 @@ class _CalibrationCheck:
 
 
 LIMITS = (
-    # three pictures determine the matrix, and two more the lens; with six, an error in one of them still shows
+    # Three pictures determine the matrix, and two more the lens; with six, an error in one of them is still visible.
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
-    # if one in four is an outlier, the median itself is uncertain
+    # If one in four is an outlier, the median itself is uncertain.
     ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends or moves"),
-    # corners are detected to 0.05-0.3 px; larger errors mean a wrong lens model or board; pictures wider than 1920 px
-    # are scaled to that width
+    # Corners are detected to within 0.05 to 0.3 px; larger errors mean a wrong lens model or board. Pictures wider than
+    # 1920 px are scaled to that width.
     ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False,
      "check --board, --model, and that the board is flat"),
-    # the lens is measured inside this area, and extrapolated by polynomials outside
-    ("coverage", "share of the picture where the board was", "%", 60, 30, True,
+    # The lens is measured inside this area and extrapolated by polynomials outside it.
+    ("coverage", "fraction of the picture that the board covered", "%", 60, 30, True,
      "move the board over the whole picture"),
-    # the distortion is largest at the borders
+    # The distortion is largest at the borders.
     ("border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
      "hold the board at the borders, partly outside if it is a ChArUco board"),
-    # parallel boards add no information: a longer focal length and a longer distance look the same
+    # Parallel boards cannot distinguish a longer focal length from a longer distance.
     ("tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"),
-    # if boards are tilted about one axis only, perspective determines only one of fx and fy
+    # If boards are tilted about one axis only, perspective determines only one of fx and fy.
     ("tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
      "tilt the board sideways as well as forwards"),
-    # errors of the lens model are not included: expect three times as much
+    # Errors of the lens model are not included; the true error may be three times as large.
     ("focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"),
     ("principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
      "take more pictures, tilted and at the borders"),
-    # the pixels of modern sensors are square to 0.1 %
+    # The pixels of modern sensors are square to within 0.1 %.
     ("aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"),
-    # lenses are centred to about 2 %
+    # Lenses are centred to within about 2 %.
     ("centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
      "check that the picture is not cropped"),
-    # the fitted polynomial turns back there; a circular fisheye picture always has such corners
+    # The fitted polynomial is not monotonic there; a circular fisheye picture always has such corners.
     ("folded", "part of the picture without a ray in the lens model", "%", 0.0, 5.0, False,
      "cover the borders, or use another --model"),
 )  # fmt: skip
-"""All fields of `_CalibrationCheck` except its value."""
+"""All fields of each `_CalibrationCheck` except its value."""
 
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
@@ -326,11 +328,11 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
 
 
 def _pictures_measured(calibration: Calibration) -> dict[str, float]:
-    """Return the values of `LIMITS` that describe the pictures: their number, errors, and where the board was."""
+    """Measure the quantities of `LIMITS` that describe the pictures, by name."""
     used, (width, height) = calibration.used, calibration.camera.image_size_px
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
-    # normals of the boards, all towards the camera; their first two coordinates are sines of the tilt
+    # The normals of the boards all point in the same direction; their first two coordinates are sines of the tilt.
     normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
     angles = np.arccos(np.clip(normals @ normals.T, -1, 1))
     least_variance = np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]
@@ -346,7 +348,7 @@ def _pictures_measured(calibration: Calibration) -> dict[str, float]:
 
 
 def _lens_measured(calibration: Calibration) -> dict[str, float]:
-    """Return the values of `LIMITS` that describe the lens: its parameters, and where it has no rays."""
+    """Measure the quantities of `LIMITS` that describe the lens, by name."""
     values, sigma = calibration.parameters, calibration.sigma
     width, height = calibration.camera.image_size_px
     y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]
@@ -361,7 +363,7 @@ def _lens_measured(calibration: Calibration) -> dict[str, float]:
 
 
 def coverage(calibration: Calibration) -> Bools:
-    """Return which cells of the picture (rows, columns) are among the corners of some used picture."""
+    """Return a mask (rows, columns) of the cells of the picture that the corners of a used picture surround."""
     width, height = calibration.camera.image_size_px
     scale = COVERAGE_COLUMNS / width
     mask = np.zeros((max(1, round(height * scale)), COVERAGE_COLUMNS), dtype=np.uint8)

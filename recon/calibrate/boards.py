@@ -1,8 +1,8 @@
 """Detect calibration boards in pictures and videos.
 
-Views come from pictures, or from the frames of a video that are sharp and differ from each other. A board's frame lies
-in its surface: x to the right, y down, z away from the viewer, metres. The frame of a board seen head-on is parallel to
-the camera frame. Corners are the points in which four squares meet.
+Views come from pictures, or from frames of a video that are sharp and differ from each other. The coordinate frame of a
+board lies in its surface, with x to the right, y down and z away from the viewer, metres. It is parallel to the camera
+frame if the board is seen head-on. Corners are the points at which four squares meet.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from recon.io.video import probe, read_frames, read_picture
 Gray = npt.NDArray[np.uint8]
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_CORNERS = 8
-"""Minimum number of corners. A pose has six unknowns and needs four corners; twice as many leave residuals that can
-reveal a wrong pose.
+"""Minimum number of corners.
+
+A pose has six unknowns and needs four corners; with twice as many, the residuals can reveal a wrong pose.
 """
 
 CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares in each direction; side of a square)"
@@ -38,8 +39,9 @@ _CHARUCO = re.compile(rf"charuco:{_SIZE}:(\d+(?:\.\d*)?|\.\d+)(mm|cm|m):(\w+)(:l
 CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; side of a marker; dictionary)"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 MAX_VIEWS = 40
-"""Maximum number of frames of a video. Standard deviations fall with the square root of the number, so more frames
-mostly cost time.
+"""Maximum number of views taken from a video.
+
+Standard deviations decrease only with the square root of the number, so more views mainly take more time.
 """
 MAX_EXAMINED = 600
 """Maximum number of frames of a video in which the board is searched for."""
@@ -48,26 +50,27 @@ EXAMINED_HZ = 5.0
 SHARPNESS_KEPT = 0.7
 """Minimum sharpness of a frame relative to the 75th percentile of all frames."""
 MIN_DIFFERENCE = 0.02
-"""Minimum movement of the board's outline between two views, as a fraction of the picture's diagonal. With less
-movement the views count as the same.
+"""Minimum movement of the board's outline between two views, as a fraction of the picture's diagonal.
+
+With less movement, the views count as the same.
 """
 
 
 Corners = tuple[Index, Array]
-"""Corners of a board in a picture: rows (N,) of the board's `points_m`, and pixels (N, 2)."""
+"""Rows (N,) of the board's `points_m` that were detected, and their pixels (N, 2)."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A chessboard, or a ChArUco board, which has markers in the light squares."""
+    """Chessboard or ChArUco board; the latter has markers in the light squares."""
 
     columns: int
-    """Number of inner corners across, or of squares for a board with markers."""
+    """Number of inner corners in a row, or of squares for a board with markers."""
     rows: int
     square_m: float
     """Side of a square in metres."""
     marker_m: float | None = None
-    """Side of a marker; None for a chessboard."""
+    """Side of a marker in metres; None for a chessboard."""
     dictionary: str = ""
     """Name of the markers' dictionary in OpenCV."""
     legacy: bool = False
@@ -106,8 +109,8 @@ class Board:
     def detect(self, image: Gray) -> Corners | None:
         """Return the corners in a picture (height, width), or None.
 
-        A chessboard is detected as a whole or not at all. A ChArUco board gives the corners between the markers that
-        were read, or None if these are too few.
+        A chessboard is detected as a whole or not at all. For a ChArUco board, the result has the corners between the
+        markers that were read, or is None if there are too few.
         """
         if self.marker_m is None:
             size = (self.columns, self.rows)
@@ -116,7 +119,7 @@ class Board:
                 return None
             xy = np.asarray(xy, dtype=float).reshape(-1, 2)
             if xy[0].sum() > xy[-1].sum():
-                xy = xy[::-1]  # a half turn maps the board onto itself, so the order of the corners is arbitrary
+                xy = xy[::-1]  # rotated by 180 degrees the board looks the same, so this order is a convention
             return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
         xy, ids, _, _ = cv2.aruco.CharucoDetector(self.charuco).detectBoard(image)
         if ids is None or len(ids) < MIN_CORNERS:
@@ -128,7 +131,7 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """Return the board described by a text such as `CHESSBOARD_FORM` or `CHARUCO_FORM` (which `:legacy` may follow).
+    """Return the board described by a text of the form `CHESSBOARD_FORM` or `CHARUCO_FORM`, also with `:legacy`.
 
     Raises InputError for any other text.
     """
@@ -164,14 +167,14 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
-    """Return corners (N, 2) moved to the intersection of the edges, within `reach` of the distance to the next corner.
+    """Return corners (N, 2), px, refined to the nearest intersection of edges.
 
-    This halves the detectors' errors. The window must contain neither the board's edge nor another corner. On real
-    chessboards the errors are smallest at a reach of 0.3; from 0.4 on, outer corners drift. A corner that would move by
-    more than the window is left where it was.
+    This halves the detectors' errors. The half-width of the window is `reach` times the distance between corners,
+    because the window must contain neither the board's edge nor another corner. On real chessboards the errors are
+    smallest at a reach of 0.3; from 0.4 on, outer corners drift. A corner that would leave the window is not moved.
     """
     distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
-    # The window is the same for all corners; on a tilted board, the distant corners determine its size.
+    # The window has the same size for all corners, determined by the far corners of a tilted board.
     half = int(np.clip(round(reach * np.percentile(distance.min(axis=1), 20)), 2, 15))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     start = xy_px.astype(np.float32).reshape(-1, 1, 2)
@@ -181,14 +184,14 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
 
 @dataclass(frozen=True)
 class BoardView:
-    """A picture in which the board was detected."""
+    """Picture in which the board was detected."""
 
     name: str
     """Name of the file, or number of the frame."""
     ids: Index
     """Rows of the board's `points_m`, shape (N,)."""
     xy_px: Array
-    """Corners in pixels, shape (N, 2)."""
+    """Corners, shape (N, 2)."""
 
 
 @dataclass(frozen=True)
@@ -281,9 +284,9 @@ def _is_video(path: Path) -> bool:
 
 
 def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
-    """Yield each picture's name, the fraction of pictures before it, and the picture, rotated upright by its EXIF tag.
+    """Yield each picture's name, the fraction of pictures before it, and the picture, (height, width).
 
-    A picture that cannot be read is None.
+    Pictures are rotated upright by their EXIF tag. A picture that cannot be read is None.
     """
     unique = len({file.name for file in files}) == len(files)
     for done, file in enumerate(files):
@@ -293,7 +296,7 @@ def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
 
 
 def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:
-    """Yield some frames of a video in the form of `_images`."""
+    """Yield evenly spaced frames of a video, in the form of `_images`."""
     info = probe(path)
     count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
     step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
@@ -307,22 +310,23 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
     found_sizes = "; ".join(
         f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in names_of_size.items()
     )
-    expected = "pictures of one size and orientation, those of the clips: a calibration is valid for one resolution"
+    expected = "pictures of the clips' size and orientation, since a calibration is valid for one resolution only"
     return Problem("pictures", "size", found_sizes, expected)
 
 
 def choose(sharpness: Array, outlines: Array, count: int = MAX_VIEWS) -> list[int]:
-    """Return the indices of frames that are sharp and as different as possible, in order.
+    """Return the indices of frames that are sharp and as different as possible, in ascending order.
 
-    The first choice is the sharpest frame. Every further choice is the sharp frame that is farthest from all chosen
-    ones (root mean square over the outline), until `count` are chosen or the farthest is a repetition.
+    The first choice is the sharpest frame. Each further choice is the sharp frame that differs most from all chosen
+    frames (root mean square over the outline), until `count` are chosen or the next differs by less than
+    `MIN_DIFFERENCE`.
 
     Parameters
     ----------
-    sharpness : (N,)
-        Sharpness of each frame.
-    outlines : (N, 4, 2)
-        Outer corners of the board in each frame, as fractions of the picture's diagonal.
+    sharpness : ndarray
+        Sharpness of each frame, shape (N,).
+    outlines : ndarray
+        Outer corners of the board in each frame, as fractions of the picture's diagonal, shape (N, 4, 2).
     count : int
         Maximum number of frames.
     """
@@ -341,11 +345,11 @@ def choose(sharpness: Array, outlines: Array, count: int = MAX_VIEWS) -> list[in
 
 
 def corner_sharpness(image: Gray, xy_px: Array) -> float:
-    """Return the sharpness of a board in a picture (height, width): about 1 / the width of an edge (px).
+    """Return the sharpness of a board in a picture (height, width), 1/px, about the inverse width of an edge.
 
-    The sharpness around a corner (N, 2) is the square root of the smaller eigenvalue of the gradients' mean outer
-    product, relative to the contrast. Motion in one direction blurs the edges across it and so reduces the smaller
-    eigenvalue only.
+    The sharpness around each corner (N, 2) is the square root of the smaller eigenvalue of the gradients' mean outer
+    product, relative to the contrast. Motion in one direction blurs only the edges across it, and thus reduces only the
+    smaller eigenvalue.
     """
     half = 5
     scores = []
@@ -361,7 +365,7 @@ def corner_sharpness(image: Gray, xy_px: Array) -> float:
 
 
 def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
-    """Return the board's outer corners (4, 2) in the picture, extrapolated without distortion."""
+    """Return the board's outer corners (4, 2) in the picture, px, extrapolated without distortion."""
     points = board.points_m[ids, :2]
     homography, _ = cv2.findHomography(points, xy_px)
     if homography is None:  # all corners are on one line

@@ -1,8 +1,8 @@
 """Find camera positions from which the pixels determine an angle or a joint well.
 
-The motion is a mean stride through the middle of the picture: the prior's mean pose, varied along its two directions of
-largest variance. No fit is needed. The expected uncertainty is that of a fit that has found this motion, so it follows
-from the curvature of the problem there (`recon.fit.posterior`).
+The motion is a mean stride through the middle of the picture, which is the prior's mean pose, varied along its two
+directions of largest variance. No fit is needed: the expected uncertainty of a fit that finds this motion follows from
+the curvature of the cost at this motion (`recon.fit.posterior`).
 """
 
 from __future__ import annotations
@@ -26,17 +26,19 @@ from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
-"""Azimuths around the animal, counterclockwise from above: 0 is ahead of the animal, a quarter turn is to its left."""
+"""Azimuths around the animal, counterclockwise seen from above. An azimuth of 0 is ahead of the animal, a quarter turn
+to its left.
+"""
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
 """Elevations above the level of the animal's middle."""
 FPS = 60.0
 """Frame rate of the simulated clip, Hz."""
 FRAMES = 21
-"""Frames of the simulated clip: a stride."""
+"""Number of frames of the simulated clip, which last one stride."""
 STRIDES_HZ = 3.0
 """Strides per second of the simulated animal."""
 LENGTHS_S = 5.0
-"""Body lengths per second that the simulated animal runs."""
+"""Speed of the simulated animal in body lengths per second."""
 AWAY_LENGTHS = 4.0
 """Default distance of the camera in body lengths."""
 PICTURE_PX = (1920, 1080)
@@ -46,7 +48,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """Precision with which a camera measures a target from each of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
+    """Precision with which a camera measures a target from each of E elevations and A azimuths."""
 
     target: str
     """Angle or joint to measure."""
@@ -54,11 +56,11 @@ class Advice:
     """"rad" for an angle, "m" for joints."""
     distance_m: float
     sigma: Array
-    """Median standard deviation over the frames, shape (E, A); infinite if the animal is not in the picture."""
+    """Median standard deviation over the frames, shape (E, A); infinite if the animal is outside the picture."""
     share: Array
     """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
     first_place: tuple[float, float] | None = None
-    """Azimuth and elevation of a camera that is already placed."""
+    """Azimuth and elevation of the first camera, rad, in advice on a second camera."""
 
     @property
     def best(self) -> tuple[int, int]:
@@ -71,7 +73,7 @@ class Advice:
 
     @property
     def place(self) -> tuple[float, float]:
-        """Return the best azimuth and elevation."""
+        """Return the azimuth and elevation of the best position, rad."""
         row, column = self.best
         return float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
 
@@ -92,17 +94,17 @@ def advise(
     Parameters
     ----------
     body, prior : Body, MotionPrior
-        The animal and its motion.
+        The animal, and the prior of its motion.
     target : str, optional
         An angle of the body's states (not its position or heading), or a marker; by default all markers.
     hfov_deg : float
-        Horizontal field of view.
+        Horizontal field of view, degrees.
     distance_m : float, optional
-        Distance of a camera from the animal's middle, by default `AWAY_LENGTHS`.
+        Distance of a camera from the animal's middle, m; by default `AWAY_LENGTHS` body lengths.
     cameras : int
-        1 or 2.
+        Number of cameras, 1 or 2.
     progress : callable
-        Called with the fraction that is done.
+        Called with the fraction of the work that is done.
 
     Raises
     ------
@@ -133,8 +135,8 @@ def precision_of(
 ) -> tuple[float, float]:
     """Return a target's standard deviation and the fraction of its precision due to pixels, medians over frames.
 
-    The standard deviation is in rad for an angle, and in m for a joint relative to the pose. The cameras see the motion
-    of states (T, D). The result is (inf, 0) if no camera sees the animal. `target` is as in `advise`.
+    The standard deviation is in rad for an angle, and in m for a joint relative to the rest of the pose. The cameras
+    see the motion of states (T, D). The result is (inf, 0) if no camera sees the animal. `target` is as in `advise`.
     """
     views = [_view_of(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
@@ -157,7 +159,7 @@ def precision_of(
 
 
 def mean_stride(body: Body, prior: MotionPrior) -> Array:
-    """Return the states (FRAMES, D) of a mean stride along x through the origin of the world."""
+    """Return the states (FRAMES, D) of a mean stride along the x axis through the origin of the world."""
     values, vectors = np.linalg.eigh(prior.covariance)
     time_s = (np.arange(FRAMES) - FRAMES // 2) / FPS
     phase = 2 * np.pi * STRIDES_HZ * time_s
@@ -170,12 +172,12 @@ def mean_stride(body: Body, prior: MotionPrior) -> Array:
 
 
 def length_m(body: Body) -> float:
-    """Return the animal's length from end to end in the expected pose."""
+    """Return the animal's length from end to end in the expected pose, m."""
     return float(np.ptp(body.expected_points_m()[:, 0]))
 
 
 def camera_at(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
-    """Return a camera that looks at target_m from a position around an animal that faces x."""
+    """Return a camera that looks at target_m (3,) from a position around an animal that faces along x."""
     level = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards = -np.cos(elevation_rad) * level - np.sin(elevation_rad) * np.array([0.0, 0.0, 1.0])
     right = np.array([-level[1], level[0], 0.0])

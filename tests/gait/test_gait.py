@@ -236,7 +236,7 @@ def test_ground_that_cannot_be_told_gives_no_gait():
     xyz[:, feet, 2] += 0.5 * np.sin(np.arange(len(xyz)))[:, None]
     found = pose_gait(replace(pose, xyz_m=xyz), FPS)
     assert (found.stances, found.name.name) == ((), "unknown")
-    assert "off a plane" in found.name.criterion
+    assert "from a common plane" in found.name.criterion
 
 
 def test_gaps_cut_stances_and_hide_strides():
@@ -340,7 +340,7 @@ def test_feet_that_stand_longer_than_half_a_stride_do_not_gallop(duty, name):
     all_stances.append(Stance("LH", 0.95, 1.0, 28.5, 30.0, ends=False))  # the clip cuts it
     found = name_gait(tuple(all_stances), (), 1.0)
     assert found.name == name
-    assert ("over half" in found.criterion) == (name == "unknown")
+    assert ("more than half" in found.criterion) == (name == "unknown")
 
 
 def test_names_do_not_depend_on_where_phases_start():

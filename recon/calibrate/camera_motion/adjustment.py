@@ -1,7 +1,7 @@
 """Adjust the orientations of all frames together, and estimate the focal length from pictures far apart.
 
-A camera that returns to an earlier direction then shows no drift. Points keep their angles under rotations across the
-picture only for the right focal length.
+The joint adjustment removes drift when the camera returns to an earlier direction. The focal length can be estimated
+because the angles between points stay constant across a rotation only for the correct focal length.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from recon.geometry.camera import Camera
 ADJUST_STEPS = 4
 """Number of Gauss-Newton steps in which all frames are adjusted together."""
 MAX_PAIRS = 60
-"""Number of pairs of pictures, those turned furthest, that determine the focal length."""
+"""Number of pairs of pictures that determine the focal length, those with the largest rotations."""
 MIN_PAIRS = 4
-"""Smallest number of pairs of pictures that determine the focal length."""
+"""Smallest number of pairs of pictures from which a focal length is estimated."""
 WIDEST = 0.7
 """Largest absolute logarithm of a factor on the focal length that is tried."""
 STEP = 1e-3
 """Change of the logarithm of the focal length for a numerical derivative."""
 STEPS = 6
-"""Number of steps to the focal length."""
+"""Number of iterations to find the focal length."""
 ROUNDS = 4
-"""Number of steps to the rotation between two pictures, for a given focal length."""
+"""Number of iterations to find the rotation between two pictures for a given focal length."""
 COARSE_ROUNDS = 2
-"""Number of steps to this rotation where focal lengths are only tried."""
+"""Number of iterations to find this rotation while trial focal lengths are compared."""
 PAIR_FLOOR_PX = 0.15
-"""Error that all points of a pair of pictures have in common, in pixels."""
+"""Error common to all points of a pair of pictures."""
 
 
 FrameLink = tuple[int, int, Array, Array, Array, Array]
 """Link from a keyframe to a frame: index of the frame, index of the keyframe, rotation (3, 3), log zooms (2,), H (5, 5)
 and g (5,).
 
-The cost is e'He - 2 g'e. e holds the deviations from the link: of the rotation from keyframe to frame (rad), and of the
-two log zooms.
+The cost is e'He - 2 g'e, where e holds the deviations from the link of the rotation from keyframe to frame (rad) and of
+the two log zooms.
 """
 
 
@@ -91,8 +91,9 @@ def adjust(
 def _variances(information: csc_array, factor: SuperLU, frame: Integers, key: Integers, n: int) -> Array:
     """Return the variances (n, P) of the unknowns of n frames.
 
-    A keyframe's variance comes from the inverse of the information (n P, n P), whose factor is given. Other frames have
-    their own variance plus the mean of their keyframes'. `frame` and `key` are the two ends of each link.
+    A keyframe's variance comes from the inverse of the information (n P, n P), whose factorisation is given. The
+    variance of another frame is its own variance plus the mean of its keyframes'. `frame` and `key` are the two ends of
+    each link.
     """
     p = information.shape[0] // n
     variance = np.full((n, p), np.nan)
@@ -119,15 +120,15 @@ class TurnedPair(NamedTuple):
 
 
 def furthest_turned(pairs: Sequence[TurnedPair]) -> list[TurnedPair]:
-    """Return the pairs of frames between which the camera turned furthest."""
+    """Return the pairs of frames with the largest rotations of the camera between them."""
     return sorted(pairs, key=lambda pair: -float(Rotation.from_matrix(pair.turn).magnitude()))[:MAX_PAIRS]
 
 
 def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -> tuple[float, float] | None:
-    """Return the log factor of the focal length relative to the camera file's, and its standard deviation.
+    """Return the log ratio of the focal length to the camera file's, and its standard deviation.
 
-    The standard deviation combines that of the points and the scatter between earlier pictures. The result is None if
-    too few pairs have points. `limit_px` is the largest error of a point.
+    The standard deviation combines the errors of the points and the scatter between earlier pictures. The result is
+    None if too few pairs have points. `limit_px` is the largest error of a point.
     """
     if len(pairs) < MIN_PAIRS:
         return None
@@ -151,7 +152,7 @@ def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -
 
 
 def _information(camera: Camera, pair: TurnedPair, log_factor: float) -> tuple[float, float]:
-    """Return a pair's information on the log factor, and the gradient."""
+    """Return a pair's information on the log focal-length ratio, and the gradient of its cost."""
     residual_px, *ends = (_residuals_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
     slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(residual_px), np.linalg.norm(residual_px, axis=1)
     used = max(float(weights.sum()), 1.0)
@@ -162,11 +163,11 @@ def _information(camera: Camera, pair: TurnedPair, log_factor: float) -> tuple[f
 
 
 def _residuals_px(camera: Camera, pair: TurnedPair, log_factor: float, rounds: int = ROUNDS) -> Array:
-    """Return the residuals (N, 2) of a pair's points in its second picture after the best rotation."""
+    """Return the residuals (N, 2) of a pair's points in the later picture after the best rotation."""
     zoom = float(np.exp(log_factor))
     (a, is_known), (b, is_seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     is_known &= is_seen
-    # the angle that shifts the picture as far at this focal length
+    # The rotation is scaled to shift the picture by the same distance at this focal length.
     turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)
     residual_px = np.full(pair.a_px.shape, 1e9)
     for number in range(rounds):
@@ -178,6 +179,6 @@ def _residuals_px(camera: Camera, pair: TurnedPair, log_factor: float, rounds: i
 
 
 def _weights(residual_px: Array) -> Array:
-    """Return Tukey's weights (N,) for residuals (N, 2)."""
+    """Return Tukey weights (N,) for residuals (N, 2), px."""
     size = np.linalg.norm(residual_px, axis=1)
     return turning.tukey(size, max(4 * float(np.median(size)), 1.0))

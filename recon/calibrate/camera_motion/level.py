@@ -1,4 +1,4 @@
-"""Find which way is up for a turning camera, from marks on the horizon or on upright objects."""
+"""Find the upward direction for a turning camera from marks on the horizon or on upright objects."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ from recon.io.common import first_problems, frame_number, number, text_rows
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
 EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two of its points, px"
 MARKED_PX = 2.0
-"""Standard deviation of a marked point."""
+"""Standard deviation of a marked point along each axis."""
 MAX_SIGMA_RAD = math.radians(3.0)
-"""Largest accepted uncertainty of the upward direction. One vertical, or parallel ones, do not determine it."""
+"""Largest accepted uncertainty of the upward direction, which a single vertical or parallel verticals do not determine.
+"""
 
 
 LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
-""""horizon" or "vertical", frame number, and two points (px) of the horizon or of an upright object in this frame."""
+"""Kind ("horizon" or "vertical"), frame number, and two points (px) on the horizon or an upright object."""
 
 
 def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
     """Return orientations relative to a world with z up and y away from the camera.
 
-    `up` is the upward direction (3,) in the first frame's camera. If it is None, the mean frame is assumed to look
-    level.
+    `up` is the upward direction (3,) in the camera frame of the first picture. If `up` is None, the camera is assumed
+    to be level on average.
     """
     reference = orientations[0].rotation
     if up is None:
@@ -45,19 +46,19 @@ def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Ori
 
 
 def up_at_tilt(tilt_rad: float) -> Array:
-    """Return the upward direction (3,) for a camera tilted down by an angle, without roll."""
+    """Return the upward direction (3,) in a camera that is tilted down by an angle and has no roll."""
     return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
 
 
 def up_by_marks(
     source: Path, marks: Sequence[LevelMark], camera: Camera, orientations: Mapping[int, Orientation]
 ) -> tuple[Array, float]:
-    """Return the upward direction (3,) in the first frame's camera, and its standard deviation in rad.
+    """Return the upward direction (3,) in the camera frame of the first picture, and its standard deviation, rad.
 
-    Rays to the horizon are level, and an upright object is in the plane of the rays to its ends. The upward direction
-    is therefore perpendicular to the former rays and to the normals of these planes. `orientations` are by frame
-    number. Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the marks do
-    not determine the upward direction.
+    Rays to the horizon are horizontal, and an upright object lies in the plane of the rays to its ends. The upward
+    direction is therefore perpendicular to the former rays and to the normals of these planes. `orientations` are by
+    frame number. Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the
+    marks do not determine the upward direction.
     """
     first = orientations[min(orientations)].rotation
     rows, problems = [], []
@@ -74,8 +75,8 @@ def up_by_marks(
             level = rays if kind == "horizon" else np.cross(*rays)[None]
             rows.append(level @ orientation.rotation @ first.T)
     raise_problems(dict.fromkeys(problems))
-    # The error of a ray is that of a mark over the focal length. The error of a plane's normal is that of two marks
-    # over the distance between them, which is the length of the cross product.
+    # The error of a ray is that of a mark divided by the focal length. The error of a plane's normal is that of two
+    # marks divided by the distance between them, the length of the cross product.
     A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX
     _, size, directions = np.linalg.svd(A, full_matrices=True)
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf

@@ -20,10 +20,10 @@ from recon.geometry.camera import Camera
 from recon.io.video import Image
 
 WIDTH_PX, HEIGHT_PX = 1920, 1080
-"""Largest size of the panorama."""
+"""Largest width and height of the panorama."""
 THUMBNAIL_PX = 400
 COARSE_PX = 8
-"""Step between the pixels of the panorama whose position in a picture is computed; those in between are
+"""Distance between the pixels of the panorama whose position in a picture is computed. Positions in between are
 interpolated.
 """
 VIEW, PATH, ANIMAL = (0, 220, 255), (255, 200, 0), (80, 80, 255)
@@ -31,7 +31,7 @@ VIEW, PATH, ANIMAL = (0, 220, 255), (255, 200, 0), (80, 80, 255)
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Picture of a panorama: longitude to the right, latitude upwards."""
+    """Area of a panorama, with longitude to the right and latitude upwards."""
 
     west: float
     """Longitude of the upper left pixel, rad."""
@@ -44,7 +44,10 @@ class _Canvas:
 
     @classmethod
     def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> _Canvas:
-        """Return a canvas that covers all views. Longitudes continue in the camera's direction beyond half a turn."""
+        """Return a canvas that covers all views.
+
+        Longitudes are continuous, and exceed half a turn if the camera does.
+        """
         middle = np.unwrap([_angles(orientation.rotation[2])[0] for orientation in orientations])
         angles = [_angles(_edge(camera, view), centre) for view, centre in zip(orientations, middle, strict=True)]
         west, south = np.nanmin(angles, axis=(0, 2))
@@ -54,7 +57,7 @@ class _Canvas:
         return cls(float(west), float(north), float(step), size)
 
     def place(self, rays: Array) -> Array:
-        """Return the pixels (N, 2) of world rays (N, 3), as close to the canvas as whole turns allow."""
+        """Return the pixels (N, 2) of world rays (N, 3), shifted by whole turns to be near the canvas."""
         lon, lat = _angles(rays, self.west + self.step * self.size_px[0] / 2)
         return np.column_stack([(lon - self.west) / self.step, (self.north - lat) / self.step])
 
@@ -90,10 +93,10 @@ def thumbnail(picture: Image) -> Image:
 
 
 def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], points: Mapping[int, Array]) -> Image:
-    """Draw the keyframes' pictures over each other, weighted by the distance from the picture's edge.
+    """Blend the keyframes' pictures, weighted by the distance from the picture's edge.
 
-    The edges of the first, the middle and the last view are drawn, too, and the paths of the camera and of the animal.
-    `pictures` has the `thumbnail` of each keyframe, `points` the animal's pixels (K, 2) by frame.
+    The panorama also shows the edges of the first, the middle and the last view, and the paths of the camera and of the
+    animal. `pictures` holds the `thumbnail` of each keyframe, `points` the animal's pixels (K, 2) by frame.
     """
     canvas = _Canvas.around(camera, motion.orientations)
     sum_of_pictures = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
@@ -132,7 +135,7 @@ def _edge(camera: Camera, view: Orientation) -> Array:
 
 
 def _angles(rays: Array, middle_rad: float = 0.0) -> tuple[Array, Array]:
-    """Return longitude and latitude of rays (..., 3).
+    """Return longitude and latitude of rays (..., 3), rad.
 
     The longitude is measured from the y axis towards the x axis, within half a turn of the middle.
     """

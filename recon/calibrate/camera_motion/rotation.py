@@ -1,8 +1,9 @@
-"""Follow points between pictures, and find how the camera turned between them.
+"""Track points between pictures, and estimate the camera's rotation between them.
 
-A subject that the camera follows can cover much of the picture and have more structure than the background, and its
-points agree with each other. But these points are close together, whereas background points surround them. Therefore
-rotations are ranked by the area that their points cover times the points' spread, not by the number of points.
+A subject that the camera follows can cover much of the picture and have more texture than the background, and the
+motions of its points agree with each other. However, these points are close together, whereas background points
+surround them. Rotations are therefore ranked by the area that the agreeing points cover times their spread, not by
+their number.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from recon.geometry.camera import Camera
 from recon.io.video import Image
 
 WORK_PX = 1280
-"""Maximum side of the working pictures. Larger pictures are reduced by a whole factor."""
+"""Maximum side of the working pictures. Larger pictures are reduced by an integer factor."""
 CELLS = (16, 9)
-"""Cells across the longer and the shorter side. Points are taken from each cell, so that finely structured parts of the
-picture do not outnumber the rest.
+"""Number of cells along the longer and the shorter side. Points are taken from each cell, so that finely textured parts
+of the picture do not dominate.
 """
 POINTS_IN_CELL = 3
 """Largest number of points that are taken from a cell."""
 BLOCK_PX = 5
-"""Side of the window from which a corner's strength is computed."""
+"""Side of the window over which a corner's strength is computed."""
 LEVELS = 3
-"""Number of times that the pictures are halved to follow points over long distances."""
+"""Number of times that the pictures are halved in size to follow points over long distances."""
 MIN_CORNER = 4e-5
-"""Minimum of the smaller eigenvalue of the structure tensor. Noise of two grey levels stays below 3e-5."""
+"""Smallest accepted minor eigenvalue of a corner's structure tensor. Noise of two grey levels gives less than 3e-5."""
 MAX_UNLIKE = 3.0
 """Difference of a point's surroundings between two pictures, relative to the median of all points, above which the
 point is hidden.
@@ -38,18 +39,18 @@ point is hidden.
 LEAST_UNLIKE = 8.0
 """Difference of a point's surroundings, grey levels, up to which the point is never hidden."""
 ORB_POINTS = 700
-"""Number of points that are described in a picture."""
+"""Number of points per picture for which descriptors are computed."""
 MIN_SAME = 20
-"""Smallest number of described points that match if two pictures show the same scene."""
+"""Smallest number of matching descriptors of two pictures that count as the same scene."""
 MIN_ALIKE = 0.7
-"""Smallest correlation of two reduced pictures that are similar."""
+"""Smallest correlation of two reduced pictures that count as similar."""
 HULL_MARGIN = 0.15
 """Margin around the animal's points, as a fraction of their extent."""
 
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """A grey picture, reduced by a whole factor: the working picture."""
+    """Working picture: grey, and reduced by an integer factor."""
 
     grey: Image
     scale: int
@@ -67,9 +68,9 @@ class GreyPicture:
 
     @property
     def window_px(self) -> int:
-        """Return the side of the window that is compared around a point.
+        """Return the side of the window around a point that is compared between pictures, px.
 
-        Small pictures have smaller windows, since a window should be on a single object.
+        Small pictures have smaller windows, since a window should show a single object.
         """
         return int(np.clip(max(self.grey.shape) // 40, 11, 21)) | 1
 
@@ -85,7 +86,7 @@ class GreyPicture:
 def strongest_corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     """Return the strongest corners of every cell outside the mask, as pixels (N, 2) of the original picture.
 
-    `masked` is the mask, (height, width) of the working picture; None masks nothing.
+    `masked` has the shape (height, width) of the working picture; None masks nothing.
     """
     grey = cv2.GaussianBlur(frame.grey, (0, 0), 1.0)
     strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
@@ -98,7 +99,8 @@ def strongest_corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     height, width = grey.shape
     across, down = CELLS if width >= height else CELLS[::-1]
     cell = (y * down // height) * across + x * across // width
-    # Sort by cell, the strongest corner of each cell first; a corner's rank is its place in its cell.
+    # Corners are sorted by cell and, within a cell, by decreasing strength. The rank of a corner is its position in the
+    # cell.
     order = np.lexsort((-strength[y, x], cell))
     cell = cell[order]
     rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
@@ -107,7 +109,7 @@ def strongest_corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
 
 
 def follow_points(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
-    """Return the positions of points (N, 2) in another picture, and whether each was found.
+    """Return the positions of points (N, 2) in another picture, px, and a mask of the points that were found.
 
     The search starts at `guess_px`, the expected positions (N, 2).
     """
@@ -132,7 +134,7 @@ def follow_points(earlier: GreyPicture, later: GreyPicture, points_px: Array, gu
 
 
 def describe_points(frame: GreyPicture) -> tuple[Array, Image]:
-    """Return pixels (N, 2) and descriptors (N, 32) of points that can be recognised anywhere in another picture."""
+    """Return pixels (N, 2) and descriptors (N, 32) of points that can be recognised in any other picture."""
     side = frame.window_px * 3 // 2
     finder = cv2.ORB.create(ORB_POINTS, edgeThreshold=side, patchSize=side)
     points, descriptors = finder.detectAndCompute(frame.grey, None)
@@ -143,7 +145,7 @@ def describe_points(frame: GreyPicture) -> tuple[Array, Image]:
 
 
 def is_same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
-    """Return whether points of two pictures (pixels, descriptors) match by a homography."""
+    """Return whether a homography maps the points of one picture (pixels, descriptors) to those of another."""
     pairs = match_descriptors(a[1], b[1])
     if len(pairs) < MIN_SAME:
         return False
@@ -154,7 +156,7 @@ def is_same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
 
 
 def is_similar(a: GreyPicture, b: GreyPicture) -> bool:
-    """Return whether light and dark are distributed similarly in two pictures, as in neighbouring frames of a take."""
+    """Return whether the brightness of two pictures is distributed similarly, as in adjacent frames of a take."""
     small = [cv2.resize(picture.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for picture in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
 
@@ -168,7 +170,7 @@ def match_descriptors(a: Image, b: Image) -> Integers:
 
 
 def hull_mask(frame: GreyPicture, points_px: Array) -> Bools:
-    """Return a mask (height, width) of the working picture: the hull of points (N, 2), widened by a margin."""
+    """Return a mask (height, width) of the working picture with the hull of points (N, 2) and a margin."""
     mask = np.zeros(frame.grey.shape, np.uint8)
     points = frame.work_px(points_px[np.isfinite(points_px).all(axis=1)])
     if len(points):
@@ -186,7 +188,7 @@ def focus_px(camera: Camera) -> Array:
 
 
 def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """Return unit rays (N, 3) of pixels (N, 2), and whether each ray is valid.
+    """Return unit rays (N, 3) through pixels (N, 2), and a mask of valid rays.
 
     `zoom` is the focal length relative to the camera file's.
     """
@@ -194,7 +196,7 @@ def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bo
 
 
 def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """Return the pixels (N, 2) of rays, and their validity; the inverse of `rays_of`."""
+    """Return the pixels (N, 2) of rays (N, 3), and a mask of valid pixels; the inverse of `rays_of`."""
     pixels, valid = camera.project(rays)
     return focus_px(camera) + zoom * (pixels - focus_px(camera)), valid
 
@@ -205,15 +207,15 @@ TRIALS = 300
 CANDIDATES = 10
 """Number of the best trial rotations that are refined."""
 MIN_APART = 0.12
-"""Minimum distance of the two points that give a trial rotation, as a fraction of the picture's diagonal."""
+"""Minimum distance between the two points that define a trial rotation, as a fraction of the picture's diagonal."""
 MIN_POINTS = 15
-"""Smallest number of points that agree with a rotation."""
+"""Smallest number of points that have to agree with a rotation."""
 MIN_SPREAD = 0.2
-"""Smallest spread of these points over the picture, as `cover_and_spread` returns it."""
+"""Smallest spread of the agreeing points over the picture, as `cover_and_spread` returns it."""
 FINAL_LIMIT = 0.5
-"""Largest factor on the error limit of a rotation; below it, the limit follows the scatter of the points."""
+"""Largest factor applied to the error limit in the final steps, where the limit follows the scatter of the points."""
 LEAST_LIMIT = 0.2
-"""Smallest factor on the error limit of a rotation."""
+"""Smallest factor applied to the error limit in the final steps."""
 ROUNDS = 6
 """Number of steps of robust least squares."""
 
@@ -230,17 +232,19 @@ class Orientation:
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """An orientation, and the evidence of N points for it."""
+    """Orientation, and how well N points agree with it."""
 
     orientation: Orientation
     weights: Array
     """Weights of the points, shape (N,), 0 for points that do not agree."""
     residual_px: Array
-    """Seen minus expected pixels, shape (N, 2)."""
+    """Observed minus expected pixels, shape (N, 2)."""
     jacobian: Array
-    """Derivatives of the expected pixels by a small rotation (rad) in the camera frame and by log zoom, (N, 2, 4)."""
+    """Derivatives of the expected pixels with respect to a small rotation (rad) in the camera frame and log zoom, (N,
+    2, 4).
+    """
     sigma_px: float
-    """Standard deviation of the points that agree, along each axis."""
+    """Standard deviation along each axis of the points that agree."""
     spread: float
     """Covered fraction of the picture times the points' spread, both as `cover_and_spread` returns them."""
 
@@ -251,9 +255,10 @@ class AgreedOrientation:
 
 
 def cover_and_spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Array, Array]:
-    """Return the fraction of the picture's area that H sets of points cover, and how widely the points spread.
+    """Return the fractions (H,) of the picture's area covered by H sets of points, and the spreads (H,) of the points.
 
-    `weights` (H, N) are those of the N points in each set, 0 to 1. The spread is 1 for an evenly covered picture.
+    `pixels` (N, 2) are the points, `weights` (H, N), 0 to 1, their weights in each set. The spread is 1 for points all
+    over the picture.
     """
     across, down = GRID
     x, y = (np.clip(pixels[:, i] / size_px[i] * GRID[i], 0, GRID[i] - 1).astype(int) for i in (0, 1))
@@ -271,10 +276,11 @@ def cover_and_spread(pixels: Array, size_px: tuple[int, int], weights: Array) ->
 def find_orientation(
     camera: Camera, rays: Array, seen_px: Array, background: Array, zoom: float, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Return the orientation, near the given zoom, that takes world rays (N, 3) to the pixels (N, 2) of their points.
+    """Find the orientation, with nearly the given zoom, that maps world rays (N, 3) to pixels (N, 2).
 
     The result is None if too few points agree, or if the points cover too little of the picture. `background` (N,),
-    from 0 to 1, is how consistently each point has been background so far; `limit_px` is the largest error of a point.
+    from 0 to 1, states how consistently each point has been part of the background so far. `limit_px` is the largest
+    error of a point that agrees.
     """
     if len(rays) < MIN_POINTS:
         return None
@@ -312,7 +318,7 @@ def _trial_rotations(rays: Array, seen: Array, pixels: Array, size_px: tuple[int
 
 
 def _axes(a: Array, b: Array) -> Array:
-    """Return right-handed axes (H, 3, 3), as columns, for pairs of rays."""
+    """Return right-handed axes (H, 3, 3), as columns, for pairs of rays, each (H, 3)."""
     columns = [a + b, a - b, np.cross(b, a)]
     return np.stack([c / np.linalg.norm(c, axis=1, keepdims=True) for c in columns], axis=2)
 
@@ -320,9 +326,9 @@ def _axes(a: Array, b: Array) -> Array:
 def refine(
     camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Return the orientation refined by robust least squares in pixels, starting close to the solution.
+    """Refine an orientation that is close to the solution, by robust least squares in pixels.
 
-    Weights are Tukey's, with a limit that follows the scatter.
+    The weights are Tukey weights with a limit that follows the scatter.
     """
     free_columns = slice(0, 4 if solve_zoom else 3)
     limit, rounds = limit_px, ROUNDS
@@ -345,12 +351,15 @@ def refine(
 
 
 def tukey(size: Array, limit: float) -> Array:
-    """Return Tukey's weights for residuals of given sizes; they are 0 from the limit on."""
+    """Return Tukey weights for residuals of given magnitudes, 0 from the limit on."""
     return np.maximum(1 - (size / limit) ** 2, 0) ** 2
 
 
 def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tuple[Array, Array]:
-    """Return the normal matrix (P, P) and right-hand side (P,) from (N, 2, P), (N,), (N, 2) of N points."""
+    """Return the normal matrix (P, P) and the right-hand side (P,) of a weighted least-squares step.
+
+    For N points, the Jacobian has the shape (N, 2, P), the weights (N,), and the residuals (N, 2).
+    """
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     weighted = (jacobian * weights[:, None, None]).reshape(flat.shape)
     return weighted.T @ flat, weighted.T @ residual_px.ravel()
@@ -362,7 +371,7 @@ def _linearise(camera: Camera, rays: Array, seen_px: Array, orientation: Orienta
     from_focus = orientation.zoom * (pixels - focus_px(camera))
     x, y, z = camera_rays.T
     zero = np.zeros_like(x)
-    # derivative of exp(w) p by w, from w x p
+    # Derivative of exp(w) p with respect to w, from w x p.
     by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
     jacobian = np.concatenate([orientation.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
     is_known = np.isfinite(from_focus[:, :1])
@@ -372,6 +381,6 @@ def _linearise(camera: Camera, rays: Array, seen_px: Array, orientation: Orienta
 
 
 def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[Array, Bools]:
-    """Return the pixels (N, 2) of world rays (N, 3), and whether they are inside the picture."""
+    """Return the pixels (N, 2) of world rays (N, 3), and a mask of the pixels inside the picture."""
     pixels, valid = pixels_of(camera, rays @ orientation.rotation.T, orientation.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))

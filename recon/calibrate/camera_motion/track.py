@@ -1,6 +1,6 @@
-"""Track a turning camera: process frames one after the other, and return the camera's orientation in each.
+"""Track a turning camera frame by frame, and return its orientation in each frame.
 
-Keyframes are remembered, and later frames are compared with them.
+Keyframes are stored, and later frames are compared with them.
 """
 
 from __future__ import annotations
@@ -31,49 +31,50 @@ LIMIT = 1 / 320
 MIN_CORNERS = 40
 """Smallest number of corners in the background of a keyframe."""
 NEW_KEY_LIKENESS = 0.7
-"""Likeness to the nearest keyframe below which a frame becomes a keyframe."""
+"""Overlap with the nearest keyframe below which a frame becomes a keyframe."""
 MIN_LIKENESS = 0.25
-"""Likeness from which a frame is compared with a keyframe."""
+"""Smallest overlap with a keyframe at which a frame is compared with it."""
 NEW_KEY_SUPPORT = 0.6
-"""Fraction of the best support of a rotation since the last keyframe below which a frame becomes a keyframe."""
+"""Support of a rotation, relative to the best since the last keyframe, below which a frame becomes a keyframe."""
 MIN_SUPPORT = 0.25
-"""Fraction of the same support below which the frame is lost."""
+"""Support of a rotation, relative to the best since the last keyframe, below which a frame is lost."""
 BY_ZOOM = 5.0
-"""Reduction of the likeness of two pictures per unit of difference in log zoom."""
+"""Reduction of the overlap of two pictures per unit of difference in log zoom."""
 KEYS_AT_ONCE = 3
 """Number of keyframes with which a frame is compared."""
 KEYS_TO_LINK = 5
 """Number of keyframes with which a new keyframe is compared."""
 MAX_PICTURES = 120
-"""Maximum number of keyframes whose pictures stay in memory: those used last."""
+"""Maximum number of keyframes, those used last, whose pictures stay in memory."""
 LEARNING = 0.15
-"""Fraction by which a frame changes how consistently a point has been background."""
+"""Weight of a new frame in how consistently a point has been background."""
 SETTLED = 0.75
-"""Agreement above which a point counts as background."""
+"""Agreement with the background, from 0 to 1, above which a point counts as background."""
 LEAST_AGREEING = 0.6
-"""Fraction of agreeing background points below which no single rotation explains the background."""
+"""Fraction of background points that agree with a rotation, below which no single rotation explains the background."""
 MAX_APART = 0.25
-"""Fraction of frames whose background no single rotation explains, above which the camera has not only turned."""
+"""Fraction of frames whose background no single rotation explains, above which the camera has moved as well as turned.
+"""
 MIN_BACKGROUND = 0.4
-"""Smallest agreement with the background of the points of such a pair."""
+"""Smallest agreement with the background of the points that link two pictures."""
 CLEAR_SIGMAS = 3.0
-"""Number of standard deviations beyond which a focal length differs clearly from that of the camera file."""
+"""Deviation of the focal length from the camera file's, in standard deviations, above which it counts as different."""
 MIN_STILL = 0.4
-"""Smallest fraction of an old keyframe's background that stays in position."""
+"""Fraction of an old keyframe's background that has to be still in position if the camera only turned."""
 MAX_TORN = 1
-"""Largest number of old keyframes with a smaller fraction."""
+"""Largest number of old keyframes that may have a smaller fraction than `MIN_STILL`."""
 PICTURE_FLOOR_PX = 0.1
-"""Error that all points of a picture have in common, in pixels, and that their scatter does not show."""
+"""Error common to all points of a picture, which their scatter does not show."""
 MIN_PAIR_POINTS = 30
-"""Smallest number of background points of a pair of pictures."""
+"""Smallest number of background points that link two pictures for the focal length."""
 
 
 @dataclass(eq=False)
 class _Keyframe:
-    """A frame, and N of its points, with which other frames are compared."""
+    """Frame with which other frames are compared, and N of its points."""
 
     number: int
-    """Index among the frames that have an orientation."""
+    """Index of the frame among the frames that have an orientation."""
     frame: GreyPicture | None
     """The picture; None if it was removed from memory."""
     points_px: Array
@@ -82,11 +83,11 @@ class _Keyframe:
     background: Array
     """How consistently each point has been background, shape (N,), from 0 to 1."""
     known: tuple[Array, Image]
-    """Points that can be recognised in any picture, as `describe_points` returns them."""
+    """Points that can be recognised in any picture, with their descriptors, as `describe_points` returns them."""
     rays: Array
     """Unit rays to the points in the camera frame, shape (N, 3)."""
     settled: Bools
-    """Whether each point was ever clearly background, shape (N,)."""
+    """Mask of the points that were clearly background at any time, shape (N,)."""
     used: int
     """Number of the last frame that was compared with this keyframe."""
 
@@ -103,26 +104,26 @@ class TurningMotion:
     frames: Integers
     """Frame numbers from 0, shape (N,)."""
     orientations: tuple[Orientation, ...]
-    """Orientation in each of these frames."""
+    """Orientation in each of `frames`."""
     inliers: Integers
     """Number of points that agree with each orientation, shape (N,)."""
     residual_px: Array
-    """Root mean square error of these points, shape (N,)."""
+    """Root mean square error of the points that agree, shape (N,)."""
     sigma_rad: Array
     """Standard deviation of each rotation about any axis, relative to the first frame, shape (N,).
 
-    The effect of the focal length is included if its factor is clearly not 0.
+    The effect of the focal length is included if `focal` clearly differs from 0.
     """
     sigma_zoom: Array
     """Relative standard deviation of each zoom, shape (N,)."""
     focal: tuple[float, float] | None
-    """Log factor on the camera file's focal length, measured from the rotations, and its standard deviation."""
+    """Log ratio of the focal length measured from the rotations to the camera file's, and its standard deviation."""
     lost: Integers
     """Numbers of the frames without enough background."""
     keys: Integers
     """Indices of the K keyframes among the N frames, shape (K,)."""
     turned_only: bool
-    """Whether rotations explain the background."""
+    """Whether rotations alone explain the motion of the background."""
     cut: int | None
     """Number of the frame in which another take begins, or None."""
 
@@ -161,7 +162,7 @@ class Tracker:
     cut: int | None = None
     """Number of the frame in which another take begins, or None."""
     pairs: list[TurnedPair] = field(default_factory=list)
-    """Pairs of pictures that determine the focal length."""
+    """Candidate pairs of pictures from which the focal length is estimated."""
 
     def add(self, number: int, picture: Image) -> bool:
         """Add a frame and return whether it could be aligned.
@@ -207,8 +208,6 @@ class Tracker:
     def _limit_px(self) -> float:
         return LIMIT * max(self.camera.image_size_px)
 
-    # -- one frame --
-
     def _begin(self, number: int, frame: GreyPicture, mask: Bools | None) -> bool:
         points = turning.strongest_corners(frame, mask)
         if len(points) < MIN_CORNERS:
@@ -240,7 +239,7 @@ class Tracker:
         return (agreement, points_seen) if agreement is not None and enough else None
 
     def _nearest(self, orientation: Orientation, count: int) -> list[_Keyframe]:
-        """Return keyframes with a picture that look in a similar direction."""
+        """Return the keyframes in memory that overlap most with a view, at most `count` of them."""
         pictures = [key for key in self.keys if key.frame is not None]
         by_direction = sorted(pictures, key=lambda key: -float(orientation.rotation[2] @ key.orientation.rotation[2]))
         by_likeness = sorted(
@@ -253,7 +252,10 @@ class Tracker:
         return chosen or [key for _, key in by_likeness[:1]]
 
     def _likeness(self, key: _Keyframe, orientation: Orientation) -> float:
-        """Return the fraction of a frame's picture inside a keyframe's picture, reduced by a difference in zoom."""
+        """Return the overlap of a view with a keyframe.
+
+        It is the fraction of the view inside the keyframe's picture, reduced for a difference in zoom.
+        """
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
         rays, valid = turning.rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), orientation.zoom)
@@ -263,7 +265,7 @@ class Tracker:
         return float(share_inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
     def _relocalise(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
-        """Return the orientation from points recognised anywhere in the picture, after a jerk or lost frames."""
+        """Find the orientation after a jerk or lost frames, from points recognised anywhere in the picture."""
         pixels, descriptors = turning.describe_points(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
         rays, pixel_sets = [], []
@@ -279,8 +281,6 @@ class Tracker:
         points = np.concatenate(rays)[valid], seen_px[valid], np.ones(valid.sum())
         agreement = turning.find_orientation(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
         return None if agreement is None else agreement.orientation
-
-    # -- learning the background --
 
     def _learn(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> bool:
         """Update which points are background, and return whether no single rotation explains them."""
@@ -298,7 +298,7 @@ class Tracker:
     def _look_back(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> None:
         """Record how much of an old keyframe's settled background is still in position.
 
-        The keyframe is the oldest that looks in the same direction.
+        The keyframe is the oldest one in the same direction.
         """
         k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
         key = seen.keys[k]
@@ -353,7 +353,7 @@ class Tracker:
     def _new_key(
         self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _FollowedPoints
     ) -> None:
-        """Make the frame a keyframe, with points trusted as much as the nearest tracked points."""
+        """Make the frame a keyframe, with background values taken from the nearest tracked points."""
         points = turning.strongest_corners(frame, mask)
         background = np.full(len(points), 0.5)
         if len(points) >= MIN_CORNERS:
@@ -373,8 +373,6 @@ class Tracker:
         with_picture = [key for key in self.keys if key.frame is not None]
         if len(with_picture) > MAX_PICTURES:
             min(with_picture, key=lambda key: key.used).frame = None
-
-    # -- all frames --
 
     def finish(self) -> TurningMotion:
         """Adjust all frames together and return the camera's motion."""
@@ -400,7 +398,7 @@ class Tracker:
 
 
 class _FollowedPoints(NamedTuple):
-    """N points of some keyframes, followed into one frame."""
+    """N points of several keyframes, followed into one frame."""
 
     keys: list[_Keyframe]
     key_index: Integers
