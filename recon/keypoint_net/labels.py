@@ -1,7 +1,7 @@
 """Read labelled pictures, split them for training, and compare predictions with labels (`recon evaluate-2d`).
 
-Labels are DeepLabCut's label files, with the images of a project folder or the frames of one video. The split decides
-which pictures a network learns from and which pictures it is evaluated on.
+Labels come from DeepLabCut label files, and pictures from the images of a project folder or the frames of a video. The
+split decides on which pictures a network is trained, and on which it is evaluated.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ class Labels:
     images: tuple[str, ...]
     """Names of the N pictures, such as labeled-data/run/img0050.png."""
     clip: Integers
-    """Index into `clips` for each picture, shape (N,)."""
+    """Index of each picture's clip in `clips`, shape (N,)."""
     clips: tuple[str, ...]
     """Folders of the project, or the video."""
     pictures: tuple[Image, ...]
-    """N arrays (height, width, 3), channels blue, green, red; the same size within a clip."""
+    """N pictures (height, width, 3) with the channels blue, green, red, of the same size within a clip."""
     source: str
     """File or project that was read."""
     notes: tuple[str, ...] = ()
-    """Decisions of the reader, in sentences."""
+    """Sentences on decisions made while reading."""
 
     @property
     def labelled(self) -> Bools:
-        """Return whether each of the K keypoints is labelled in each of the N pictures, (N, K)."""
+        """Return a mask (N, K) of the keypoints that are labelled in each of the N pictures."""
         return known_points(self.xy_px)
 
     def scaled(self, scale: float) -> Labels:
-        """Return pictures and labels at another size. The centres of pixels are at whole numbers."""
+        """Return pictures and labels at another size, with the centres of pixels at whole numbers."""
         pictures = tuple(resize(picture, scale) for picture in self.pictures)
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
@@ -82,13 +82,13 @@ class LabelSource(Settings):
     """Name of the animal, if the labels have several."""
     rename: Annotated[str | None, RENAME] = None
     validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
-    """Pictures for validation and calibration: a share, or frame numbers A:B (B excluded)."""
+    """Pictures for validation and calibration, as a fraction or as frame numbers A:B (B excluded)."""
     test: Annotated[str, Option(panel=SPLIT)] = "0"
     """Pictures for the final test only, in the form of --validation."""
 
 
 def known_points(xy_px: Array) -> Bools:
-    """Return whether points (..., 2) have both coordinates, shape (...)."""
+    """Return a mask (...) of points (..., 2) with both coordinates known."""
     return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
 
 
@@ -98,7 +98,7 @@ def resize(picture: Image, scale: float) -> Image:
         return picture
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
     transform = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
-    if scale < 0.8:  # averages the pixels that each new pixel covers
+    if scale < 0.8:  # blurred because each new pixel covers several old ones
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale), np.uint8)
     return np.asarray(cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
@@ -109,7 +109,7 @@ def scaled_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
 
 
 def scale_points(xy_px: Array, scale: float) -> Array:
-    """Scale pixel coordinates from one size of picture to another. The centres of pixels are at whole numbers."""
+    """Scale pixel coordinates (..., 2) with the picture, with the centres of pixels at whole numbers."""
     return (xy_px + 0.5) * scale - 0.5
 
 
@@ -133,7 +133,8 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
     Raises
     ------
     InputError
-        If labels have no picture, if pictures cannot be read, or if files do not belong together. Lists every problem.
+        If labels have no picture, if pictures cannot be read, or if files do not belong together. The error lists every
+        problem.
     """
     s = LabelSource(data=data, labels=labels, **options)
     if labels is None:
@@ -152,7 +153,7 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
-    if outside.sum() > OUTSIDE * read.labelled.sum():  # these labels belong to other pictures
+    if outside.sum() > OUTSIDE * read.labelled.sum():  # too many for mistakes: these labels belong to other pictures
         i, k = np.argwhere(outside)[0]
         detail = (
             f"{outside.sum()} of {read.labelled.sum()} points are outside, first {read.names[k]} in {read.images[i]}"
@@ -162,14 +163,14 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
-    """Return the labelled points, NaN for missing labels, and the name of each row's image.
+    """Read the labelled points, NaN for missing labels, and the name of each row's image.
 
-    A row without an image is named by its number. Raises InputError if the file is not a DeepLabCut table, or if it has
-    no labels.
+    A row without an image is named after its number. Raises InputError if the file is not a DeepLabCut table, or if it
+    has no labels.
     """
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
-        raise InputError(Problem(path, "labels", "none: every cell is empty", "at least one labelled point"))
+        raise InputError(Problem(path, "labels", "none, every cell is empty", "at least one labelled point"))
     return keypoints, images
 
 
@@ -256,7 +257,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
 
 
 def extents_px(xy_px: Array) -> Array:
-    """Return the diagonal (N,) of the box around labelled points (N, K, 2), NaN with fewer than two points."""
+    """Return the diagonal (N,), px, of the box around labelled points (N, K, 2); NaN with fewer than two points."""
     is_known = known_points(xy_px)
     points = np.where(is_known[..., None], xy_px, np.nan)
     extent_px = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
@@ -264,20 +265,20 @@ def extents_px(xy_px: Array) -> Array:
 
 
 def body_length_px(xy_px: Array) -> float:
-    """Return the length of the animal in pictures with points (N, K, 2), in pixels.
+    """Return the length of the animal in pictures with points (N, K, 2), px.
 
-    The length is the median diagonal of the box around the points, over the pictures that show most of the animal. It
-    is NaN if no picture has two points.
+    The length is the median diagonal of the box around the points, over the pictures that show most of the animal. The
+    length is NaN if no picture has two points.
     """
     counts = known_points(xy_px).sum(axis=1)
     return median(extents_px(xy_px)[counts >= max(2, 0.7 * counts.max(initial=0))])
 
 
 def sides(names: Sequence[str]) -> tuple[int, ...]:
-    """Return the index of each keypoint's mirror partner.
+    """Return the index of each keypoint's counterpart on the other side.
 
-    Partners differ by side, either by the names that `recon.animal` knows or by the letters of a leg (fl/fr, lf/rf). A
-    keypoint without a partner has its own index.
+    Counterparts differ in the side that their names state, either in words that `recon.animal` knows or in the letters
+    of a leg (fl/fr, lf/rf). A keypoint without a counterpart has its own index.
     """
     by_name = {name: k for k, name in enumerate(names)}
     return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), k) for k, name in enumerate(names))
@@ -289,7 +290,7 @@ _OTHER = str.maketrans("lrLR", "rlRL")
 
 
 def _mirrored(name: str) -> Iterator[str]:
-    """Yield the names that a keypoint's mirror partner may have. "rl" may mean rear left, or right."""
+    """Yield possible names of a keypoint's counterpart on the other side; "rl" may mean rear left, or right."""
     if (opposite := other_side(name)) != name:
         yield opposite
     for leg in _LEG.finditer(name):
@@ -299,11 +300,12 @@ def _mirrored(name: str) -> Iterator[str]:
 
 
 PARTS = ("train", "validation", "test")
-"""Pictures to train on, to evaluate and calibrate on meanwhile, and for the test at the end."""
+"""Parts of a split: pictures to train on, to evaluate and calibrate on during training, and to test on at the end."""
 BLOCKS = 10
-"""Least number of blocks of consecutive pictures into which the labels are divided; whole blocks are held out.
+"""Smallest number of blocks of consecutive pictures into which the labels are divided; whole blocks are held out.
 
-Neighbours in time look similar: a single held-out picture would be almost the same as pictures that are trained on.
+Successive pictures look similar, so that a single held-out picture would be almost the same as pictures in the
+training.
 """
 
 
@@ -312,14 +314,14 @@ _Choice = float | tuple[int | None, int | None]
 
 
 def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
-    """Split the labelled pictures, and return increasing indices for each of `PARTS`.
+    """Split the labelled pictures, and return ascending indices for each of `PARTS`.
 
     Parameters
     ----------
     labels : Labels
         The labelled pictures.
     validation, test : str
-        A share as in "0.2", or frame numbers as in "110:150".
+        A fraction such as "0.2", or frame numbers such as "110:150".
     seed : int
         Seed of the random choice.
 
@@ -336,7 +338,7 @@ def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[
     train = np.setdiff1d(remaining, validation_pictures)
     if not labels.labelled[train].any():
         description = f"none of {len(labels.images)} pictures with labels is left to train on"
-        raise InputError(Problem("--validation, --test", "split", description, "smaller shares"))
+        raise InputError(Problem("--validation, --test", "split", description, "smaller fractions"))
     return dict(zip(PARTS, (train, validation_pictures, test_pictures), strict=True))
 
 
@@ -360,7 +362,9 @@ def _parse(text: str, option: str) -> _Choice:
     except ValueError:
         share = -1.0
     if not 0 <= share < 1:
-        raise InputError(Problem(option, "part", f"'{text}'", "a share from 0 to 1, or frame numbers A:B (B excluded)"))
+        raise InputError(
+            Problem(option, "part", f"'{text}'", "a fraction from 0 to 1, or frame numbers A:B (B excluded)")
+        )
     return share
 
 
@@ -385,11 +389,11 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
 
 
 BINS = 10
-"""Number of bins of likelihoods whose fractions of correct points are computed."""
+"""Number of bins of likelihood for which the fraction of correct points is computed."""
 PCK_PX = (2.5, 5.0, 10.0)
-"""Distances from the labels, in pixels, for the PCK, the percentage of correct keypoints."""
+"""Distances from the labels up to which points are correct in the PCK, the percentage of correct keypoints."""
 PCK_RELATIVE = (0.05, 0.1, 0.2)
-"""Distances for the PCK as fractions of the body length: the median diagonal of the box around an animal's labels."""
+"""Distances for the PCK as fractions of the body length, the median diagonal of the box around an animal's labels."""
 
 
 class Evaluate2DSettings(Settings):
@@ -407,13 +411,15 @@ class Evaluate2DSettings(Settings):
     """Name of the animal, if the files have several."""
     rename: Annotated[str | None, RENAME] = None
     likelihood_min: Annotated[Number, Option(expected="a number from 0 to 1")] = 0.5
-    """Smallest likelihood of a "likely" point."""
+    """Smallest likelihood of a point that counts as likely."""
     tolerance_px: Annotated[Positive, Option(expected="pixels above 0")] = 5.0
     """Largest distance of a correct point from its label, for the reliability of the likelihoods."""
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
-    """Compare a file of predictions with a label file; see `evaluate_2d` for the result.
+    """Compare a file of predictions with a label file.
+
+    The result is that of `evaluate_2d`.
 
     `options` are the other fields of `Evaluate2DSettings`. Raises InputError if a file cannot be read, or if the files
     have no frames or keypoints in common.
@@ -458,29 +464,30 @@ def evaluate_2d(
     likelihood_min: float = 0.5,
     tolerance_px: float = 5.0,
 ) -> dict[str, Any]:
-    """Return scores of predicted points against labels.
+    """Score predicted points against labels.
 
     Parameters
     ----------
-    names : tuple of K str
-        The keypoints.
-    xy_px : (N, K, 2)
-        Predicted points, NaN where missing.
-    likelihood : (N, K)
-        Likelihoods of the points.
-    label_px : (N, K, 2)
-        Labels, NaN where missing.
+    names : tuple of str
+        Names of the K keypoints.
+    xy_px : ndarray
+        Predicted points, shape (N, K, 2), NaN where missing.
+    likelihood : ndarray
+        Likelihoods of the points, shape (N, K).
+    label_px : ndarray
+        Labels, shape (N, K, 2), NaN where missing.
     length_px : float
-        Length of the animal.
+        Length of the animal, px.
     likelihood_min, tolerance_px : float
-        Smallest likelihood of a likely point; largest distance from its label at which a point is correct.
+        Smallest likelihood of a likely point, and largest distance, px, of a correct point from its label.
 
     Returns
     -------
     dict
-        `frames`, the number of frames; scores (see `_score`) of `all` points, of the `likely` points, and with the
-        animal's sides allowed to be swapped (`swaps_forgiven`, None if no names differ by side); the same by keypoint
-        (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without likelihoods.
+        `frames` is the number of frames. `all`, `likely` and `swaps_forgiven` are scores (see `_score`) of all points,
+        of the likely points, and with left-right swaps allowed (None if no names differ by side). `per_keypoint` and
+        `likely_per_keypoint` are scores by keypoint. `reliability` is that of the likelihoods (None without
+        likelihoods).
     """
     errors, partner = np.linalg.norm(xy_px - label_px, axis=2), sides(names)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
@@ -506,7 +513,7 @@ def evaluate_2d(
 
 
 def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
-    """Return errors (N, K) with each left-right pair as predicted or swapped, whichever has the smaller error."""
+    """Return errors (N, K), px, with each left-right pair swapped if this reduces the error."""
     direct = np.linalg.norm(xy_px - label_px, axis=2)
     swapped = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)
     cost = np.stack([direct, swapped])
@@ -517,10 +524,10 @@ def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]
 def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
     """Return scores of errors (..., K), which are NaN if a point is not labelled or not found.
 
-    The scores are the number of labelled `points`; the fraction of them that was `found` (predicted, and likely
-    enough); RMSE and median of the errors of the points that were found, NaN if there are none; and the fractions of
-    all labelled points within given distances in px (`pck_px`) and in body lengths (`pck_relative`). A point that was
-    not found counts as wrong.
+    The scores are the number of labelled `points`; the fraction of these that was `found` (predicted, and likely
+    enough); the RMSE and the median error of the points that were found, px, NaN without any; and the fractions of all
+    labelled points within given distances in px (`pck_px`) and in body lengths (`pck_relative`). A point that was not
+    found counts as wrong.
     """
     n = int(labelled.sum())
     found_errors = errors[labelled & np.isfinite(errors)]
@@ -539,23 +546,23 @@ def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
 
 
 def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, Any]:
-    """Return how well likelihoods agree with the fractions of correct points.
+    """Compare likelihoods with the fractions of points that are correct.
 
     Parameters
     ----------
-    likelihood : (N,)
-        From 0 to 1.
-    right : (N,)
-        Whether each point is correct.
+    likelihood : ndarray
+        Likelihoods of the points, 0 to 1, shape (N,).
+    right : ndarray
+        Whether each point is correct, shape (N,).
     bins : int
         Number of bins of equal width.
 
     Returns
     -------
     dict
-        `points`, the number of points; `expected_calibration_error`, the mean absolute difference between
-        likelihood and fraction of correct points, NaN without any; and `bins`: for each bin with points, its ends, the
-        number of points, their mean likelihood and the fraction of correct points.
+        `points` is the number of points. `expected_calibration_error` is the mean absolute difference between
+        likelihood and fraction of correct points, NaN without points. `bins` has, for each bin with points, its ends,
+        the number of points, their mean likelihood and the fraction of correct points.
     """
     bin_of_point, rows = np.minimum((likelihood * bins).astype(int), bins - 1), []
     for b in np.unique(bin_of_point):

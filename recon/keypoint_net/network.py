@@ -1,24 +1,24 @@
-"""Find the position and likelihood of each keypoint in a picture by a network, and carry out `recon predict`.
+"""Find the position and likelihood of each keypoint in pictures with a network, and run `recon predict`.
 
-An encoder of residual blocks leads down to 1/32 of the picture's size, a decoder back up to 1/4 (`STRIDE`). All layers
-are convolutions, so pictures may have any size. The network has about 2.7 million parameters for any number of
-keypoints. For an animal that is large in the pictures there are two networks: one for the whole animal in small
-pictures, and one for the surroundings of each of its points at full size.
+An encoder of residual blocks reduces the picture to 1/32 of its size, and a decoder enlarges the result to 1/4
+(`STRIDE`). All layers are convolutions, so pictures may have any size. The network has about 2.7 million parameters for
+any number of keypoints. For an animal that is large in the pictures there are two networks: one for the whole animal in
+small pictures, and one for the surroundings of each of its points at full size.
 
 A softmax over the grid turns a keypoint's scores into probabilities. The point is at the maximum of the probability
-after a small blur (`BLUR` cells), so that a broad peak beats a sharp peak of less weight. Between cells of the grid,
-the maximum is that of a parabola through the logarithm of the blurred probability at the peak and its neighbours. The
-parabola is exact for a Gaussian, the shape that the network is trained on. The raw likelihood is the probability within
-the tolerance of the point.
+after a small blur (`BLUR` cells), so that a broad peak wins over a sharp peak with less total probability. Between
+cells of the grid, the position of the maximum is that of a parabola through the logarithm of the blurred probability at
+the peak and its neighbours. The parabola is exact for a Gaussian, which is the shape that the network is trained on.
+The raw likelihood is the probability within the tolerance of the point.
 
 A network is overconfident in pictures that it was trained on. Therefore the likelihoods are calibrated on the
-validation pictures: a logistic function of the raw likelihood's logit is fitted to whether points are correct (within
-the tolerance of their labels), and gives the fraction of points that are correct.
+validation pictures. A logistic function of the raw likelihood's logit is fitted to whether points are correct, that is,
+within the tolerance of their labels. The calibrated likelihood is then the fraction of such points that are correct.
 
 The optional package torch is imported only in the functions that need it.
 
 `recon predict` reads a video and writes a keypoint file. The frames go through the network in batches while the next
-frames are decoded. Only a few batches of pictures are in memory at a time; the points take 12 bytes each.
+frames are decoded. Only a few batches of pictures are in memory at the same time; each point takes 12 bytes.
 """
 
 from __future__ import annotations
@@ -64,47 +64,47 @@ FORMAT = 1
 MODEL_FILE = "model.pt"
 
 CHANNELS = 6
-"""Three colours, and their differences from the still background."""
+"""Number of input channels: three colours, and their differences from the still background."""
 GREY = 115.0
-"""Level, 0 to 255, that is scaled to 0."""
+"""Grey level, 0 to 255, that becomes 0 in the network's input."""
 SPREAD = 64.0
-"""Difference from `GREY` that is scaled to 1."""
+"""Difference from `GREY` that becomes 1 in the network's input."""
 DIFFERENCE = 64.0
-"""Difference from the background that is scaled to 1."""
+"""Difference from the background that becomes 1 in the network's input."""
 STRIDE = 4
 """Pixels between neighbouring cells of the grid; cell (0, 0) is at pixel (0, 0)."""
 WIDTHS = (16, 32, 64, 128, 192)
-"""Channels at 1/2, 1/4, ... 1/32 of the picture's size."""
+"""Number of channels at 1/2, 1/4, ... 1/32 of the picture's size."""
 BLOCKS = (0, 1, 2, 2, 2)
-"""Residual blocks at these sizes."""
+"""Number of residual blocks at 1/2, 1/4, ... 1/32 of the picture's size."""
 SECOND_WIDTHS = (16, 32, 64, 96)
-"""Channels of the second stage, which sees parts of a large animal at full size, and needs less context."""
+"""Numbers of channels of the second stage, which sees parts of a large animal at full size and needs less context."""
 SECOND_BLOCKS = (0, 1, 2, 2)
-"""Residual blocks of the second stage."""
+"""Numbers of residual blocks of the second stage."""
 HEAD = 48
-"""Channels at 1/4 of the picture's size from which the scores are computed."""
+"""Number of channels at 1/4 of the picture's size from which the scores are computed."""
 
 SIGMA = 0.9
 """Standard deviation, in cells of the grid, of the Gaussian that the network is trained on."""
 LEAST_SIGMA = 0.15
-"""Smallest standard deviation of a point in cells, for a probability no broader than the Gaussian."""
+"""Standard deviation of a point, in cells, if its probability is not broader than the Gaussian."""
 BLUR = 0.8
-"""Standard deviation of the blur, in cells of the grid."""
+"""Standard deviation of the blur of the probability, in cells of the grid."""
 FAR = 4.0
-"""Largest distance, in cells, of probability from its point in `variance`; larger distances are clipped to it."""
+"""Largest distance from a point, in cells, in `variance`; larger distances are clipped to this value."""
 _REACH = 3
 """Number of cells on each side over which the blur extends."""
 NOWHERE = -1e4
-"""Score of the cells outside the window."""
+"""Score of the cells outside a keypoint's window."""
 MARGIN_PX = 32
-"""Margin around the second stage's window that shows its surroundings."""
+"""Margin around the windows of the second stage, so that the network sees their surroundings."""
 SURE = 0.05
-"""Raw likelihood above which a point has to be inside the second stage's part of a picture."""
+"""Raw likelihood above which a point has to be inside the part of a picture that the second stage sees."""
 
 _EDGE = 1e-4
-"""Smallest distance of a raw likelihood from 0 and 1 for which its logit is computed."""
+"""Margin to which raw likelihoods are kept away from 0 and 1, so that their logits are finite."""
 _PRIOR = np.array([1.0, 0.0])
-"""Means of the prior on a calibration's slope and offset: no change of the likelihood."""
+"""Means of the prior on a calibration's slope and offset, which leave the likelihood unchanged."""
 _PRIOR_SIGMA = np.array([0.5, 2.0])
 """Standard deviations of the prior on a calibration's slope and offset."""
 
@@ -114,7 +114,10 @@ THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more"
 
 
 def require_torch() -> ModuleType:
-    """Return the package torch; if torch is missing, raise InputError with the command that installs it."""
+    """Import and return the package torch.
+
+    Raises InputError with the command that installs torch if it is missing.
+    """
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -144,7 +147,7 @@ def use_threads(count: int | None) -> None:
 def fast_half(device: torch.device) -> torch.dtype | None:
     """Return bfloat16 if a device computes faster in bfloat16 than in float32, else None.
 
-    float16 is not used: gradients would underflow in its range unless they are scaled.
+    float16 is not used, because gradients would underflow in its range without scaling.
     """
     torch = require_torch()
     if device.type == "cuda":
@@ -186,7 +189,7 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
                 nn.Sequential(conv(a, b, stride=2), *(Residual(b) for _ in range(n)))
                 for a, b, n in zip(ins, widths, blocks, strict=True)
             )
-            outs = (HEAD, *widths[2:])  # widths of the decoder from 1/4 down; the last one is the encoder's
+            outs = (HEAD, *widths[2:])  # widths of the decoder from 1/4 to 1/32 of the size; the last is the encoder's
             self.across = nn.ModuleList(nn.Conv2d(w, o, 1) for w, o in zip(widths[1:-1], outs[:-1], strict=True))
             self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(outs))
             self.mix = nn.ModuleList(conv(o, o) for o in outs[:-1])
@@ -208,9 +211,9 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
 
 
 def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
-    """Return a network with random weights.
+    """Return a network of one or two stages with random weights.
 
-    A network of two stages is a dict of `first`, for the whole animal, and `second`, for parts of the animal.
+    A network of two stages is a module dict of `first`, for the whole animal, and `second`, for parts of the animal.
     """
     first = build_network(keypoints, WIDTHS, BLOCKS)
     if not two_stages:
@@ -230,7 +233,7 @@ def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module
 
 
 def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
-    """Return the network's input (B, 6, H, W) for pictures (B, H, W, 3) with a common background, or one for each."""
+    """Return the network's input (B, 6, H, W) for pictures (B, H, W, 3) with one background, or one per picture."""
     torch = require_torch()
     x = torch.from_numpy(pictures).to(device).float()
     backgrounds = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
@@ -238,7 +241,7 @@ def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torc
 
 
 Window = tuple["torch.Tensor", float]
-"""Region of each keypoint: centre (B, K, 2) and radius, in cells of the grid."""
+"""Region in which each keypoint is searched for, as centres (B, K, 2) and a radius, in cells of the grid."""
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
@@ -289,7 +292,7 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
     y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     xy = torch.stack([x, y], dim=1).view(b, k, 2)
-    # A cell on the edge of the tolerance's circle counts partly.
+    # A cell at the edge of the circle of tolerance counts in part.
     share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
     return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
 
@@ -298,17 +301,17 @@ def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
 
     The variance is that of the probability (B, K, h, w) around each point, minus the variance of the Gaussian that the
-    network is trained on. Probability farther away than `FAR` counts as if it were at `FAR`.
+    network is trained on. Distances beyond `FAR` count as `FAR`.
     """
     spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
     return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
 
 
 def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
-    """Return the mean cross-entropy with a Gaussian around each labelled point, 0 without labels.
+    """Return the mean cross-entropy of scores (B, K, h, w) with a Gaussian around each labelled point.
 
     `xy` holds points (B, K, 2) in cells of the grid, NaN if not labelled. If a window is given, only the cells inside
-    the window count.
+    it count. The loss is 0 without labels.
     """
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -327,7 +330,7 @@ def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -
 
 
 Calibration = tuple[float, float]
-"""Slope and offset: likelihood = expit(slope * logit(raw) + offset)."""
+"""Slope and offset of a calibration, likelihood = expit(slope * logit(raw) + offset)."""
 
 
 def calibrated(raw: Array, calibration: Calibration | None) -> Array:
@@ -339,7 +342,7 @@ def calibrated(raw: Array, calibration: Calibration | None) -> Array:
 
 
 def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
-    """Fit the calibration to raw likelihoods (N,) and whether their points are correct (N,); None without points.
+    """Fit the calibration to raw likelihoods (N,) and a mask (N,) of correct points; None without points.
 
     The fit is by maximum likelihood with a weak prior on slope and offset, which keeps both finite if all points are
     correct.
@@ -363,43 +366,43 @@ _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
 
 @dataclass(frozen=True)
 class Spec:
-    """A network, as stored with its weights."""
+    """Description of a network that is stored with its weights."""
 
     names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     """Names of the keypoints."""
     scale: Annotated[float, Field(gt=1e-3, lt=1e3)]
-    """Scale of the network's pictures relative to the clip's."""
+    """Size of the network's pictures relative to the clip's."""
     body_length_px: _Pixels
-    """Length of the animal in the labelled pictures before scaling."""
+    """Length of the animal in the labelled pictures, before scaling."""
     tolerance_px: _Pixels
-    """Largest distance of a correct point from its label, in the labelled pictures before scaling."""
+    """Largest distance of a correct point from its label in the labelled pictures, before scaling."""
     first: Annotated[float, Field(gt=1e-3, le=1)] = 1.0
-    """Scale of the first stage's pictures relative to the network's; 1 if there is only one stage."""
+    """Size of the first stage's pictures relative to the network's; 1 if there is only one stage."""
     calibration: Calibration | None = None
 
     @property
     def two_stages(self) -> bool:
-        """Return whether a second stage looks at parts of the picture."""
+        """Return whether a second stage refines the points in parts of the picture."""
         return self.first < 1
 
     @property
     def reach_cells(self) -> float:
         """Return the radius, in cells of the second stage's grid, of its window around a point of the first stage.
 
-        The radius is the error allowed for the first stage.
+        The radius is the largest error that the first stage is expected to make.
         """
         return self.tolerance_px * self.scale / STRIDE
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
-    """A network with its weights, ready to find points."""
+    """Network with its weights, ready to find points in pictures."""
 
     spec: Spec
     network: torch.nn.Module
     device: torch.device
     half: Any = None
-    """A 16-bit type to compute in, or None."""
+    """16-bit floating-point type to compute in, or None for float32."""
 
     def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
         """Return points (B, K, 2) in pixels of the clip and raw likelihoods (B, K).
@@ -420,7 +423,7 @@ class TrainedNetwork:
     ) -> Array:
         """Return points (B, K, 2) from both stages, weighted by their variances.
 
-        The second stage sees the part of each picture that holds most points. The first stage's points outside that
+        The second stage sees the part of each picture that contains most points. The first stage's points outside this
         part are kept.
         """
         low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_cells + MARGIN_PX, pictures[0].shape[1::-1])
@@ -436,7 +439,7 @@ class TrainedNetwork:
     def _stage_points(
         self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return points (B, K, 2) in pixels, raw likelihoods (B, K), and variances along each axis (B, K).
+        """Return points (B, K, 2), px, raw likelihoods (B, K), and variances along each axis (B, K), px^2.
 
         `near_px` holds the centres (B, K, 2) of the second stage's windows.
         """
@@ -459,7 +462,8 @@ def part_of(
 ) -> tuple[NDArray[np.int64], tuple[int, int]]:
     """Return the part of pictures of `size_px` that contains the likely points among points (B, K, 2).
 
-    The part is given by its first pixel in each picture (B, 2) and one size (width, height) for all pictures.
+    The result is the part's first pixel in each picture (B, 2), and its size (width, height), which is the same in all
+    pictures.
     """
     sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
@@ -476,7 +480,7 @@ def to_cells(xy_px: Array, device: torch.device) -> torch.Tensor:
 
 
 def save_torch(content: dict[str, Any], path: Path) -> None:
-    """Write a torch file, whole or not at all."""
+    """Write a torch file atomically, so that no incomplete file is left."""
     buffer = BytesIO()
     require_torch().save(content, buffer)
     with staged_file(path) as staged:
@@ -484,7 +488,10 @@ def save_torch(content: dict[str, Any], path: Path) -> None:
 
 
 def model_file(folder: Path) -> Path:
-    """Return the path of a folder's network; raise InputError if the folder has none."""
+    """Return the path of a folder's network file.
+
+    Raises InputError if the folder has none.
+    """
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
         expected = f"the {MODEL_FILE} of a folder written by `recon train`"
@@ -493,7 +500,10 @@ def model_file(folder: Path) -> Path:
 
 
 def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
-    """Load the network that `recon train` wrote into a folder; raise InputError if it cannot be used."""
+    """Load the network that `recon train` wrote into a folder.
+
+    Raises InputError if the file cannot be used.
+    """
     path = model_file(folder)
     content = load_torch(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -515,11 +525,14 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
 
 
 MAX_PICKLE_BYTES = 1 << 22
-"""Largest size of the part of a torch file that holds names and sizes."""
+"""Maximum size of the part of a torch file that contains names and sizes, which is unpickled."""
 
 
 def load_torch(path: Path) -> dict[str, Any]:
-    """Load numbers and plain types saved by torch; raise InputError for damaged files and other kinds of files."""
+    """Load numbers and plain types saved by torch.
+
+    Raises InputError for damaged files and other kinds of files.
+    """
     torch = require_torch()
     try:
         # torch writes zip archives, and raises almost any exception for other or damaged files.
@@ -529,7 +542,7 @@ def load_torch(path: Path) -> dict[str, Any]:
                 raise ValueError("more than names and sizes")  # torch would take long to unpickle more
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        damage = "torch cannot read it: another kind of file, or damaged"
+        damage = "torch cannot read it; it is damaged or another kind of file"
         raise InputError(Problem(path, "model", damage, "a file written by `recon train`")) from error
 
 
@@ -543,16 +556,16 @@ PIXELS = 2**20
 WAITING = 2
 """Number of batches to decode ahead."""
 LOST_SHARE = 0.01
-"""Fraction of the frames in a video's header that may be missing, as the header is then wrong.
+"""Largest fraction of a video's stated frames that may be missing before the video counts as damaged.
 
-If more frames are missing, the video is damaged.
+If fewer are missing, the number in the header counts as wrong.
 """
 LOST_FRAMES = 3
-"""Number of frames in a short video's header that may be missing."""
+"""Number of a short video's stated frames that may be missing."""
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
-"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and the original
-pictures if they are drawn on.
+"""Numbers of consecutive frames, their time stamps (s), their pictures at the network's scale, and the original
+pictures if points are drawn on them.
 """
 
 
@@ -566,7 +579,7 @@ class PredictSettings(Settings):
     out: Path
     """Keypoint file to write, .csv or .h5, in DeepLabCut's layout."""
     overlay: Path | None = None
-    """Also write a video with the points drawn: .mp4 (MPEG-4), .webm (VP8) or .avi (Motion JPEG)."""
+    """Also write a video with the points drawn on it, as .mp4 (MPEG-4), .webm (VP8) or .avi (Motion JPEG)."""
     device: Annotated[str, DEVICE] = "auto"
     threads: Annotated[Count | None, THREADS] = None
     partial: bool = False
@@ -578,7 +591,7 @@ class PredictSettings(Settings):
 def run_prediction(
     video: Path, model: Path, out: Path, *, progress: Progress = silent, output: Output | None = None, **options: Any
 ) -> Keypoints:
-    """Carry out `recon predict`: write a keypoint file in DeepLabCut's layout, and return the keypoints.
+    """Run `recon predict`, which writes a keypoint file in DeepLabCut's layout, and return the keypoints.
 
     `options` are the other fields of `PredictSettings`. Raises InputError for invalid input before anything is written,
     and after the prediction if too many frames cannot be decoded.
@@ -604,7 +617,7 @@ def _overlay_output(s: PredictSettings, overlay: Path) -> Output:
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
-    """Return the network's points in every frame, not smoothed, with calibrated likelihoods.
+    """Return the network's points in every frame of a video, not smoothed, with calibrated likelihoods.
 
     Raises InputError if too many frames cannot be decoded.
     """
@@ -669,7 +682,7 @@ def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
 def point_colours(count: int) -> list[Colour]:
     """Return a colour (blue, green, red) for each keypoint.
 
-    Hues are evenly spaced around the colour wheel; bright and dark colours alternate.
+    Hues are evenly spaced around the colour wheel, and bright and dark colours alternate.
     """
     colours = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
     return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in colours]

@@ -2,13 +2,13 @@
 
 New pictures are made from the labelled ones by rotating, scaling, moving and mirroring them, pasting the animal
 elsewhere, changing the light, blurring, covering parts, and adding noise. Each picture depends only on its random
-generator, which is seeded by the run's seed and the picture's number. A run that continues after a break therefore
-draws the same pictures.
+generator, which is seeded by the run's seed and the picture's number. A run that is resumed therefore uses the same
+pictures.
 
 The still background of a clip is what a camera on a tripod sees without moving objects. The network's input is a
-picture and the picture's difference from this background, which shows in any scene and light what has moved. Training
-also pastes the animal onto other parts of the background. If the camera moves, or if there are too few pictures, there
-is no background, and the difference is 0.
+picture and its difference from this background, which shows what has moved, in any scene and light. Training also
+pastes the animal onto other parts of the background. If the camera moves, or if there are too few pictures, there is no
+background, and the difference is 0.
 """
 
 from __future__ import annotations
@@ -30,9 +30,12 @@ from recon.io.video import Image, probe, read_frames
 from recon.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
 
 NETWORK_LENGTH_PX = 120.0
-"""Length of the animal in the network's pictures. Clips are scaled to this length unless they are close to it."""
+"""Length of the animal in the network's pictures. Clips are scaled to this length unless their animal is about as long.
+"""
 FULL_LENGTH_PX = 480.0
-"""Largest length of the animal in the pictures of a second stage. Labels are not precise enough to gain from more."""
+"""Largest length of the animal in the pictures of a second stage. Labels are not precise enough for larger pictures to
+help.
+"""
 TWO_STAGES = 1.5
 """Length of an animal, relative to NETWORK_LENGTH_PX, above which the network works in two stages.
 
@@ -41,26 +44,26 @@ The first stage locates the animal in small pictures; the second refines its poi
 PART_PX = (128, 128)
 """Size of training pictures of the second stage."""
 OFF = 0.75
-"""Largest error of the first stage in training, as a fraction of the second stage's window."""
+"""Largest simulated error of the first stage in training, as a fraction of the radius of the second stage's window."""
 CROP = 1.4
 """Size of training pictures, relative to the animal's length."""
 MARGIN = 0.12
 """Margin around the animal's labelled points, relative to the animal's length."""
 NO_BACKGROUND = 0.2
-"""Fraction of the training pictures whose difference from the background is left out."""
+"""Fraction of the training pictures without the difference from the background."""
 AHEAD = 3
-"""Number of batches to make ahead of the network."""
+"""Number of batches that are made in advance."""
 
 LEAST_PICTURES = 8
 """Smallest number of pictures from which a background is computed."""
 MOST_PICTURES = 60
 """Largest number of pictures from which a background is computed."""
 MOST_BYTES = 2**28
-"""Maximum number of bytes of a video's pictures in memory at a time."""
+"""Maximum memory for a video's pictures, bytes."""
 STILL_LEVELS = 12.0
 """Largest difference of a still pixel from the background, in grey levels."""
 STILL_SHARE = 0.6
-"""Fraction of a picture's pixels that are still if the camera is still."""
+"""Smallest fraction of still pixels in a picture if the camera is still."""
 MOVED_LEVELS = 22.0
 """Smallest difference between the animal and the background, in grey levels, in at least one colour."""
 
@@ -69,32 +72,32 @@ MOVED_LEVELS = 22.0
 class Augmentation:
     """Ranges of random changes to a picture.
 
-    Rotations are normally distributed, with half of the largest rotation as standard deviation. All other values are
-    drawn uniformly, factors on a log scale.
+    Rotations are normally distributed, with a standard deviation of half the largest rotation. All other values are
+    drawn uniformly, factors on a logarithmic scale.
     """
 
     rotation_deg: float = 20.0
     """Largest rotation to either side."""
     scale: tuple[float, float] = (0.6, 1.6)
-    """Smallest and largest factor on the size."""
+    """Smallest and largest factor by which the size changes."""
     stretch: float = 0.12
     """Largest logarithm of the factor by which the width grows and the height shrinks, or the other way round."""
     partner: tuple[int, ...] | None = None
-    """Index of each keypoint's mirror partner; None means that pictures are not mirrored."""
+    """Index of each keypoint's counterpart on the other side; None if pictures are not mirrored."""
     paste: float = 0.5
     """Probability of pasting the animal onto another part of the background."""
     contrast: float = 0.3
-    """Largest logarithm of the factor on the contrast."""
+    """Largest logarithm of the factor by which the contrast changes."""
     brightness: float = 25.0
     """Largest change of the brightness, in levels from 0 to 255."""
     gamma: float = 0.3
-    """Largest logarithm of the exponent of the levels."""
+    """Largest logarithm of the exponent (gamma) applied to the levels."""
     colour: float = 0.12
-    """Largest logarithm of the factor on each colour."""
+    """Largest logarithm of the factor by which each colour changes."""
     light_patch: float = 0.3
-    """Probability of a part of the picture in another light."""
+    """Probability that a part of the picture gets another light."""
     cutout: float = 0.5
-    """Probability of rectangles in front of the animal."""
+    """Probability that rectangles cover parts of the animal."""
     blur: float = 0.25
     """Probability of motion blur."""
     noise: float = 6.0
@@ -103,20 +106,20 @@ class Augmentation:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A picture to learn from, h by w pixels, with K keypoints."""
+    """Labelled picture of h by w pixels with K keypoints, from which training pictures are made."""
 
     picture: Image
     """The picture, shape (h, w, 3)."""
     background: Image | None
     """Median picture of the clip, shape (h, w, 3); None if the camera moves."""
     mask: Image | None
-    """The animal's pixels, shape (h, w); None if the camera moves."""
+    """Mask of the animal's pixels, 0 to 255, shape (h, w); None if the camera moves."""
     xy_px: Array
-    """Points, NaN where not labelled, shape (K, 2)."""
+    """Labelled points, NaN where missing, shape (K, 2)."""
     length_px: float
     """Length of the animal in pixels."""
     part: bool = False
-    """Whether training pictures show the surroundings of one of the points instead of the whole animal."""
+    """Whether training pictures show the surroundings of one point instead of the whole animal."""
 
 
 def augment(
@@ -151,7 +154,7 @@ def augment(
 
 
 def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
-    """Return a picture blurred as by a uniform motion along a line during the exposure."""
+    """Return a picture blurred as if by uniform motion along a line during the exposure."""
     half = max(1, math.ceil(length_px / 2))
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     for t in np.linspace(-0.5, 0.5, 8 * half + 1):
@@ -202,7 +205,7 @@ def _other_background(background: Image, size_px: tuple[int, int], rng: np.rando
 def _random_light(
     size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
-    """Return a table (256, 3) of new levels for each colour, and a factor per pixel (H, W, 1) if a patch is lit."""
+    """Return new levels (256, 3) for each colour, and a factor (H, W, 1) per pixel if a patch has another light."""
     levels = np.arange(256)[:, None] / 255.0
     gamma = math.exp(rng.uniform(-options.gamma, options.gamma))
     contrast = math.exp(rng.uniform(-options.contrast, options.contrast))
@@ -230,7 +233,7 @@ def _in_light(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32
 def _partly_covered(
     picture: Image, background: Image | None, length_px: float, options: Augmentation, rng: np.random.Generator
 ) -> Image:
-    """Return a picture with up to three rectangles in front of the animal, of one colour or cut from the background."""
+    """Return a picture with up to three rectangles over the animal, of one colour or cut from the background."""
     if rng.random() >= options.cutout:
         return picture
     picture = picture.copy()
@@ -268,7 +271,7 @@ def backgrounds(labels: Labels, left_out: Integers) -> tuple[Image | None, ...]:
 
 
 def background_of_video(video: Path, scale: float) -> Image | None:
-    """Return the background of a video at the network's scale, with only a few pictures in memory at a time."""
+    """Return the background of a video at the network's scale, or None if the camera moves."""
     info = probe(video)
     width, height = scaled_size(info.size_px, scale)
     count = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
@@ -288,8 +291,8 @@ def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: floa
         region = cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     moved = (cv2.absdiff(picture, background).max(axis=2) > MOVED_LEVELS).astype(np.uint8) * 255
     moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), region)
-    # Fill holes, where the animal looks like the background. The space between its legs is not filled, because it is
-    # open to the ground.
+    # Holes are filled where the animal looks like the background. The space between its legs is open to the ground and
+    # stays.
     gap = 2 * max(1, round(0.25 * margin_px)) + 1
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
     outlines, _ = cv2.findContours(moved, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -302,7 +305,7 @@ T = TypeVar("T")
 
 
 def prefetched(items: Generator[T], count: int) -> Generator[T]:
-    """Yield the items of a generator, made by a thread up to `count` items ahead; no item may be None."""
+    """Yield the items of a generator, which a thread makes up to `count` items ahead; no item may be None."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as executor:
         waiting = deque(executor.submit(next, items, None) for _ in range(count))
         try:
@@ -316,14 +319,14 @@ def prefetched(items: Generator[T], count: int) -> Generator[T]:
 
 Batch = tuple[NDArray[np.uint8], NDArray[np.uint8], Array, Array | None]
 """Pictures (B, H, W, 3); backgrounds (B, H, W, 3), or the pictures themselves for a difference of 0; points (B, K, 2),
-NaN if not labelled or outside; and centres of the second stage's windows (B, K, 2), None for the first stage.
+NaN if not labelled or outside; and centres (B, K, 2) of the second stage's windows, None for the first stage.
 """
 
 
 def network_scales(xy_px: Array) -> tuple[float, float]:
-    """Return the scale of the pictures of the network's last stage, and the first stage's scale relative to it.
+    """Return the scale of the network's last stage, and the first stage's scale relative to the last.
 
-    The latter is 1 if there is only one stage. `xy_px` holds labels (N, K, 2).
+    The second value is 1 if there is only one stage. `xy_px` holds labels (N, K, 2).
     """
     length = body_length_px(xy_px)
     scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0

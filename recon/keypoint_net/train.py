@@ -1,13 +1,14 @@
 """Train a network on labelled pictures (`recon train`).
 
-The optimiser is AdamW. The first part of a run learns from the training pictures, and the validation pictures evaluate
-it and calibrate its likelihoods. The last part, from `FINISH` on, learns from both, so that no label is wasted. In each
-part the learning rate falls along a cosine to almost 0; at the start of the run it warms up first. The final weights
-are a moving average of the optimiser's weights.
+The optimiser is AdamW. In the first part of a run, the network learns from the training pictures, and is evaluated and
+its likelihoods are calibrated on the validation pictures. In the last part, from `FINISH` on, it learns from both, so
+that no label is wasted. In each part the learning rate falls along a cosine to almost 0; at the start of the run it
+warms up first. The final weights are a moving average of the optimiser's weights.
 
-A run depends only on its settings, its labels and its device: augmentation depends on the seed and the step, and a
-checkpoint holds everything else. If the number of steps is given, a run that was stopped and continued ends with the
-same weights, bit for bit. If the number of minutes is given, the speed of the machine decides the number of steps.
+The result of a run depends only on its settings, its labels and its device: augmentation depends on the seed and the
+step, and a checkpoint contains everything else. If the number of steps is given, a run that was stopped and resumed
+ends with exactly the same weights. If the number of minutes is given, the number of steps depends on the speed of the
+machine.
 """
 
 from __future__ import annotations
@@ -59,9 +60,9 @@ LEARNING_RATE = 2e-3
 WEIGHT_DECAY = 0.05
 """Weight decay of AdamW."""
 FINISH = 0.6
-"""Fraction of a run after which the validation pictures are learned from, too."""
+"""Fraction of a run after which the network also learns from the validation pictures."""
 FINISH_RATE = 0.5
-"""Initial learning rate of the part after `FINISH`, relative to the highest rate before."""
+"""Initial learning rate of the part after `FINISH`, relative to `LEARNING_RATE`."""
 WARM_UP = 0.04
 """Fraction of a run over which the learning rate rises."""
 EVALUATIONS = 30
@@ -72,21 +73,21 @@ TRAINING = "Training"
 
 
 class TrainSettings(Settings):
-    """Settings of the training of a network."""
+    """Settings for training a network."""
 
     minutes: Annotated[
         Number, Field(ge=0.05), Option("Time to train, minutes.", "0.05 minutes or more", panel=TRAINING)
     ] = 15.0
     steps: Annotated[Count | None, Option(expected="1 or more", panel=TRAINING)] = None
-    """Number of steps, instead of a time. Runs with the same number of steps give the same result."""
+    """Number of steps, instead of a time; runs with the same number of steps give the same result."""
     batch: Annotated[Count, Option(expected="1 or more", panel=TRAINING)] = 8
     """Number of pictures per step."""
     seed: Annotated[
         Integer, Field(ge=0), Option("Seed of weights, split and augmentation.", "0 or more", panel=TRAINING)
     ] = 0
     mirror: Annotated[bool, Option(panel=TRAINING)] = False
-    """Also train on mirrored pictures, in which left and right names are exchanged: for animals that are labelled going
-    one way and filmed going both ways. Training takes longer.
+    """Also train on mirrored pictures with left and right names exchanged, for animals that run both ways but are
+    labelled running one way. Training takes longer.
     """
 
     def of_training(self) -> dict[str, Any]:
@@ -104,12 +105,12 @@ class TrainRunSettings(data.LabelSource, TrainSettings):
     resume: bool = False
     """Continue from the checkpoint in DIR."""
     overwrite: bool = False
-    """Start again in a DIR that already has a network."""
+    """Start again if DIR already has a network."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """Fixed inputs of a run, with pictures at the network's scale."""
+    """Inputs of a run that do not change, with pictures at the network's scale."""
 
     settings: TrainSettings
     spec: net.Spec
@@ -129,14 +130,14 @@ class State:
     optimizer: torch.optim.Optimizer
     step: int = 0
     share: float = 0.0
-    """Fraction of the run that is done, which decides the learning rate."""
+    """Fraction of the run that is done, which determines the learning rate."""
     seconds: float = 0.0
-    """Total time of the run, over all its parts, s."""
+    """Total time of the run, including the time before it was resumed, s."""
     calibration: net.Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
-    """Calibrated likelihoods of the labelled validation points, and which of these points are correct."""
+    """Calibrated likelihoods of the labelled validation points, and whether each of these points is correct."""
     history: list[dict[str, float]] = field(default_factory=list)
-    """One row for each evaluation."""
+    """Losses, errors and times, one row for each evaluation."""
     losses: list[float] = field(default_factory=list)
     """Losses of the steps since the last evaluation."""
     threads: int = 0
@@ -149,7 +150,7 @@ class State:
 
 
 def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
-    """Return the fixed inputs of a run: split, network scales, pictures and backgrounds."""
+    """Prepare the inputs of a run: split, network scales, pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
     learned = np.concatenate([split["train"], split["validation"]])
     scale, first = pictures.network_scales(labels.xy_px[learned])
@@ -163,12 +164,12 @@ def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> T
 def train(
     run: TrainingRun, output: Output, resume: bool = False, threads: int | None = None, progress: Progress = silent
 ) -> State:
-    """Train, or continue to train, to the end of the run.
+    """Train a network, or continue to train it, to the end of the run.
 
     Parameters
     ----------
     run : TrainingRun
-        The fixed inputs.
+        Inputs of the run.
     output : Output
         Folder that gets a checkpoint at each evaluation, and the model at the end.
     resume : bool
@@ -233,7 +234,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
     first = partial(pictures.make_batch, pictures.examples_of(labels, backgrounds), size_px, *last)
     if not spec.two_stages:
         return (first,)
-    # Scale blur and drawn patches so that they are as large relative to the animal as in the first stage's pictures.
+    # The length scales blur and patches, which are then as large relative to the animal as in the first stage.
     part_settings = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
     parts = [
         dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.backgrounds)
@@ -243,9 +244,9 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
 
 
 def schedule(share: float) -> float:
-    """Return the factor of the learning rate at a fraction of the run.
+    """Return the learning rate, relative to the highest, at a fraction of the run.
 
-    The factor follows a warm-up and a cosine, then another cosine for the last part. It is almost 0 at the calibration
+    After a warm-up the rate follows a cosine, then another cosine in the last part. It is almost 0 at the calibration
     and at the end.
     """
     if share < FINISH:
@@ -254,14 +255,14 @@ def schedule(share: float) -> float:
 
 
 def _cosine(share: float) -> float:
-    """Return a cosine from 1 down to almost 0."""
+    """Return a cosine that falls from 1 to almost 0 as `share` increases from 0 to 1."""
     return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
 
 
 def _learn(
     state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: torch.dtype | None
 ) -> float:
-    """Take one step of the optimiser with a batch for each stage, update the average, and return the loss."""
+    """Take an optimiser step with a batch for each stage, update the averaged weights, and return the loss."""
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
@@ -294,8 +295,8 @@ def _learn(
 def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
     """Evaluate the network on the validation pictures.
 
-    If `calibrates` is true, the calibration is fitted as well. That is done at the end of the first part, before the
-    network learns from these pictures.
+    If `calibrates` is true, the calibration is fitted as well, at the end of the first part and before the network
+    learns from these pictures.
     """
     indices = run.split["validation"]
     if not run.labels.labelled[indices].any():
@@ -311,7 +312,10 @@ def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
 
 
 def judge(trained: net.TrainedNetwork, run: TrainingRun, indices: Integers) -> tuple[Array, Array, Array]:
-    """Return errors (n, K) in px of the clip, NaN without a label; raw likelihoods (n, K); and points (n, K, 2)."""
+    """Return errors (n, K), NaN without a label, raw likelihoods (n, K) and points (n, K, 2) in some pictures.
+
+    Errors and points are in pixels of the clip.
+    """
     xy, raw = np.zeros((len(indices), len(run.spec.names), 2)), np.zeros((len(indices), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[indices]):
         of_clip = np.flatnonzero(run.scaled.clip[indices] == c)
@@ -339,7 +343,7 @@ def _begin(run: TrainingRun) -> State:
 
 
 def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
-    """Write everything that the rest of a run depends on, whole or not at all."""
+    """Write a checkpoint with everything that the rest of a run depends on."""
     content = {
         "settings": run.settings.of_training(),
         "names": list(run.spec.names),
@@ -352,7 +356,10 @@ def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
-    """Return the state of a checkpoint; raise InputError if keypoints, settings or pictures differ."""
+    """Return the state stored in a checkpoint.
+
+    Raises InputError if keypoints, settings or pictures differ from those of the run.
+    """
     path = out / CHECKPOINT_FILE
     content = net.load_torch(path)
     if not isinstance(content, dict) or "optimizer" not in content:
@@ -387,21 +394,21 @@ LABEL = (255, 255, 255)
 LINE = (60, 60, 230)
 """Colour (blue, green, red) of the lines from labels to predictions."""
 FAR = 0.2
-"""Distance of a label from the network's point, in body lengths, beyond which the label is suspicious."""
+"""Distance of a label from the network's point, in body lengths, above which the label is suspicious."""
 APART = 0.15
-"""Distance of a label from the other labels, in body lengths beyond the usual, beyond which the label is suspicious."""
+"""Excess over the usual distance from the other labels, in body lengths, above which a label is suspicious."""
 REASONS = {
     "network": "body lengths from the network's point",
-    "others": "body lengths further from every other label than usual",
+    "others": "body lengths farther from every other label than usual",
 }
 LEARNED = 5.0
-"""Factor on a keypoint's median distance from the network's points above which the distance of a label is suspicious.
+"""Distance of a label from the network's point, relative to the keypoint's median, that a suspicious label exceeds.
 
 A large median means that the network has not learned the keypoint.
 """
 FITS = 2.0
-"""Largest median error, as a multiple of the tolerance, in the pictures that a network learned from. A network with
-larger errors does not judge labels.
+"""Largest median error in the pictures that a network learned from, relative to the tolerance. A network with larger
+errors is not used to find suspicious labels.
 """
 USUAL_MINUTES = 15.0
 """Time on two cores in which a useful network is trained."""
@@ -415,13 +422,13 @@ MEASURED_ERRORS = (
     (20, "on a made-up film, of an animal 101 px long", "1.1 px"),
     (40, "on a made-up film, of an animal 101 px long", "1.1 px"),
     (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
-    (150, "on a video of a horse, in light unlike that of the labels", "3.1 px"),
+    (150, "on a video of a horse, in a different light from that of the labels", "3.1 px"),
 )
-"""Numbers of labelled pictures, their film and animal, and the median errors in pictures without labels, in order of
-the numbers (the tables of docs/net.md, `python benchmarks/net.py --only circle labels large horse`).
+"""Number of labelled pictures, film and animal, and median error in pictures without labels, in ascending order (from
+the tables of docs/net.md, `python benchmarks/net.py --only circle labels large horse`).
 """
 USUAL = 0.95
-"""Quantile of the distance between two keypoints up to which the distance counts as usual."""
+"""Quantile of the distance between two keypoints that counts as the largest usual distance."""
 MOST = 30
 """Largest number of suspicious labels in the report."""
 
@@ -437,7 +444,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         for name, indices in split.items()
         if len(indices)
     }
-    # Score the network as it was calibrated, before it learned from the validation pictures.
+    # The likelihoods are those of the calibrated network, before it learned from the validation pictures.
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     learned = np.concatenate([split["train"], split["validation"]])
     learned_px = median(errors[learned])
@@ -477,9 +484,9 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
 
 
 def _suspects_among(learned: Integers, run: TrainingRun, xy_px: Array) -> list[dict[str, Any]]:
-    """Return the suspicious labels of pictures that were learned from, with these indices.
+    """Return the suspicious labels in the pictures, given by index, that the network learned from.
 
-    In other pictures, a disagreement may be the network's error.
+    In other pictures, a disagreement may be an error of the network.
     """
     learned_points = np.full_like(xy_px, np.nan)
     learned_points[learned] = xy_px[learned]
@@ -487,7 +494,7 @@ def _suspects_among(learned: Integers, run: TrainingRun, xy_px: Array) -> list[d
 
 
 def _validation_fields(history: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the best error in pictures that were held out, and the step from which they were learned from, too."""
+    """Return the best error in held-out pictures, and the step from which the network also learned from them."""
     before_finish = [row for row in history if "finishing" not in row]
     held_out = [row for row in before_finish if "validation_px" in row]
     best = min(held_out, key=lambda row: row["validation_px"], default=None)
@@ -500,7 +507,7 @@ def _validation_fields(history: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _errors_of_part(
     run: TrainingRun, spec: net.Spec, indices: Integers, xy_px: Array, likelihood: Array
 ) -> dict[str, Any]:
-    """Return the errors of predictions in some pictures, relative to the animals' usual length in these pictures."""
+    """Return the scores of predictions in some pictures, with distances relative to the animal's length in them."""
     truth = run.labels.xy_px[indices]
     length_px = median(data.extents_px(truth))
     length_px = length_px if np.isfinite(length_px) else spec.body_length_px
@@ -540,7 +547,7 @@ def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
 
 
 def expectations(run: TrainingRun) -> list[str]:
-    """Return sentences on what a training run has, and what a useful network needs."""
+    """Return sentences that compare a training run with what a useful network needs."""
     settings, labels = run.settings, run.labels
     labelled_count = int(labels.labelled.any(axis=1).sum())
     planned = f"{settings.steps} steps" if settings.steps else f"{settings.minutes:g} minutes"
@@ -559,9 +566,9 @@ def expectations(run: TrainingRun) -> list[str]:
 
 
 def measured_errors(labelled_count: int) -> str:
-    """Return a sentence on the accuracy measured with this many labelled pictures, or with the nearest number below.
+    """Return a sentence on the accuracy measured with this number of labelled pictures, or the next lower one.
 
-    Fewer pictures than were ever measured get the accuracy of the smallest number, and a warning.
+    Below the smallest number that was measured, the sentence gives its accuracy and warns of larger errors.
     """
     measured_counts = sorted(number for number, _, _ in MEASURED_ERRORS)
     nearest = max((number for number in measured_counts if number <= labelled_count), default=measured_counts[0])
@@ -571,9 +578,9 @@ def measured_errors(labelled_count: int) -> str:
 
 
 def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Integers, path: Path) -> None:
-    """Draw the pictures with the largest mean errors, no two of them neighbours in time.
+    """Draw the pictures with the largest mean errors, without successive pictures.
 
-    A ring marks each label, a dot the prediction, and a line joins both.
+    A ring marks each label, a dot marks the prediction, and a line joins the two.
     """
     mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
     for i in indices[np.argsort(-np.nan_to_num(mean_px[indices], nan=-np.inf))]:
@@ -604,23 +611,23 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
     """Return labels that are probably wrong, the most suspicious first.
 
     A label is suspicious if the trained network finds the keypoint elsewhere although it learned from this label, or if
-    the label is farther from every other label of its picture than usual.
+    the label is farther than usual from every other label in the picture.
 
     Parameters
     ----------
     labels : Labels
         N pictures of K keypoints.
-    xy_px : (N, K, 2)
-        The network's points in pixels of the clip, NaN in pictures that it has not learned from.
+    xy_px : ndarray
+        The network's points in pixels of the clip, shape (N, K, 2), NaN in pictures that it has not learned from.
     length_px : float
-        Length of the animal.
+        Length of the animal, px.
 
     Returns
     -------
     list of dict
-        `image`, `keypoint`, `x_px`, `y_px`; `network` and `others`, the distances in body lengths from the network's
-        point and beyond the usual distance from the other labels (NaN if unknown); `rank`, the sum of the distances
-        that exceed their limits; `reasons`, in words.
+        `image`, `keypoint`, `x_px` and `y_px` describe the label. `network` is the distance from the network's point,
+        and `others` the excess over the usual distance from the other labels, in body lengths (NaN if unknown). `rank`
+        is the sum of those that exceed their limits. `reasons` states the reasons in words.
     """
     clues = {
         "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
@@ -639,7 +646,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
-    """Return the smallest excess (N, K) over the usual distance, from each label to the other labels, px."""
+    """Return the smallest excess (N, K), px, of a label's distances from the other labels over the usual ones."""
     n, k = xy_px.shape[:2]
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan
@@ -657,7 +664,7 @@ def run_training(
     announce: Callable[[str], object] = lambda sentence: None,
     **options: Any,
 ) -> dict[str, Any]:
-    """Carry out `recon train`, and return the training report.
+    """Run `recon train`, and return the training report.
 
     Parameters
     ----------
@@ -677,7 +684,7 @@ def run_training(
     Raises
     ------
     InputError
-        Before anything is written, with every problem.
+        If settings, labels or files are invalid, before anything is written. The error lists every problem.
     """
     training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = TrainRunSettings(out=out, **training_settings, **options)
