@@ -310,7 +310,7 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
     found_sizes = "; ".join(
         f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in names_of_size.items()
     )
-    expected = "pictures of the clips' size and orientation, since a calibration is valid for one resolution only"
+    expected = "pictures of one size and orientation, as in the clips, since a calibration is for one resolution"
     return Problem("pictures", "size", found_sizes, expected)
 
 

@@ -1,4 +1,4 @@
-"""Simulate animals, cameras, rigs, boards and films with a known truth, for tests.
+"""Simulate animals, cameras, rigs, boards and films with known ground truth, for tests.
 
 No fit uses these modules:
 
@@ -12,5 +12,5 @@ No fit uses these modules:
 - `recon.testing.files`: keypoint, label and truth files of simulated clips;
 - `recon.testing.detectors`: keypoint names and files of other programs;
 - `recon.testing.bones`: readers of bone files that share no code with recon's writers;
-- `recon.testing.coverage`: fractions of a truth within stated uncertainties.
+- `recon.testing.coverage`: fractions of true values inside stated intervals.
 """

@@ -1,4 +1,4 @@
-"""Draw pictures of a calibration board as taken by a camera with known intrinsics.
+"""Draw pictures of a calibration board as seen by a camera with known intrinsics.
 
 The outlines of all dark areas are projected by `Camera.project`, filled on a finer grid, and averaged over each pixel.
 No picture is warped, so the positions of the corners depend on the camera model alone.
@@ -51,11 +51,11 @@ def draw_board(
     rotation, translation_m
         Pose of the board in the camera's frame, (3, 3) and (3,).
     oversample
-        Number of cells of the finer grid along each side of a pixel.
+        Number of cells of the fine grid along each side of a pixel.
     blur_px
-        Standard deviation of a Gaussian blur.
+        Standard deviation of the Gaussian blur, px.
     noise
-        Standard deviation of white noise, in grey levels of 255.
+        Standard deviation of white noise, in grey levels from 0 to 255.
     rng
         Random generator of the noise.
 
@@ -90,7 +90,7 @@ def draw_board(
 def board_poses(
     board: Board, camera: Camera, count: int, rng: np.random.Generator, max_tilt_rad: float = 0.7, fill: float = 0.55
 ) -> list[tuple[Array, Array]]:
-    """Return poses of a hand-held board, tilted in all directions, over the whole picture.
+    """Draw poses of a hand-held board, tilted in all directions and spread over the whole picture.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ def board_poses(
     rng
         Random generator of the poses.
     max_tilt_rad
-        Largest angle between the board and the picture's plane.
+        Largest angle between the board and the image plane, rad.
     fill
-        Fraction of the picture's height that a board in the middle fills.
+        Fraction of the picture's height that a board in the middle of the picture fills.
 
     Returns
     -------
     list
-        Rotations (3, 3) and translations (3,), metres. All corners are in the picture.
+        Rotations (3, 3) and translations (3,), metres, with which all corners are in the picture.
     """
     size = np.array(camera.image_size_px)
     poses = []
@@ -122,7 +122,7 @@ def board_poses(
         distance = extent * camera.matrix[1, 1] / (size[1] * fill) * rng.uniform(0.7, 1.4)
         if not valid:
             continue
-        # At the edge of a wide picture, a board is turned towards the camera.
+        # Near the edge of a wide picture, the board has to be turned towards the camera.
         facing, _ = Rotation.align_vectors([ray], [[0.0, 0.0, 1.0]])
         rotation = facing.as_matrix() @ rotation
         translation = ray * distance - rotation @ board.outline_m.mean(axis=0)

@@ -1,7 +1,7 @@
 """Read bone files as other programs do, to test the output of `recon convert`.
 
-The readers share no code with recon's writers: they are OpenSim's and Blender's Python packages (`pip install opensim
-bpy`), bvhio, trimesh, and small readers written from the formats' descriptions with ElementTree, json and scipy.
+The readers share no code with recon's writers: they use OpenSim's and Blender's Python packages (`pip install opensim
+bpy`), bvhio and trimesh, or follow the formats' descriptions with ElementTree, json and scipy.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Joints = dict[str, Array]
 
 
 def read_mot(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a .mot file."""
+    """Return the columns of a .mot file by name."""
     header, _, rows = path.read_text(encoding="utf-8").partition("endheader\n")
     assert "inDegrees=no" in header
     names, *lines = (line.split("\t") for line in rows.splitlines())
@@ -32,7 +32,7 @@ def read_mot(path: Path) -> dict[str, list[float]]:
 
 
 def read_osim_as_xml(path: Path) -> Joints:
-    """Return the markers of a model in the motion file next to it, from the XML alone."""
+    """Return a model's markers during the motion in the file next to it, computed from the XML alone."""
     model = ElementTree.parse(path).getroot().find("Model")
     assert model is not None
     motion = read_mot(path.with_suffix(".mot"))
@@ -55,7 +55,7 @@ def read_osim_as_xml(path: Path) -> Joints:
                 values = np.array(motion[name])[:, None] * _numbers(axis, "axis")
                 if kind == "rotation":
                     turn = turn * Rotation.from_rotvec(values)
-                else:  # The only translating joint has its axes along the ground's.
+                else:  # The axes of the only translating joint are those of the ground.
                     position = position + values
         poses[joint.findtext("socket_child_frame") or ""] = turn, position
     joints = {}
@@ -70,7 +70,7 @@ def _numbers(element: ElementTree.Element, name: str) -> Array:
 
 
 def read_osim_with_opensim(path: Path) -> Joints:
-    """Return the markers of a model in the motion file next to it, computed by OpenSim."""
+    """Return a model's markers during the motion in the file next to it, computed by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     opensim.Logger.setLevelString("error")
@@ -102,7 +102,7 @@ def read_trc_with_opensim(path: Path) -> Joints:
 
 
 def read_gltf_as_json(path: Path) -> Joints:
-    """Return the nodes of a skin, moved by the animation, from the JSON alone."""
+    """Return the nodes of a skin during the animation, computed from the JSON alone."""
     content = path.read_bytes()
     magic, version, size, length, kind = struct.unpack_from("<4sIII4s", content)
     assert (magic, version, size, kind) == (b"glTF", 2, len(content), b"JSON")
@@ -141,7 +141,7 @@ def read_gltf_as_json(path: Path) -> Joints:
 
 
 def read_gltf_with_trimesh(path: Path) -> Joints:
-    """Return the nodes in the first frame, the only frame that trimesh reads."""
+    """Return the nodes in frame 0, the only frame that trimesh reads."""
     import trimesh
 
     graph = trimesh.load_scene(path).graph
@@ -176,7 +176,7 @@ def read_bvh_with_blender(path: Path) -> Joints:
 
 
 def _read_with_blender(path: Path, read: Callable[..., object], first_frame: int) -> Joints:
-    """Return the heads of the bones. Blender has z up, and samples a file at the frame rate of the scene."""
+    """Return the heads of the bones; Blender has z up and samples a file at the scene's frame rate."""
     import bpy  # pyright: ignore[reportMissingImports]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -211,7 +211,7 @@ READERS: dict[str, tuple[tuple[str, Callable[[Path], Joints]], ...]] = {
 
 
 def largest_error_m(joints: Joints, names: tuple[str, ...], xyz_m: Array) -> float:
-    """Return the largest distance along any axis from joints (T, J, 3), z up, in the first frames of a file."""
+    """Return the largest difference along any axis, m, from joints (T, J, 3), z up, in a file's first frames."""
     expected = np.stack([xyz_m[..., 0], xyz_m[..., 2], -xyz_m[..., 1]], axis=2)
     positions = np.stack([joints[name] for name in names], axis=1)
     return float(np.abs(positions - expected[: len(positions)]).max())

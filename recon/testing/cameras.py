@@ -1,4 +1,4 @@
-"""Set up simulated cameras: aimed at a point, around an animal, or following the animal."""
+"""Set up simulated cameras that look at a point, surround an animal, or follow it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FOLLOW_S = 0.05
 
 
 def level_rotation(centre_m: Array, target_m: Array) -> Array:
-    """Return R_camera_world (3, 3) of a level camera at a point that looks at a target; the world's z is up."""
+    """Return R_camera_world (3, 3) of a camera without roll at a point (3,) that looks at a target (3,); z is up."""
     ahead = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -57,7 +57,7 @@ def aim_camera(lens: Camera, centre_m: Array, target_m: Array) -> Camera:
 
 
 def camera_ring(count: int, length_m: float, random: np.random.Generator) -> list[Camera]:
-    """Set up cameras five lengths away around an animal of a given length; the world's z is up."""
+    """Set up cameras around an animal, at five times its length; the world's z is up."""
     cameras = []
     for i in range(count):
         bearing = 2 * np.pi * (i + random.uniform(-0.2, 0.2)) / count
@@ -68,7 +68,7 @@ def camera_ring(count: int, length_m: float, random: np.random.Generator) -> lis
 
 
 def level_pose(centre_m: Sequence[float], heading_rad: float) -> Array:
-    """Return T_camera_world (4, 4) of a level camera at a point (3,), looking along a heading about z (0: along x)."""
+    """Return T_camera_world (4, 4) of a level camera at a point (3,) that looks along a heading, rad, 0 along x."""
     right = np.array([np.sin(heading_rad), -np.cos(heading_rad), 0.0])
     ahead = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
     rotation = np.stack([right, [0.0, 0.0, -1.0], ahead])
@@ -87,7 +87,7 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
     T_camera_world
         Pose (4, 4) of the camera, or poses (T, 4, 4) of a moving camera.
     sigma_px
-        Standard deviation of the detections' noise.
+        Standard deviation of the detections' noise along each axis, px.
     seed
         Seed of the noise.
 
@@ -102,21 +102,21 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
 
 
 def turn_view(view: View, angle_deg: float, random: np.random.Generator) -> View:
-    """Turn the camera of a view about a random axis through its centre; the detections stay the same."""
+    """Turn the camera of a view about a random axis through its centre, without changing the detections."""
     axis = random.normal(size=3)
     turn = Rotation.from_rotvec(np.radians(angle_deg) * axis / np.linalg.norm(axis)).as_matrix()
     return replace(view, T_camera_world=rigid(turn, np.zeros(3)) @ view.T_camera_world)
 
 
 def panning_camera(clip: SyntheticClip, seed: int = 0) -> Callable[[float], Camera]:
-    """Turn a clip's camera to follow the middle of the animal, with the shake of a hand.
+    """Return a camera that turns to follow the middle of the animal, with the shake of a hand.
 
     Parameters
     ----------
     clip
         A clip of a still camera.
     seed
-        Seed of the shake. The first frame has none.
+        Seed of the shake, which is 0 in the first frame.
 
     Returns
     -------

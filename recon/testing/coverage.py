@@ -1,4 +1,4 @@
-"""Count how much of a known truth lies in the regions and intervals stated by a fit."""
+"""Measure the fraction of true values inside the regions and intervals that a fit states."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def cumulative(deviations: float) -> float:
-    """Return the fraction of a Student's t distribution below a number of standard deviations from its mean."""
+    """Return the fraction of a Student's t distribution below a value in standard deviations from the mean."""
     nu = DEGREES_OF_FREEDOM
     return float(stdtr(nu, deviations * np.sqrt(nu / (nu - 2))))
 
 
 def coverage(error: Array, covariance: Array, level: float) -> float:
-    """Return the fraction of errors inside the regions that should contain the fraction `level`.
+    """Return the fraction of errors inside the regions that should contain a given fraction of them.
 
     Parameters
     ----------
     error
-        Estimate minus truth, (..., k).
+        Estimate minus truth, shape (..., k).
     covariance
-        Covariance stated by the fit, (..., k, k). NaN errors or covariances do not count.
+        Covariance stated by the fit, shape (..., k, k). Errors or covariances with NaN do not count.
     level
         Fraction that the regions should contain, such as 0.9.
 
@@ -40,6 +40,6 @@ def coverage(error: Array, covariance: Array, level: float) -> float:
 
 
 def coordinate_coverage(error: Array, covariance: Array, level: float) -> float:
-    """Return the fraction of coordinates of errors (..., k) inside intervals that should contain `level`."""
+    """Return the fraction of coordinates of errors (..., k) inside their intervals, which should be about `level`."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     return float(np.mean(np.abs(error) < radius(level) * sigma))

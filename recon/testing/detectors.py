@@ -2,7 +2,7 @@
 
 Each file has the names and the layout of the detector's program: DeepLabCut 3 (`video_inference_superanimal`, the 2D
 file of FMPose3D, a project of one animal), AP-10K annotations, and MMPose's demo for a video. Keypoints that the sample
-lacks are in the middle of the others, so that a wrong assignment is visible.
+lacks are placed in the middle of the others, so that a wrong assignment is noticed.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
     Returns
     -------
     Array
-        x, y and likelihood (T, K, 3); NaN in the frame `UNSEEN`.
+        x (px), y (px) and likelihood, shape (T, K, 3); NaN in the frame `UNSEEN`.
     """
     renamed = {} if bundled is None else load_names(bundled)
     values = np.empty((len(sample.frames), len(names), 3))
@@ -87,7 +87,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
 
 
 def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: str, padding: float) -> None:
-    """Write a table of three animals as DeepLabCut 3 does: first the sample's, then two filled with `padding`."""
+    """Write a table of three animals as DeepLabCut 3 does, first the sample's, then two filled with `padding`."""
     import pandas as pd
 
     levels = [[scorer], ["animal0", "animal1", "animal2"], list(names), ["x", "y", "likelihood"]]

@@ -19,7 +19,7 @@ SCORER = "recon_synthetic"
 
 
 def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str = SCORER) -> None:
-    """Write keypoints in DeepLabCut's CSV layout; a missing point has empty coordinates and likelihood 0."""
+    """Write keypoints in DeepLabCut's CSV layout, with empty coordinates and likelihood 0 for missing points."""
     rows = [
         ["scorer"] + [scorer] * 3 * len(keypoints.names),
         ["bodyparts"] + [name for name in keypoints.names for _ in range(3)],
@@ -34,7 +34,7 @@ def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str
 
 
 def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str = SCORER) -> None:
-    """Write DeepLabCut's label file of some frames: rows named by image, empty cells for missing points."""
+    """Write a DeepLabCut label file of some frames, with rows named by image and empty cells for missing points."""
     rows = [
         ["scorer"] + [scorer] * 2 * len(keypoints.names),
         ["bodyparts"] + [name for name in keypoints.names for _ in range(2)],
@@ -58,7 +58,7 @@ def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
 
 
 def write_outliers(keypoints: Keypoints, outliers: Bools, path: Path) -> None:
-    """Write which detections (T, K) are gross outliers, by frame and keypoint."""
+    """Write the frame and keypoint of each detection that is a gross outlier, given as a mask (T, K)."""
     rows = [[str(keypoints.frames[t]), keypoints.names[k]] for t, k in np.argwhere(outliers)]
     _write(path, [["frame", "keypoint"], *rows])
 
@@ -93,7 +93,7 @@ def track_rows(frames: Integers, poses: Array) -> list[list[float]]:
 
 
 def write_track(path: Path, frames: Integers, poses: Array, intrinsics_px: Array | None = None) -> Path:
-    """Write the CSV table of a moving camera, with fx, fy, cx, cy (N, 4) of each frame if given."""
+    """Write the CSV table of a moving camera with poses (N, 4, 4) and, if given, fx, fy, cx, cy (N, 4)."""
     rows, header = track_rows(frames, poses), TRACK_HEADER
     if intrinsics_px is not None:
         header = f"{header},fx,fy,cx,cy"

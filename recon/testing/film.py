@@ -1,4 +1,4 @@
-"""Draw a film of a simulated cheetah, for tests that need a video with a known truth.
+"""Draw a film of a simulated cheetah, for tests that need a video with known ground truth.
 
 The film has shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion blur and sensor noise.
 """
@@ -24,7 +24,7 @@ from recon.testing.gallop import SyntheticClip, project_clip, whole_gallop
 
 Colour = tuple[float, float, float]
 
-# Markers at both ends of each part of `cheetah-24`, the part's radii there, and how far it hangs below the markers, m.
+# Markers at both ends of each body part of `cheetah-24`, the part's radii there, and its offset below the markers, m.
 _LEG = (("knee", 0.075, 0.05), ("ankle", 0.045, 0.028), ("paw", 0.028, 0.03))
 PARTS: tuple[tuple[str, str, float, float, float], ...] = (
     ("tail_base", "tail1", 0.035, 0.03, 0.0),
@@ -36,7 +36,7 @@ PARTS: tuple[tuple[str, str, float, float, float], ...] = (
 )
 COAT, SPOT, BELLY = (70.0, 130.0, 185.0), (30.0, 50.0, 75.0), (140.0, 180.0, 210.0)
 SKY, HAZE, SAND, SHRUB = (205.0, 165.0, 120.0), (215.0, 205.0, 195.0), (105.0, 150.0, 180.0), (50.0, 90.0, 85.0)
-"""Colours: blue, green, red."""
+"""Colours (blue, green, red) of sky, haze, sand and shrubs."""
 EXPOSURE = 0.4
 """Exposure as a fraction of the time between two frames."""
 EXPOSURES = 5
@@ -65,7 +65,7 @@ HEIGHT_M = 1.7
 def render_frames(
     points_m: Array, names: tuple[str, ...], camera_at: Callable[[float], Camera], ground_m: float, seed: int = 0
 ) -> Iterator[Image]:
-    """Draw a picture (height, width, 3; blue, green, red) of each frame.
+    """Draw a picture of each frame, (height, width, 3) in blue, green, red.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def render_frames(
     names
         Names of the J markers of `cheetah-24`.
     camera_at
-        Function from a time in frames to the camera. A still camera is always the same object.
+        Function from a time, in frames, to the camera. For a still camera, it always returns the same object.
     ground_m
         Height of the ground, metres.
     seed
@@ -114,7 +114,7 @@ def _parts() -> list[tuple[str, str, float, float, float]]:
 
 
 def _between(points_m: Array, t: float) -> Array:
-    """Interpolate between the two nearest frames, and extrapolate at the ends."""
+    """Return points at a time t, in frames, interpolated linearly, and extrapolated at the ends."""
     a = min(max(math.floor(t), 0), len(points_m) - 2)
     return points_m[a] + (t - a) * (points_m[a + 1] - points_m[a])
 
@@ -151,14 +151,14 @@ def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Arr
 
 
 def _noise(rng: np.random.Generator, points: NDArray[np.float32], cell: float) -> Array:
-    """Return smooth noise, of mean 0 and standard deviation about 1, at points (h, w, 2), in grains of size `cell`."""
+    """Return smooth noise with mean 0, standard deviation about 1 and grains of size `cell`, at points (h, w, 2)."""
     table = np.pad(rng.standard_normal((256, 256)).astype(np.float32), (0, 1), mode="wrap")
     index = np.mod(points / cell, 256).astype(np.float32)
     return np.asarray(cv2.remap(table, index[..., 0], index[..., 1], cv2.INTER_LINEAR), float) * 1.5
 
 
 def _spots(rng: np.random.Generator) -> Array:
-    """Draw spots (n, 3): position along a part (0 to 1), across it (-1 to 1), and size."""
+    """Draw random spots (n, 3), each with a position along a part (0 to 1) and across it (-1 to 1), and a size."""
     return np.column_stack([rng.uniform(0.03, 0.97, 22), rng.uniform(-0.8, 0.6, 22), rng.uniform(0.012, 0.022, 22)])
 
 
@@ -189,7 +189,7 @@ def _draw_animal(
 def _draw_part(
     canvas: Image, ends: Array, part: tuple[str, str, float, float, float], camera: Camera, light: float, spots: Array
 ) -> None:
-    """Draw a body part lit from above, from the dark outline to a bright line near the top, then its spots."""
+    """Draw a body part lit from above, in layers from its dark outline to a bright line near the top, with spots."""
     at_camera = camera.world_to_camera(ends)
     xy, _ = camera.project(at_camera)
     focal = camera.matrix[0, 0]
@@ -251,15 +251,15 @@ def _disc(canvas: Image, centre: Array, radius: float, colour: Array) -> None:
 
 @dataclass(frozen=True)
 class PanningFilm:
-    """A clip of a camera that turns to follow the animal."""
+    """Clip filmed by a camera that turns to follow the animal."""
 
     clip: SyntheticClip
-    """Camera without a pose, its keypoints, and the truth in the world of the camera's track.
+    """Camera without a pose, its keypoints, and the truth in the world frame of the camera's track.
 
-    In that world z is up. The camera is at the origin and looks along y, `tilt_deg` downwards, in the first frame.
+    In this frame z is up. The camera is at the origin and, in the first frame, looks along y and `tilt_deg` downwards.
     """
     rotations: Array
-    """R_camera_world (T, 3, 3)."""
+    """R_camera_world of each frame, shape (T, 3, 3)."""
     tilt_deg: float
     """Angle by which the camera looks down in the first frame, degrees."""
 
@@ -286,7 +286,7 @@ def labelled_frames() -> Integers:
 
 
 def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> None:
-    """Write a film, as rendered.mp4, with its camera, labels and truth, as rendered_*, into an existing folder."""
+    """Write a film (rendered.mp4) with its camera, labels and truth (rendered_*) into an existing folder."""
     with video_writer(folder / "rendered.mp4", SIZE_PX, FPS) as write:
         for picture in pictures:
             write(picture)
@@ -297,7 +297,7 @@ def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> 
 
 
 def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> PanningFilm:
-    """Return the clip as filmed by a camera that turns.
+    """Return a clip as filmed by a camera that turns.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
 
 
 def _project_moving(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
-    """Return the clip with detections made with the camera of each frame."""
+    """Return the clip with detections by the camera of each frame."""
     keypoints = clip.keypoints
     xy_px = np.empty(keypoints.xy_px.shape)
     for t, points_m in enumerate(clip.truth_m):

@@ -234,7 +234,7 @@ class _Run(NamedTuple):
     state: Array
     """States without position and orientation, shape (T, D)."""
     R_world_local: Array
-    """Orientation, shape (T, 3, 3)."""
+    """Orientation of the root, shape (T, 3, 3)."""
     near_m: Array
     """Joints in the world, with the near legs, shape (T, J, 3)."""
     far_m: Array
@@ -281,7 +281,7 @@ def _run(chain: UnknownsChain, t: Array, heading_rad: float, direction: Directio
 
 
 def _place_camera(model: CameraModel, points_m: Array) -> Camera:
-    """Move the camera back from its smallest distance until world points (N, 3) are inside the picture's margin."""
+    """Place a camera as near as possible with all world points (N, 3) at least `MARGIN_PX` inside its picture."""
     width, height = IMAGE_SIZE_PX
     if model == "pinhole":
         bare, distance_m = Camera.from_hfov(60.0, IMAGE_SIZE_PX, name="synthetic pinhole"), 14.0
@@ -302,7 +302,7 @@ def _place_camera(model: CameraModel, points_m: Array) -> Camera:
 
 
 def _look(camera: Camera, centre_m: Array, target_m: Array, roll_rad: float) -> Camera:
-    """Return the camera with a centre in the world (3,), an axis towards a target (3,), and a roll about that axis."""
+    """Return the camera with a centre in the world (3,), looking at a target (3,), with a roll about its axis."""
     forward = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -321,11 +321,11 @@ def add_noise(
     keypoints
         Exact detections.
     sigma_px
-        Standard deviation of the Gaussian noise of each coordinate.
+        Standard deviation of the Gaussian noise of each coordinate, px.
     dropout
-        Fraction of points that go missing, rounded to a whole number of points.
+        Fraction of points that become missing, rounded to a whole number of points.
     outlier
-        Fraction of points, rounded likewise, that land 40 to 300 px away in a random direction, within the picture if
+        Fraction of points, also rounded, that are moved by 40 to 300 px in a random direction, within the picture if
         its size is known.
     seed
         Random seed.
@@ -333,8 +333,8 @@ def add_noise(
     Returns
     -------
     tuple
-        The detections, and which of them are gross outliers (T, K). Likelihoods are 0.9 to 1 for good points, 0.6 to
-        0.98 for outliers, and 0 for missing points.
+        The detections, and a mask (T, K) of the gross outliers. Likelihoods are 0.9 to 1 for good points, 0.6 to 0.98
+        for outliers, and 0 for missing points.
     """
     rng = np.random.default_rng(seed)
     shape = keypoints.confidence.shape
@@ -379,7 +379,7 @@ def whole_gallop(
 ) -> tuple[SyntheticClip, SyntheticClip]:
     """Simulate the skeleton `cheetah-24` in the gallop of `gallop`.
 
-    The poses are closest to the gallop's trunk and legs; the head stays level and the tail swings.
+    The poses match the gallop's trunk and legs as closely as possible; the head stays level and the tail swings.
 
     Parameters
     ----------
@@ -391,7 +391,8 @@ def whole_gallop(
     Returns
     -------
     tuple
-        The clip with the markers as its truth, and the same clip with the points that the detector detects.
+        The clip with the markers as its truth, and the same clip with the points that the detector detects as its
+        truth.
     """
     clip = gallop(fps=fps, n_frames=n_frames)
     body = load_skeleton("cheetah-24")

@@ -1,4 +1,4 @@
-"""Simulate an animal of any skeleton inside a ring of cameras: views for a solver, or the files of a clip."""
+"""Simulate an animal of any skeleton inside a ring of cameras, as views for a solver or as files of a clip."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from recon.testing.cameras import aim_camera, camera_ring
 FPS = 60.0
 """Frame rate of a clip, Hz."""
 FRAMES = 72
-"""Frames of a clip."""
+"""Number of frames of a clip."""
 BIAS = 0.5
 """Standard deviation of the keypoints' bias along each axis, relative to the skeleton's keypoint_sigma_m."""
 SIGMA_PX = 2.0
-"""Standard deviation of detections."""
+"""Standard deviation of the detections' noise along each axis."""
 MISSING = 0.05
 """Fraction of detections that are missing."""
 
@@ -42,7 +42,7 @@ def _expected_points(body: Body) -> Array:
 
 
 def random_motion(body: Body, random: np.random.Generator, frames: int = FRAMES, fps: float = FPS) -> Array:
-    """Draw a motion in which every angle swings about its expected value and the animal follows a bent path.
+    """Draw a motion in which every angle swings about its expected value and the animal follows a curved path.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def random_clip(body: Body, length_sigma: float, cameras: int, seed: int) -> tup
     body
         The skeleton that a fit will assume.
     length_sigma
-        Relative standard deviation of the individual's lengths from the skeleton's; left and right are equal.
+        Relative standard deviation between the individual's lengths and the skeleton's; left and right are equal.
     cameras
         Number of cameras, five body lengths away.
     seed
@@ -124,18 +124,18 @@ def write_rig_clip(
     skeleton
         Name of the skeleton.
     states
-        Motion (T, D) of the skeleton.
+        States of the skeleton, shape (T, D).
     fps
         Frame rate, Hz.
     centres_m
-        Centres (V, 3) of the cameras, which look at (0, 0, target_height_m).
+        Centres of the cameras, which look at (0, 0, target_height_m), shape (V, 3).
     size
         Size of the animal, relative to the skeleton.
     target_height_m
         Height of the point that the cameras look at.
     sigma_px
-        Standard deviation of the detections. One detection in twenty has a low likelihood, and keypoints have a bias
-        (`BIAS`).
+        Standard deviation of the detections' noise, px. One detection in twenty has a low likelihood, and keypoints
+        have a bias (`BIAS`).
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Simulate a gallop and a trot whose vertical forces carry the animal: masses, poses and forces are known exactly.
+"""Simulate a gallop and a trot in which poses, masses and vertical forces are consistent and known exactly.
 
-Each foot stands for a fraction of the stride with a force of a given shape. The centre of mass moves up and down by
-these forces and gravity, and forwards at a constant speed. The paws stand still on level ground, and swing in between.
-The trunk is placed such that the centre of mass of the skeleton's segments is at the right point.
+Each foot stands for a fraction of the stride, with a force of a given shape. These forces and gravity move the centre
+of mass up and down; it moves forwards at a constant speed. The paws stand still on level ground, and swing in between.
+The trunk is placed so that the centre of mass of the skeleton's segments is where the forces put it.
 """
 
 from __future__ import annotations
@@ -35,17 +35,19 @@ LIFT_M = 0.1
 
 @dataclass(frozen=True)
 class SteadyGait:
-    """A steady gait on level ground."""
+    """Steady gait on level ground, with its forces."""
 
     speed_m_s: float
     stride_s: float
     duty_factor: float
     landings: Mapping[str, float]
-    """Phase of the touch-down of each foot (LH, RH, LF, RF), as a fraction of the stride."""
+    """Touch-down of each foot (LH, RH, LF, RF), as a fraction of the stride."""
     fore: float
     """Fraction of the impulse from the fore feet."""
     skew: float
-    """Exponent of time in the force of a stance: 1 gives half a sine, lower values rise faster than they fall."""
+    """Exponent of time in the force of a stance. At 1 the force is a half-sine; at lower values it rises faster than it
+    falls.
+    """
     lift_off_speed: float = 0.22
     """Speed of a paw at lift-off as a fraction of its speed in the middle of the swing."""
     touch_down_speed: float = 0.12
@@ -60,9 +62,9 @@ class SteadyGait:
         return np.where(progress < 1, peak * np.sin(np.pi * np.minimum(progress, 1.0) ** self.skew), 0.0)
 
     def height_m(self, time_s: Array, rate: int = 0) -> Array:
-        """Return the height of the centre of mass above its mean at times (T,), or its velocity with rate=1.
+        """Return the height, m, of the centre of mass above its mean at times (T,), or its velocity, m/s, for rate=1.
 
-        The height comes from integrating the forces twice over a stride.
+        The height is the force integrated twice over a stride.
         """
         grid_s = np.arange(FINE) / FINE * self.stride_s
         upward_m_s2 = G_M_S2 * (np.sum([self.force_bw(foot, grid_s) for foot in self.landings], axis=0) - 1)
@@ -73,11 +75,12 @@ class SteadyGait:
         return CubicSpline(np.append(grid_s, self.stride_s), closed, bc_type="periodic")(time_s % self.stride_s, rate)
 
     def paw_m(self, foot: str, time_s: Array) -> Array:
-        """Return a paw's marker (T, 2): position along the path, up to a constant, and height, metres."""
+        """Return a paw's marker (T, 2), m, as its position along the path (up to a constant) and its height."""
         strides = time_s / self.stride_s - self.landings[foot]
         swing = np.maximum(strides % 1.0 - self.duty_factor, 0.0) / (1 - self.duty_factor)
         middle = (self.lift_off_speed + self.touch_down_speed) / 2
-        # Integral of a speed that begins as at lift-off, ends as at touch-down, and is 1 in the middle.
+        # The integral of a speed that begins and ends with the speeds of lift-off and touch-down, and is 1 in the
+        # middle.
         progress = self.lift_off_speed * swing + (self.touch_down_speed - self.lift_off_speed) * swing**2 / 2
         progress = progress + (1 - middle) / np.pi * (1 - np.cos(np.pi * swing))
         progress = progress / (middle + 2 * (1 - middle) / np.pi)
@@ -88,7 +91,7 @@ class SteadyGait:
     def states(self, body: Body, time_s: Array) -> Array:
         """Return states (T, D) of a `cheetah-24` that runs along x with a straight back.
 
-        The trunk, and the legs with it, is moved until the centre of mass is exactly at its point.
+        The trunk is moved together with the legs until the centre of mass is exactly where it has to be.
         """
         segments = {segment.name: segment for segment in body.tree.segments}
         column = {name: i for i, name in enumerate(body.state_names)}
@@ -122,7 +125,7 @@ TROT = SteadyGait(3.0, 0.45, 0.42, {"LH": 0.0, "RF": 0.0, "RH": 0.5, "LF": 0.5},
 
 
 def centre_m(body: Body, states: Array) -> Array:
-    """Return the centre of mass (T, 3) from the segments' masses, each in the middle of its capsule."""
+    """Return the centre of mass (T, 3), m, of the segments' masses, each in the middle of its capsules."""
     share = np.array([body.mass[segment.name][0] for segment in body.tree.segments])
     middles = middles_m(body.tree, capsules(body.tree, body.markers))
     positions_m = body.tree.origins(states) + np.einsum("tsij,sj->tsi", body.tree.orientations(states), middles)
@@ -130,12 +133,12 @@ def centre_m(body: Body, states: Array) -> Array:
 
 
 def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
-    """Replace the states of a motion.
+    """Replace the states of a motion by exactly known ones.
 
     Parameters
     ----------
     motion
-        A motion of T frames, whose body and cameras are kept.
+        Motion of T frames, whose body and cameras are kept.
     states
         The new states (T, D), with a stated uncertainty of a tenth of a millimetre.
     fps
@@ -144,7 +147,7 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
     Returns
     -------
     Motion
-        The motion without findings and verdict.
+        The motion with the new states, without findings and verdict.
     """
     solution = motion.solution
     joints_m = solution.body.tree.pose(states).points_m
@@ -171,7 +174,9 @@ class ForceErrors:
     centre_m: float
     """Largest error of the centre of mass in a frame, metres."""
     kinetic_j_kg: float
-    """Largest error of the centre of mass's kinetic energy, forwards or up, without two frames at either end, J/kg."""
+    """Largest error of the kinetic energy of the centre of mass, forwards or up, except in two frames at either end,
+    J/kg.
+    """
     rms_bw: float
     """RMS error of single feet's forces in stances that are complete in the clip, body weights."""
     timed_rms_bw: float

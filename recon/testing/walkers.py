@@ -1,4 +1,4 @@
-"""Simulate a walking person and a running mouse: states of `human-25` and `mouse-top`."""
+"""Simulate a walking person and a running mouse as states of `human-25` and `mouse-top`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array
 
 STANCE_SHARE = 0.62
-"""Fraction of the stride in which a foot stands."""
+"""Fraction of the stride for which a foot stands."""
 ROOT_HEIGHT_M, ANKLE_HEIGHT_M = 0.8, 0.055
 
 
@@ -48,7 +48,7 @@ def walking_person(frames: int, fps: float, speed_m_s: float = 1.0, strides_hz: 
 
 
 def running_mouse(frames: int, fps: float) -> Array:
-    """Return states (T, D) of a `mouse-top` on a bent path through an open field, its back 25 mm above the ground."""
+    """Return states (T, D) of a `mouse-top` on a curved path through an open field, with its back at 25 mm."""
     body = load_skeleton("mouse-top")
     time_s, rng = np.arange(frames) / fps, np.random.default_rng(3)
     states = np.zeros((frames, body.n_state))
