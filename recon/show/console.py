@@ -15,13 +15,13 @@ STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Style of each level of a verdict."""
 TO_DO = {
     "check": (
-        "Look at the poses on the video (recon overlay) before use: the reason and the warnings say what may be wrong."
+        "Look at the poses on the video (recon overlay) before use. Reason and warnings state what may be wrong."
     ),
-    "do not use": "Do not use these numbers: correct the cause that the reason names, and fit again.",
+    "do not use": "Do not use these numbers. Correct the problem that the reason names, and fit again.",
 }
-"""Advice for each level of a verdict; "use" needs none."""
+"""Advice for each level of a verdict except "use", which needs none."""
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
-"""Lines of the summary that follow the verdict. The page has all lines."""
+"""Labels of the report's lines that the summary shows after the verdict. The page shows all lines."""
 NOTES = 2
 """Largest number of notes in a summary. The page has all notes."""
 
@@ -33,7 +33,7 @@ def finding_text(severity: str, text: str) -> Text:
 
 
 def console_summary(report: Mapping[str, Any]) -> Table:
-    """Return the summary for rich to print: verdict, expected error, advice, findings, then the lines of `FRONT`."""
+    """Return the summary for rich to print, with verdict, expected error, advice, findings and the lines of `FRONT`."""
     table = Table.grid(padding=(0, 2))
     table.add_column(no_wrap=True)
     table.add_column()
@@ -52,14 +52,14 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         for text in _largest_notes(report["findings"], verdict["reason"]):
             table.add_row(Text("note", style="bold"), text)
     for label, text in report["lines"][verdict_count:]:
-        are_all_used = label == "keypoints" and text.endswith(" used")  # nothing to point out
+        are_all_used = label == "keypoints" and text.endswith(" used")  # not worth a line
         if label in FRONT and not are_all_used:
             table.add_row(Text(label, style="bold"), text)
     return table
 
 
 def _largest_notes(findings: Sequence[Mapping[str, Any]], reason: str) -> list[str]:
-    """Return the first sentences of at most `NOTES` notes that the reason does not contain, the largest effect first.
+    """Return the first sentences of the `NOTES` notes with the largest effects that the reason does not contain.
 
     Notes with an unknown effect come last.
     """

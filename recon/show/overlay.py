@@ -1,10 +1,10 @@
-"""Draw a reconstruction on a frame of its video, and the pose from three sides below the picture, with OpenCV.
+"""Draw a reconstruction on a frame of its video, and the pose from three directions below the picture.
 
-On the picture, limbs have the colour of their side; they are light and thick if they are nearer to the camera than the
-animal's middle, dark and thin if they are farther away. Rings are detections within the expected error. Red crosses are
-detections further off, with a line to the reprojection. Below the picture, so that it stays visible, are the pose from
-its side, from above and from ahead, at one scale and turned with the animal, and the key to the colours. An animal that
-is small in the picture is shown enlarged, in the corner that its path avoids most.
+On the picture, limbs have the colour of their side. They are light and thick if they are nearer to the camera than the
+animal's middle, and dark and thin if they are farther away. Rings are detections within the expected error. Red crosses
+are detections with larger errors, with a line to the reprojection. A strip below the picture shows the pose from the
+side, from above and from ahead, at one scale and in the animal's own direction, and the key to the colours. An animal
+that is small in the picture is also shown enlarged, in the corner that its path avoids most.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from recon.io.video import Image, probe, timed_frames
 Colour = tuple[int, int, int]
 """Blue, green, red."""
 
-# Okabe and Ito's palette, which colour-blind readers can distinguish; the same as in the playback.
+# Okabe and Ito's palette, which colour-blind readers can distinguish, as in the playback.
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": (233, 180, 86), "right": (0, 159, 230), None: (115, 158, 0)}
 PAPER, INK, FAINT, SHADOW = (27, 21, 18), (235, 235, 235), (110, 104, 98), (0, 0, 0)
 DETECTION, OUTLIER, FLAGGED = (255, 255, 255), (40, 60, 235), (60, 200, 255)
@@ -37,21 +37,21 @@ SHIFT = 4
 STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
-"""Fractions of the width. The key has the rest."""
+"""Fraction of the strip's width for each view; the key takes the rest."""
 TILE_PX = (480, 300)
-"""Width and height of a still."""
+"""Width and height of a still picture."""
 TILE_UNIT = 0.55
-"""Scale of the drawing on a still."""
+"""Scale of lines and marks on a still picture."""
 DARKENED = 0.35
 """Fraction of the picture's brightness that remains behind a text."""
 _FILLED = 0.8
 """Fraction of a tile that the largest animal fills."""
 CLOSE_UP = 0.36
-"""Fraction of the picture's sides that the close-up takes."""
+"""Size of the close-up as a fraction of the picture's width and height."""
 WORTH = 1.6
-"""Smallest enlargement for which the close-up is shown."""
+"""Smallest enlargement at which the close-up is shown."""
 HEADING_S = 0.25
-"""Time over which the views average the trunk's direction, to avoid shaking."""
+"""Time over which the trunk's direction is averaged, so that the views do not shake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +66,17 @@ class Overlay:
     colours: Sequence[Colour]
     """Colour of each limb."""
     detected_px: Array
-    """Detections (T, J, 2), NaN if missing."""
+    """Detections, shape (T, J, 2), NaN if missing."""
     reprojected_px: Array
-    """Reprojections (T, J, 2), NaN if missing."""
+    """Reprojections, shape (T, J, 2), NaN if missing."""
     outliers: Bools
-    """Detections further from the pose than the expected error, shape (T, J)."""
+    """Mask of the detections farther from the pose than the expected error, shape (T, J)."""
     depth_m: Array
-    """Depths of the joints, from any origin, shape (T, J)."""
+    """Depths of the joints relative to an arbitrary origin, shape (T, J)."""
     upright_m: Array
-    """Joints with z up, shape (T, J, 3)."""
+    """Positions of the joints with z up, shape (T, J, 3)."""
     trunk: tuple[int, int]
-    """Two joints, from rear to front."""
+    """Indices of the joints at the rear and the front end of the trunk."""
     flags: Sequence[Sequence[str]]
     """Flags of each frame."""
     speed: float = 1.0
@@ -84,7 +84,7 @@ class Overlay:
 
     @cached_property
     def nearness(self) -> Array:
-        """Return how near the joints are (T, J), on one scale for the clip: 1 near, -1 far, 0 at the middle."""
+        """Return the nearness (T, J) of the joints to the camera, from -1 (far) to 1 (near) over the clip."""
         relative = self.depth_m - mean_along(self.depth_m, axis=1)[:, None]
         known_m = np.abs(finite(relative))
         reach = float(np.percentile(known_m, 95)) if len(known_m) else 1.0
@@ -92,7 +92,7 @@ class Overlay:
 
     @cached_property
     def views(self) -> dict[str, Array]:
-        """Return the joints (T, J, 3) of each view: metres to the right, upwards and towards the viewer.
+        """Return the joints (T, J, 3) in each view, metres to the right, upwards and towards the viewer.
 
         Heights are above the lowest joints.
         """
@@ -119,17 +119,17 @@ class Overlay:
 
     @cached_property
     def extent_px(self) -> float:
-        """Return the animal's length in the picture: the median diagonal of the box around its joints."""
+        """Return the animal's length in the picture, px, the median diagonal of the box around its joints."""
         return float(np.median(np.linalg.norm(self._sides_px, axis=1)))
 
     @cached_property
     def joints_px(self) -> Array:
-        """Return all known joints of the clip, shape (N, 2)."""
+        """Return all known joints of the clip in the picture, px, shape (N, 2)."""
         return self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=2)]
 
     @cached_property
     def box_px(self) -> Array:
-        """Return the sides (2,) of the largest box around the joints of a frame, without stray poses."""
+        """Return the sides (2,), px, of the largest box around the joints of a frame, without stray poses."""
         return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property
@@ -150,9 +150,9 @@ class Overlay:
 
 
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
-    """Return level unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
+    """Return horizontal unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
 
-    A frame without a direction has that of the last frame with one. If no frame has one, all are along x.
+    A frame without a direction gets the direction of the last frame that has one, or the x axis if no frame has one.
     """
     import pandas as pd  # slow to import
 
@@ -163,15 +163,15 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 
 
 def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
-    """Yield the pictures of a clip's frames: number, row among the frames, time stamp in seconds, and picture.
+    """Yield frame number, row among the frames, time stamp (s) and picture for each frame of a clip.
 
     The row is None for a frame that is not in the clip. The last item is the frame after the clip, if the video has
     one.
 
     Parameters
     ----------
-    frames : (T,)
-        Frame numbers of the clip.
+    frames : ndarray
+        Frame numbers of the clip, shape (T,).
     video : path
         The video.
     first_frame : int
@@ -183,7 +183,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
         If the video ends before the clip.
     """
     rows = {int(frame): t for t, frame in enumerate(frames)}
-    # a camera that started later lacks the first frames
+    # The video of a camera that started later lacks the first frames.
     first, last, frames_read = max(min(rows), first_frame), max(rows), 0
     for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
         frames_read += 1
@@ -199,16 +199,16 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
-    """Return (width, height) of the result of `draw_frame` for a picture size; even numbers, as codecs need them."""
+    """Return the even width and height, as codecs require, of the result of `draw_frame` for a picture size."""
     width, height = size_px
     strip = round(STRIP_SHARE * width * 9 / 16)
     return width + width % 2, height + strip + (height + strip) % 2
 
 
 def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> Image:
-    """Return the picture (height, width, 3) of a frame with all marks, and the strip below.
+    """Return the picture (height, width, 3) of a frame with all marks and the strip below.
 
-    t: row of the frame; None for a frame without a reconstruction.
+    `t` is the row of the frame, None for a frame without a reconstruction.
     """
     height, width = picture.shape[:2]
     canvas_w, canvas_h = canvas_size((width, height))
@@ -217,7 +217,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
     unit = max(width, height) / 1920  # sizes are for a width of 1920 px
     if t is not None:
         image = canvas[:height, :width]
-        # small enough not to hide a small animal
+        # marks are smaller for a small animal, which they would hide
         marks = min(unit, max(0.4 * unit, overlay.extent_px / 700))
         _draw_pose(image, overlay, t, marks)
         _draw_close_up(image, overlay, t, picture, unit)
@@ -227,9 +227,9 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 
 
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
-    """Return the given frames, each cut out around the animal, at one scale.
+    """Return pictures of the given frames, each cropped around the animal, at one scale.
 
-    pictures: picture of each frame, in the pixels of the overlay; without pictures the background is plain.
+    `pictures` are the video's pictures of these frames; without pictures, the background is plain.
     """
     boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
     largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
@@ -247,7 +247,7 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """A part of the picture: its corner (2,) in pixels, and its enlargement."""
+    """Part of the picture, given by its corner (2,) in pixels and its enlargement."""
 
     corner_px: Array
     scale: float
@@ -267,7 +267,7 @@ WHOLE = _Cut(np.zeros(2), 1.0)
 
 
 def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit: float) -> None:
-    """Draw the close-up into the corner with the fewest of the clip's joints, but not into the caption's corner.
+    """Draw the close-up into the corner with the fewest of the clip's joints, except the caption's corner.
 
     There is no close-up if it would not enlarge the animal enough.
     """
@@ -292,7 +292,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
 
 
 def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
-    """Draw the skeleton, and the detections on top of it."""
+    """Draw the skeleton with the detections on top."""
     xy, nearness_of_joint = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (nearness_of_joint[a] + nearness_of_joint[b]), a, b, colour)
@@ -329,7 +329,7 @@ def shade(colour: Colour, nearness: float) -> Colour:
 def _draw_caption(
     canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
 ) -> None:
-    """Draw frame number and time, and for a flagged frame its flags and a border around the picture."""
+    """Draw frame number and time and, for a flagged frame, its flags and a border around the picture."""
     speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
     draw_text(canvas, f"frame {frame}   {quantity(frame / overlay.fps, 3, 's')}{speed_text}", (x, y), scale, INK)
@@ -414,23 +414,20 @@ def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: fl
         draw_line(canvas, centre - arm, centre + arm, OUTLIER, max(1, round(2.5 * unit)))
 
 
-# ---- strokes ----
-
-
 def draw_line(image: Image, start: Array, end: Array, colour: Colour, thickness: int) -> None:
-    """Draw an anti-aliased line between points (2,), px."""
+    """Draw an anti-aliased line between two points (2,), px."""
     ends = np.rint(np.clip([start, end], -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.line(image, tuple(ends[0]), tuple(ends[1]), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
 def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thickness: int) -> None:
-    """Draw an anti-aliased circle, px."""
+    """Draw an anti-aliased circle about a point (2,), px."""
     x, y = np.rint(np.clip(centre, -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.circle(image, (x, y), round(radius * 2**SHIFT), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
 def draw_text(image: Image, text: str, position: tuple[int, int], scale: float, colour: Colour) -> None:
-    """Draw text on a darkened background, to be legible on any picture."""
+    """Draw text on a darkened background, so that it is legible on any picture."""
     scale = max(scale, 0.35)
     thickness, pad = max(1, round(2 * scale)), round(8 * scale)
     (text_width, text_height), below = cv2.getTextSize(text, FONT, scale, thickness)

@@ -18,7 +18,7 @@ from recon.base.file_names import encodable, to_encodable
 def write_report(report: Mapping[str, Any], path: Path) -> None:
     """Write report.json, indented, with each list of numbers on one line."""
     text = json.dumps(to_encodable(report), indent=1, allow_nan=False, ensure_ascii=False)
-    # JSON strings contain no line breaks, so this changes only the white space between values.
+    # JSON strings contain no line breaks, so only white space between values changes.
     text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
     path.write_text(text + "\n", encoding="utf-8")
 
@@ -29,12 +29,12 @@ def to_json(value: object) -> str:
 
 
 def file_name(path: str | None) -> str | None:
-    """Return a file name without folders, which readers of a report do not need."""
+    """Return the file name of a path without its folders, or None."""
     return None if path is None else encodable(Path(path).name)
 
 
 def picked(source: object, *names: str) -> dict[str, Any]:
-    """Return attributes of an object by name."""
+    """Return the named attributes of an object, by name."""
     return {name: getattr(source, name) for name in names}
 
 
@@ -44,7 +44,7 @@ def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
 
 
 def spread(values: Array) -> dict[str, float]:
-    """Return mean, minimum and maximum of the known values."""
+    """Return the mean, minimum and maximum of the known values, by name."""
     known_values = finite(values)
     low, high = (float(known_values.min()), float(known_values.max())) if len(known_values) else (np.nan, np.nan)
     return {"mean": mean(values), "min": low, "max": high}

@@ -1,4 +1,4 @@
-"""Make the page of an audit: each finding with its frames, and the list of checks."""
+"""Make the page of an audit, with each finding and its frames, and the list of checks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from recon.show.page.pages import rendered
 def audit_page(
     source: Path, content: str, points: AuditedPoints, findings: Sequence[Finding], notes: Sequence[str]
 ) -> str:
-    """Return the page (HTML) of the findings on points of a file."""
+    """Return the HTML page of the findings on a file of points."""
     first, last = (int(points.frames[0]), int(points.frames[-1])) if len(points.frames) else (0, 0)
     values: dict[str, float] = {}
     for measure in measures_of(points):
@@ -44,7 +44,7 @@ NEEDS_NOTHING = (
     *("points_identical", "detections_frozen", "detections_repeated", "point_frozen", "points_interpolated"),
     "frames_dropped",
 )
-"""Checks that apply to all points, and that have no measure if nothing is suspicious."""
+"""Checks of all points that have no measure if nothing is suspicious."""
 
 
 def _row(item: Finding, first: int, last: int) -> Mapping[str, object]:

@@ -39,7 +39,7 @@ def compare_page(
     effects: pd.DataFrame | None = None,
     variances: pd.DataFrame | None = None,
 ) -> str:
-    """Return the HTML of a comparison.
+    """Return the HTML page of a comparison.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ def compare_page(
     measures
         Titles with units, by column.
     pages
-        Addresses of clips' pages, by clip.
+        Addresses of the clips' pages, by clip.
     errors_px
-        Medians of the keypoint errors, by clip.
+        Median keypoint errors, px, by clip.
     notes
         Sentences on clips that were left out.
     group_by
@@ -90,10 +90,10 @@ def compare_page(
 
 
 def value_with_interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
-    """Return a value of a clip or a group and the ends of its 90 % interval, NaN if unknown.
+    """Return a value of a clip or a group and the ends of its 90 % interval; NaN if unknown.
 
-    The ends are those of the columns `_low` and `_high`, or follow from `_sigma` as in every analysis. No measure is
-    negative.
+    The ends come from the columns `_low` and `_high`, or from `_sigma` as in every analysis. No measure is negative, so
+    no end is below 0.
     """
     value, sigma = float(row[name]), float(row[f"{name}_sigma"])
     low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
@@ -104,7 +104,7 @@ def value_with_interval(row: Mapping[Any, Any], name: str) -> tuple[float, float
 
 
 def _text(value: float, low: float, high: float) -> list[str]:
-    """Return a value and its interval as texts; none for an unknown value."""
+    """Return a value and its interval as texts; an empty list for an unknown value."""
     if not math.isfinite(value):
         return []
     number, _, ends = interval(value, low, high).partition(" (")
@@ -138,7 +138,7 @@ def _clip_row(
 
 
 def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[str, str]) -> dict[str, Any]:
-    """Return a group's numbers: mean, interval, median of the clips and number of clips for each measure."""
+    """Return a group's mean, interval, median over the clips and number of clips for each measure."""
     group_clips = clips[clips["group"] == row["group"]]
     values = {}
     for name in measures:
@@ -151,7 +151,7 @@ def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[st
 
 
 def _effect_row(row: Mapping[Any, Any], measures: Mapping[str, str]) -> dict[str, Any]:
-    """Return an effect of a mixed model with its interval, and the numbers that it rests on."""
+    """Return an effect of a mixed model with its interval and the numbers of animals, runs, clips and strides."""
     value, low, high = (float(row[name]) for name in ("value", "low", "high"))
     counts = [int(row[name]) for name in ("animals", "runs", "clips", "strides")]
     is_difference = not str(row["effect"]).startswith("mean of ")
@@ -225,7 +225,7 @@ def _plot(
 
 @dataclass(frozen=True)
 class _Scale:
-    """The vertical axis of a plot: the values at its lower and upper end."""
+    """Vertical axis of a plot, given by the values at its lower and upper end."""
 
     low: float
     high: float
@@ -251,7 +251,7 @@ def _dot(row: Mapping[Any, Any], name: str, x: float, scale: _Scale, pages: Mapp
 
 
 def _mean_of_group(row: Mapping[Any, Any], name: str, scale: _Scale, clips: int) -> dict[str, Any]:
-    """Return the mean of a group and its band, which a single clip does not have."""
+    """Return the mean of a group and its band, without a band for a single clip."""
     mean, low, high = value_with_interval(row, name)
     return {
         "mean": scale.height(mean) if math.isfinite(mean) and clips > 1 else None,

@@ -1,8 +1,8 @@
-"""Define the file names of pages, and the mark by which recon recognises its own pages."""
+"""Define the file names of pages, and the HTML element by which recon recognises its own pages."""
 
 from __future__ import annotations
 
 PAGE, SUMMARY_PAGE, COMPARE_PAGE = "report.html", "summary.html", "compare.html"
 """File names of the page of a result, of a batch, and of a comparison, in their folders."""
 GENERATED = '<meta name="generator" content="recon">'
-"""Element in the head of pages made by recon."""
+"""HTML element in the head of every page made by recon."""

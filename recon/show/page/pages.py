@@ -1,6 +1,7 @@
-"""Fill in the pages of one result and of a batch.
+"""Make the pages of a result and of a batch.
 
-The page of a batch is a table of its clips, those to check first at the top. All pictures are inside the page's file.
+The page of a batch is a table of its clips, with the clips to check first at the top. All pictures are embedded in the
+page's file.
 """
 
 from __future__ import annotations
@@ -46,11 +47,11 @@ if TYPE_CHECKING:
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
 UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Control characters and marks of text direction, which can occur in file names."""
+"""Control characters and marks of text direction, which may occur in file names."""
 
 
 def rendered(template: str, **content: Any) -> str:
-    """Return a page. All text is escaped except figures, which the template marks as safe."""
+    """Return a page made from a template, which escapes all text but figures."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
@@ -64,19 +65,19 @@ def rendered(template: str, **content: Any) -> str:
 
 
 def _without_unseen(value: object) -> object:
-    """Return text with visible codes instead of characters that reverse text or control a terminal."""
+    """Return text with control characters and marks of text direction replaced by visible codes."""
     if not isinstance(value, str) or not UNSEEN.search(value):
         return value
     return type(value)(UNSEEN.sub(lambda mark: printable(mark[0]), value))
 
 
 def inline(figure: Figure, largest: int) -> str:
-    """Return a figure for a page: <svg>, or a PNG if that would have more than `largest` characters."""
+    """Return a figure for a page as <svg>, or as PNG if the <svg> would have more than `largest` characters."""
     from recon.show.plots.style import png_of, svg_of  # matplotlib is slow to import
 
     svg = svg_of(figure)
     if len(svg) <= largest:
-        return svg  # matplotlib has already escaped the figure's texts
+        return svg  # no escaping, because matplotlib has escaped the figure's texts
     return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI, transparent=True))}">'
 
 
@@ -90,16 +91,17 @@ def _data(kind: str, content: bytes) -> str:
 
 
 SECTION_CHARACTERS = 600_000
-"""Largest size of a section's vector graphics, so that three sections and the stills together stay below 3 MB."""
+"""Largest number of characters of a section's vector graphics, so that three sections and the stills stay below 3 MB.
+"""
 SHOWN = 100
-"""Number of rows shown in the table of flagged frames."""
+"""Largest number of rows in the table of flagged frames."""
 SPEED_MM = 100.0
 LENGTHS = 2.5
-"""Number of body lengths that an animal runs in one figure."""
+"""Number of body lengths that an animal runs in one figure of poses."""
 POSES = 5
 """Number of poses in a figure."""
 STRETCHES = 3
-"""Largest number of figures."""
+"""Largest number of figures of poses."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ def clip_page(
     motion : Motion
         The result.
     stills
-        Pictures of frames, each with a text for readers who do not see it; for paper and for browsers without scripts.
+        Pictures of frames, each with an alternative text; they are shown on paper and in browsers without scripts.
     video
         Name of the video behind the stills; None for a plain background.
     files
@@ -184,12 +186,12 @@ def clip_page(
 
 
 def _base(path: str | None) -> str:
-    """Return the file name at the end of a path from any system."""
+    """Return the file name at the end of a path of any operating system."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _plain(value: object) -> str:
-    """Return a setting with the names of files but not of folders, which readers of the page do not need."""
+    """Return a setting as text, with paths reduced to file names."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
@@ -202,7 +204,7 @@ def _subtitle(motion: Motion) -> str:
 
 
 def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
-    """Yield the result in a few sentences."""
+    """Yield sentences that state the result."""
     yield f"Frames: {dict(report['lines'])['frames']}."
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
@@ -211,16 +213,16 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield runs of frames with the same flags: first row, frame numbers, and the flags as text."""
+    """Yield the first row, the frame numbers and the flags as text of each run of frames with the same flags."""
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
 
 
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
-    """Return figures with a heading and a text.
+    """Return a section of the page with a heading, a text and figures.
 
-    width: "wide" figures scroll on a phone, "narrow" figures do not.
+    `width` is "wide" for figures that scroll on a phone, and "narrow" for figures that do not.
     """
     drawn = [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
     return {"heading": heading, "text": text, "figures": drawn, "width": width}
@@ -234,7 +236,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     motion, reference_motion, gait = analysis.motion, analysis.reference_motion, analysis.gait
     ground = None if gait is None else gait.tracks.grounds
     options = {"ground": ground, "sides": motion.limb_sides}
-    slope = " The grey line is the ground under the feet. A slope is real, or an error of the camera's tilt."
+    slope = "  The grey line is the ground under the feet. Its slope is real or an error of the camera's tilt."
     yield _group(
         "From the side, from above and from ahead",
         f"Poses evenly spaced in time; the animal runs to the right.{slope if ground else ''}",
@@ -249,11 +251,11 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     speed_options = {"width_mm": SPEED_MM, "unknown": analysis.why_no_speed is not None, "acceleration": not reason}
     yield _group("Speed", text, [speeds({name: reference_motion}, **speed_options)], "narrow")
     if gait is not None:
-        text = "Time on the ground of each foot, from its speed over the ground and its height."
+        text = "Times at which each foot stands, determined from its speed over the ground and its height."
         yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps)])
         if analysis.flexion_curves:
             text = (
-                "Mean flexion over the strides, from touch-down (0 %) to touch-down: 0° is straight. Left: blue and "
+                "Mean flexion over the strides, from touch-down (0 %) to touch-down; 0° is straight. Left: blue and  "
                 "dashed; right: orange; middle: black. Bars: stance (for "
                 "spine and neck: of the foot with the most strides)."
             )
@@ -261,14 +263,14 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         dynamics = None if motion.jitters else analysis.dynamics
         if dynamics is not None and dynamics.stance_forces:
             text = (
-                "Force of each foot in body weights, from its stances and the impulse of a stride on level ground, "
-                f"from masses of this source: {motion.body.mass_source}. Validated on galloping cheetahs."
+                "Force of each foot in body weights, estimated from its stances and the impulse of a stride on level "
+                f"ground. Source of the segments' masses: {motion.body.mass_source}. Validated on galloping cheetahs."
             )
             yield _group("Vertical forces", text, [forces(dynamics, gait)])
 
 
 def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
-    """Yield some of the poses (T, J, 3) for each part of the clip; the other poses are NaN."""
+    """Yield the poses (T, J, 3) to draw in each figure, evenly spaced; the other poses are NaN."""
     joints_m = motion.upright.xyz_m
     pose_rows = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     length_m = float(np.median(np.ptp(joints_m[pose_rows], axis=1), axis=0).max())
@@ -281,7 +283,7 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
 
 
 FIRST = ("failed", "unsolved", "pending")
-"""Statuses that are listed before all others."""
+"""Statuses of clips that are listed first."""
 NUMBERS = {
     "pose_mm": ("pose error, mm (90 %)", ".0f"),
     "position_m": ("position error, m (90 %)", ".2f"),
@@ -293,22 +295,23 @@ NUMBERS = {
     "peak_speed_m_s": ("peak m/s", ".1f"),
     "size": ("size", ".2f"),
 }
-"""Columns of summary.csv in the table, with headings and formats. `median_px` is computed from the results, since a
-single distant keypoint makes the mean large.
+"""Columns of summary.csv that the table shows, with headings and formats.
+
+`median_px` is computed from the results, since a single distant keypoint makes the mean in summary.csv large.
 """
 DOTS = {"pose_mm": "pose error (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
-"""Columns whose distribution over the clips is drawn."""
+"""Columns whose distributions over the clips are drawn, with titles."""
 DOTS_PX = (300.0, 44.0)
 """Size of a distribution plot, px."""
 FAR_MEAN = 5.0
 """Ratio of the mean to the median keypoint error above which the page explains the difference."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
-"""Folders before a file name in an error text, which readers of the page do not need."""
+"""Pattern of the folders before a file name in an error text, which the page leaves out."""
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
-    """Return the HTML page of the batch in a folder with these rows of summary.csv."""
+    """Return the HTML page of the batch in a folder from the rows of summary.csv."""
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
     counter = Counter(row["verdict"] or row["status"] for row in rows)
     counts = {name: counter[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counter)) if counter[name]}
@@ -333,11 +336,11 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     """Return the content of one row of the table.
 
-    The content is: the cells of the clip's row of summary.csv; the reason of its verdict, if there is one; its numbers
-    with their 90 % intervals, and the mean keypoint error if it is far above the median; the address of its page,
-    relative to the summary, with forward slashes; the number of its flagged frames (None without a result) and their
-    fraction; its thumbnail; its state, which is the verdict or the reason why there is none; and its rank, which puts
-    the clips to look at first.
+    `cells` are those of the clip's row of summary.csv, `reason` is that of the verdict, if there is one. `numbers` have
+    90 % intervals, and include the mean keypoint error if it is far above the median. `page` is the address of the
+    clip's page relative to the summary, with forward slashes. `flagged` is the number of flagged frames (None without a
+    result), `share` their fraction. `state` is the verdict, or the reason why there is none. `rank` puts the clips to
+    look at first.
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
@@ -345,7 +348,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         flagged, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
         error_px = median_error_px(motion)
         cells = {**cells, "median_px": f"{error_px:.4g}" if math.isfinite(error_px) else ""}
-    except (OSError, InputError):  # the fit failed, or its files were damaged later
+    except (OSError, InputError):  # the fit failed, or its files are damaged
         flagged, thumbnail = None, []
         cells = {**cells, "median_px": ""}
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
@@ -371,13 +374,13 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
 
 
 def median_error_px(motion: Motion) -> float:
-    """Return the median distance of the detections from the pose, px, in all cameras; NaN without any."""
+    """Return the median distance of the detections of all cameras from the pose, px; NaN without any."""
     errors_px = np.concatenate([finite(picture.distance_px) for picture in motion.pictures])
     return float(np.median(errors_px)) if len(errors_px) else math.nan
 
 
 def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str, Any] | None:
-    """Return the distribution of a quantity over the clips, one dot per clip, or None for fewer than two clips."""
+    """Return a plot of a quantity with a dot for each clip, or None for fewer than two clips."""
     values = {clip["cells"]["clip"]: float(value) for clip in clips if (value := clip["cells"].get(name))}
     if len(values) < 2:
         return None
@@ -399,7 +402,7 @@ def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str
 
 
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
-    """Return the lines of a pose in the first camera, each with its side, in a box of `THUMBNAIL_PX`.
+    """Return the lines of a pose as the first camera sees it, each with its side, in a box of `THUMBNAIL_PX`.
 
     The pose is the one nearest to the middle of the clip.
     """

@@ -1,8 +1,8 @@
-"""Choose and encode the pictures of a video for a page: all frames of a short clip, some frames of a long one.
+"""Choose and encode the pictures of a video for a page, all frames of a short clip or some of a long one.
 
-The pictures are WebP files instead of a video: every browser shows them, each frame is found exactly, and OpenCV
-encodes them quickly. OpenCV's wheels have no H.264 encoder, and their VP8 and VP9 encoders take ten times as long for
-files of twice the size.
+The pictures are WebP files instead of a video, because every browser shows them, each frame is found exactly, and
+OpenCV encodes them quickly. OpenCV's wheels have no H.264 encoder, and their VP8 and VP9 encoders take ten times as
+long for files of twice the size.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from recon.base.arrays import Array, Integers
 from recon.io.video import Image
 
 STRIP_BYTES = 2_500_000
-"""Largest size of all pictures of a page before base64, which adds a third."""
+"""Largest size of all pictures of a page before base64 encoding, which adds a third."""
 LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
-"""Widths and qualities, the best first. The first one that fits into `STRIP_BYTES` is used."""
+"""Widths and qualities, the best first. The first with which the pictures fit into `STRIP_BYTES` is used."""
 MARGIN = 0.2
 """Margin around the animal's boxes, as a fraction of their size."""
 SMALL_PX = 150.0
 """Size of the animal in the picture below which a moving window follows it."""
 WINDOW = 2.6
-"""Size of this window relative to the box around the animal."""
+"""Size of the moving window relative to the box around the animal."""
 WINDOW_PX = 640
 SMOOTH_S = 0.2
 MIME = "image/webp"
@@ -35,7 +35,7 @@ MIME = "image/webp"
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Part of each frame that is kept: corners (T, 2), and one size (2,), in pixels of the video."""
+    """Part of each frame that is kept, with corners (T, 2) and one size (2,), in pixels of the video."""
 
     corners_px: Integers
     size_px: tuple[int, int]
@@ -49,10 +49,10 @@ class PictureStrip:
 
     cut: Cut
     rows: list[int] = field(default_factory=list)
-    """Rows of the motion, increasing."""
+    """Rows of the motion, in ascending order."""
     encoded: list[bytes] = field(default_factory=list)
     every: int = 1
-    """Step between the video's frames: 1 for every frame."""
+    """Step between the frames that are kept, 1 for every frame."""
     video: str = ""
     """Name of the video."""
     first_frame: int = 0
@@ -78,11 +78,11 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     Parameters
     ----------
     points_px
-        Joints in the picture (T, J, 2), NaN where not known.
+        Joints in the picture, px, shape (T, J, 2), NaN where unknown.
     fps
         Frames per second.
     picture_px
-        Width and height.
+        Width and height of the picture.
     """
     picture = np.array(picture_px)
     corners = np.zeros((len(points_px), 2), dtype=int)
@@ -104,7 +104,7 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     filled = np.column_stack([np.interp(rows, known_rows, centre) for centre in (low + high).T / 2])
     half = min(round(SMOOTH_S * fps / 2), len(filled) - 1)
     start, end = 2 * filled[0] - filled[half:0:-1], 2 * filled[-1] - filled[-2 : -half - 2 : -1]
-    padded = np.concatenate([start, filled, end])  # continue at the ends with the last speed
+    padded = np.concatenate([start, filled, end])  # extrapolated at constant speed
     smooth = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1)
     corners = np.clip(np.round(smooth - size / 2), 0, picture - size).astype(int)
     return Cut(corners, (int(size[0]), int(size[1])), WINDOW_PX)
@@ -115,9 +115,9 @@ def _even(size: Array, limit_px: Array) -> Array:
 
 
 def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) -> PictureStrip:
-    """Return the strip of pictures, which come in order with their rows, in at most about `STRIP_BYTES`.
+    """Encode pictures, given in order with their rows, in at most about `STRIP_BYTES`.
 
-    count: number of pictures to come.
+    `count` is the number of pictures.
     """
     strip = PictureStrip(cut)
     width, quality, budget = 0, 0, 0.0
@@ -128,7 +128,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
         if i % strip.every:
             continue
         spent, due = sum(map(len, strip.encoded)), budget * len(strip.encoded)
-        # If the later pictures are more detailed than the first ones, a lower quality keeps them within the size.
+        # A lower quality keeps the size within the limit if later pictures have more detail than the first ones.
         lower = 0 if spent <= due else min(25, round(60 * (spent / max(due, 1.0) - 1)) + 3)
         strip.rows.append(row)
         strip.encoded.append(_encode(picture, row, cut, width, max(10, quality - lower)))
@@ -136,7 +136,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
 
 
 def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
-    """Return the width and quality at which `count` such pictures fit, and the step between those that are kept."""
+    """Return the width and quality at which `count` pictures like this one fit, and the step between kept pictures."""
     allowed = [(width, quality) for width, quality in LADDER if width <= max(cut.most_px, LADDER[-1][0])]
     size = 1.0
     for width, quality in allowed:

@@ -1,6 +1,7 @@
-"""Prepare the data for the player of a page: motion, cameras' pictures, curves, stances and findings.
+"""Prepare the data for a page's player, with motion, cameras' pictures, curves, stances and findings.
 
-`player/data.js` reads them. Arrays over frames are integers in base64, so that a page of 4,000 frames stays small.
+`player/data.js` reads the data. Arrays over frames are stored as integers in base64, so that a page of 4,000 frames
+stays small.
 """
 
 from __future__ import annotations
@@ -32,15 +33,14 @@ LARGEST_BYTE = 254
 NO_BYTE = 255
 """Byte that stands for NaN."""
 CAMERA_BYTES = 1_800_000
-"""Largest size of the cameras' detections in a page before base64. The chosen camera is always included."""
-SPREADS = 600
-"""Number of frames whose uncertainty is stored. They are evenly spaced, since the uncertainty changes slowly."""
-POSTURE_BYTES = 400_000
-"""Largest size of the curves of the model's own angles, which a skeleton with anatomy has in addition to its
-flexions.
+"""Largest size of the cameras' detections in a page before base64 encoding. The first camera shown is always included.
 """
+SPREADS = 600
+"""Largest number of frames, evenly spaced, whose uncertainty is stored; the uncertainty changes slowly."""
+POSTURE_BYTES = 400_000
+"""Largest size of the curves of the model's own angles, which are shown in addition to anatomical flexions."""
 MISSING, FITS, OUTLIER = 0, 1, 2
-"""State of a detection."""
+"""States of a detection."""
 
 
 def player_data(
@@ -89,7 +89,7 @@ def player_data(
 
 
 def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
-    """Yield the runs of rows with the same flags: first row, row after the last, and the flags."""
+    """Yield the first row, the row after the last, and the flags of each run of rows with the same flags."""
     for flags, rows_of_run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
         if flags:
             rows = [*rows_of_run]
@@ -97,7 +97,7 @@ def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
 
 
 def packed(values: Array, least_unit: float = 1e-9) -> dict[str, Any]:
-    """Return an array as 16-bit integers in a unit and from an offset, little-endian, in base64."""
+    """Return an array as little-endian 16-bit integers in base64, with their unit and offset."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     offset, unit = (low + high) / 2, max((high - low) / 2 / LARGEST, least_unit)
@@ -141,7 +141,7 @@ def _scene(motion: Motion) -> dict[str, Any]:
 
 
 def _spreads(covariance_m2: Array) -> Array:
-    """Return the lower Cholesky factors of covariances (T, J, 3, 3), (T, J, 6): xx, yx, yy, zx, zy, zz."""
+    """Return the lower Cholesky factors (xx, yx, yy, zx, zy, zz) of covariances (T, J, 3, 3), shape (T, J, 6)."""
     known = np.isfinite(covariance_m2.sum(axis=(2, 3), keepdims=True))
     regular = np.where(known, covariance_m2, 0.0) + 1e-12 * np.eye(3)
     values, vectors = np.linalg.eigh(regular)  # rounding can make a variance slightly negative
@@ -151,7 +151,7 @@ def _spreads(covariance_m2: Array) -> Array:
 
 
 def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
-    """Yield the ground plane of each segment, or a level plane through the lowest joints if no foot stood."""
+    """Yield the ground plane of each segment; a level plane through the lowest joints if the ground is unknown."""
     for segment in motion.segments:
         first, stop, _ = segment.rows.indices(len(motion.frames))
         lowest_m = motion.upright.xyz_m[first:stop, :, 2]
@@ -202,9 +202,9 @@ def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
 
 
 def _detections(picture: Picture) -> dict[str, Any]:
-    far_px = 2.0 * max(picture.camera.image_size_px)  # points further away than this are not drawn
+    far_px = 2.0 * max(picture.camera.image_size_px)  # points farther away are not drawn
     near_px = [np.where(np.abs(xy) < far_px, xy, np.nan) for xy in (picture.detected_px, picture.reprojected_px)]
-    # A detector's offset is part of the reprojection, as the joint is compared with its detection.
+    # The reprojection includes the detector's offset, so that it can be compared with the detection.
     states = np.where(picture.present, FITS, MISSING)
     states[picture.outliers] = OUTLIER
     return {
@@ -217,7 +217,7 @@ def _detections(picture: Picture) -> dict[str, Any]:
 
 
 def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
-    """Yield the curves over time: title, unit, group, and a curve for each side."""
+    """Yield panels of curves over time, each with title, unit, group, and a curve for each side."""
     motion = analysis.motion
     if analysis.why_no_speed is None:
         series = analysis.reference_motion.series
@@ -237,7 +237,7 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bool]]]:
-    """Return panels of the model's angles: values and sigmas in degrees by side, and whether pixels measure them."""
+    """Return panels of the model's angles, with values and sigmas (degrees) by side, and whether pixels measure them."""
     shares, panels = motion.data_shares, dict[str, dict[Any, tuple[Array, Array, bool]]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
         title = both_sides(name).replace("_rad", "").replace("_", " ")
@@ -272,7 +272,7 @@ def _panel(
 
 
 def _at(time_s: Array, sample_s: Array, values: Array) -> Array:
-    """Return the samples nearest to the frames' times, NaN if no sample is near."""
+    """Return the values (N,) at the samples nearest to the frames' times (T,); NaN if no sample is near."""
     if not len(sample_s):
         return np.full(len(time_s), np.nan)
     step_s = float(np.median(np.diff(sample_s))) if len(sample_s) > 1 else np.inf
@@ -282,7 +282,7 @@ def _at(time_s: Array, sample_s: Array, values: Array) -> Array:
 
 
 def _stances(motion: Motion, analysis: ClipAnalysis) -> list[dict[str, Any]]:
-    """Return when each foot stands, in rows with fractions."""
+    """Return the stances of each foot as fractional rows."""
     assert analysis.gait is not None
     return [
         {"foot": stance.foot, "rows": [round(stance.start_row, 3), round(stance.end_row, 3)]}

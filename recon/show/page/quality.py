@@ -1,4 +1,4 @@
-"""Describe how the fit used a camera's detections of each keypoint, for a table of a page."""
+"""Describe how the fit used a camera's detections of each keypoint, for the page's table."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from recon.show.sections.keypoints import medians_px
 STUCK_PX = 3.0
 """Radius within which a keypoint's outliers lie if it is stuck at one point."""
 STUCK_LEAST = 5
-"""Smallest number of frames with outliers at this point."""
+"""Smallest number of frames with outliers at one point for a keypoint to count as stuck."""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1
-"""Fraction of outliers and swaps among a keypoint's detections above which its row asks for a check."""
+"""Fraction of outliers and swaps among a keypoint's detections above which its row is highlighted."""
 
 
 def quality_tables(motion: Motion) -> list[dict[str, Any]]:
-    """Return a table for each camera: name, number, and rows, the largest median distance from the pose first."""
+    """Return a table for each camera, with rows sorted by descending median distance from the pose."""
     tables = []
     for v, (picture, errors_px) in enumerate(zip(motion.pictures, medians_px(motion), strict=True)):
         rows = sorted(_rows(motion, picture, errors_px), key=_median_px, reverse=True)
@@ -33,7 +33,7 @@ def quality_tables(motion: Motion) -> list[dict[str, Any]]:
 
 
 def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return number, camera, name and a text of the keypoint of the largest median distance from the pose."""
+    """Return the keypoint with the largest median distance from the pose, its camera and a text on it."""
     table = max(tables, key=lambda table: _median_px(table["rows"][0]))
     row = table["rows"][0]
     texts = [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"] if row["median_px"] is not None else []
@@ -79,13 +79,13 @@ LITTLE_WEIGHT = 0.1
 
 
 def keypoint_notes(motion: Motion, picture: Picture) -> list[str]:
-    """Return for each keypoint what is wrong with its detections and what the fit made of it; empty if nothing is."""
+    """Return a text for each keypoint on problems of its detections and how the fit treated them; empty without any."""
     swapped = swapped_frames(motion, picture).sum(axis=0)
     notes = []
     for j in range(len(motion.names)):
         stuck, wrong = stuck_at(picture, j), picture.outliers[:, j]
         weight = median(picture.weight[wrong, j])
-        fate = "left out" if weight < LITTLE_WEIGHT else "with little weight in the fit"
+        fate = "left out" if weight < LITTLE_WEIGHT else "given little weight in the fit"
         texts = []
         if stuck is not None:
             texts.append(f"stuck at ({stuck['x']}, {stuck['y']}) in {stuck['frames']} frames: {fate}")
@@ -98,7 +98,7 @@ def keypoint_notes(motion: Motion, picture: Picture) -> list[str]:
 
 
 def swapped_frames(motion: Motion, picture: Picture) -> Array:
-    """Return a mask (T, J) of the keypoints that a finding calls swapped."""
+    """Return a mask (T, J) of the keypoints that are swapped according to a finding."""
     swapped = np.zeros(picture.present.shape, dtype=bool)
     for item in motion.findings:
         if item.code in SWAPS and item.camera in (None, picture.name):

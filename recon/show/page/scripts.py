@@ -1,7 +1,8 @@
-"""Put the scripts and styles of pages into the pages.
+"""Embed scripts and style sheets in pages.
 
-They are plain JavaScript modules in a folder next to this file. A page is one file opened from a disk, and browsers do
-not load modules from a disk. Therefore `script` joins the modules into one script, in the order of their imports.
+The scripts are plain JavaScript modules in folders next to this file. A page is a single file that is opened from a
+disk, from which browsers do not load modules. Therefore `script` joins the modules into one script, in the order of
+their imports.
 """
 
 from __future__ import annotations
