@@ -237,7 +237,7 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bool]]]:
-    """Return panels of the model's angles, with values and sigmas (degrees) by side, and whether pixels measure them."""
+    """Return panels of the model's angles with values and sigmas, degrees, by side, and whether pixels measure them."""
     shares, panels = motion.data_shares, dict[str, dict[Any, tuple[Array, Array, bool]]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
         title = both_sides(name).replace("_rad", "").replace("_", " ")
