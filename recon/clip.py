@@ -27,7 +27,7 @@ CORNER_PX = 1.0
 CONSTANT_SHARE = 0.005
 """Smallest fraction of a file's points at one position for it to count as the constant for missing points."""
 CONSTANT_KEYPOINTS = 3
-"""Smallest number of keypoints at that constant position; a single keypoint may be stuck there."""
+"""Smallest number of keypoints at the constant position for missing points; a single one may be stuck there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,7 +187,7 @@ class LeftOut(Brief):
 
 @dataclass(frozen=True, repr=False)
 class CleaningReport(Brief):
-    """Result of `clean`.
+    """Counts of missing and rejected points in the keypoints of one camera, as `clean` returns them.
 
     Frame ranges are half-open pairs (A, B) of original frame numbers: A is included, B is not.
     """
@@ -583,7 +583,7 @@ def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
 
 
 def _pose(camera: Camera) -> Array:
-    """Return T_camera_reference (4, 4)."""
+    """Return a still camera's pose as T_camera_reference (4, 4)."""
     rotation = np.eye(3) if camera.rotation is None else camera.rotation
     return rigid(rotation, np.zeros(3) if camera.translation_m is None else camera.translation_m)
 
@@ -632,11 +632,11 @@ class Source(Brief):
     file_names: tuple[str, ...]
     """All keypoint names of the file."""
     offset_frames: float = 0.0
-    """Delay of the pictures relative to the clip's frames, 0 up to 1."""
+    """Delay of the pictures relative to the clip's frames, at least 0 and below 1."""
     poses: FramePoses | None = None
     """Poses of a moving camera, whose `camera` has none; there are no detections in frames without a pose."""
     offset_s: float = 0.0
-    """Time of the camera's frame 0 after the first camera's frame 0, given or estimated."""
+    """Time from the first camera's frame 0 to this camera's frame 0, in seconds, given or estimated."""
 
     @property
     def moves(self) -> bool:

@@ -148,7 +148,7 @@ def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
 def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
     """Return all the problems of each clip that its fit would raise before it solves.
 
-    With `shared_only`, only problems of cameras, skeletons, subjects and priors are returned.
+    If `shared_only` is true, only problems of cameras, skeletons, subjects and priors are returned.
     """
     model_of, cameras_of = cache(read_model), cache(read_clip_cameras)
 
@@ -156,7 +156,7 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
         """Return the body, the prior and the cameras of a clip; inputs that several clips share are read only once."""
         numbers = [str(i) for i, _ in enumerate(settings.keypoints)]
         numbered = replace(settings, keypoints=numbers, individual=None, frames=None)
-        # Without names of cameras, those of the keypoint files decide which cameras are used.
+        # If no cameras are named, the names of the keypoint files decide which cameras are used.
         named = numbered if settings.camera_name else replace(numbered, keypoints=settings.keypoints)
         model, cameras = collect_problems(lambda: model_of(numbered), lambda: cameras_of(named))
         return *model, cameras

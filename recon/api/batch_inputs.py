@@ -132,7 +132,7 @@ def find_clips(
     Raises
     ------
     InputError
-        With the problems of all inputs and rows.
+        If inputs or rows cannot be used; the message lists all problems.
     """
     problems: list[Problem] = []
 
@@ -453,7 +453,7 @@ class _FileOfClip(NamedTuple):
 
 
 def _clip_key(draft: _Draft) -> tuple[Path, str, str]:
-    """Return what the files of one clip have in common: folder, name without the camera, and settings."""
+    """Return the key that all files of one clip share: folder, name without the camera, and settings."""
     row = {name: value for name, value in draft.row.items() if name != "camera_name"}
     return draft.title.parent, draft.title.name.casefold(), repr(row)
 
@@ -538,8 +538,8 @@ def _camera_names_by_draft(
 ) -> Callable[[_Draft], tuple[str, ...]]:
     """Return a function that gives the names of a draft's cameras that can film a clip together.
 
-    The function returns no names if the cameras cannot be combined, or if the user chose one. With `posed`, cameras
-    without poses cannot be combined.
+    The function returns no names if the cameras cannot be combined, or if the user chose one. If `posed` is true,
+    cameras without poses cannot be combined.
     """
     read = cache(read_cameras)
 

@@ -182,8 +182,8 @@ def _solve_with(solve: Solve, options: TrajectoryOptions, sources: tuple[Source,
 def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool) -> _Fit:
     """Undo the refinement of cameras if the poses of the camera file explain the keypoints equally well.
 
-    With two cameras, refining them keeps the animal's lengths fixed. With the poses of the file, the lengths are fixed
-    only if `lengths_known` is true.
+    While two cameras are refined, the animal's lengths are fixed. If the poses of the file are used instead, the
+    lengths are fixed only if `lengths_known` is true.
     """
     if not fit.options.refine_cameras:
         return fit
@@ -319,9 +319,9 @@ def _log(motion: Motion) -> None:
 def _file_facts(
     inputs: ClipInputs, settings: FitSettings
 ) -> tuple[list[str | None], float | None, bool, tuple[Camera, ...]]:
-    """Return what `input_findings` needs to know about the files and settings.
+    """Return the facts about files and settings that `input_findings` needs.
 
-    Returns four values: by keypoint file, another camera that its name contains, or None; the frame rate that a file
+    The four values are: by keypoint file, another camera that its name contains, or None; the frame rate that a file
     states, if it differs from the given one; whether to look for swaps; and the other cameras of the camera file that
     may have filmed the only keypoint file, none if its name contains a camera.
     """

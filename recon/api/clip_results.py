@@ -217,7 +217,7 @@ def digest(path: Path) -> str | None:
 
 
 def identity(settings: FitSettings) -> dict[str, Any]:
-    """Return what determines the results of a fit: digests of the input files, settings and version.
+    """Return the identity of a fit's results: digests of the input files, settings and version.
 
     The identity has neither the paths of files nor settings that the method does not read. The digest of an unreadable
     file is None.
@@ -244,8 +244,8 @@ class _Identity:
 class _Line:
     """One line of a record.
 
-    `files` are the digests of the files that the part wrote, known once it has ended. The caller may use `notes` and
-    `row` as it likes.
+    `files` are the digests of the files that the part wrote, known once it has ended. `notes` and `row` are free
+    for the caller.
     """
 
     part: str

@@ -65,7 +65,7 @@ QUANTITIES = {
 """Title by column, and whether the quantity is proportional to the animal's size."""
 WITH_SIZE = {name: with_size for name, (_, with_size) in QUANTITIES.items()}
 SPEED_NAMES = "speed", SPEED
-"""Names of the run's own speed as a covariate."""
+"""Names of the covariate that is the speed of the run itself."""
 _EXPERIMENT = "An experiment"
 _OUT = "a folder for the tables, the figure and the page"
 
@@ -129,7 +129,7 @@ class Comparison:
     """Names of the excluded results."""
     notes: Sequence[str]
     experiment: Experiment | None = None
-    """Mixed models of the quantities, with a design."""
+    """Mixed models of the quantities; None without a design."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
     }
     copies = _copies(usable_motions, folders)
     counting = {name: motion for name, motion in usable_motions.items() if name not in copies}
-    if not counting:  # an error that gives the reason for each folder
+    if not counting:  # raise an error with the reason for each folder
         pairs = zip(loaded.values(), folders.values(), strict=True)
         collect_problems(*(partial(usable, *motion_and_folder, anyway=False) for motion_and_folder in pairs))
     notes = []
@@ -288,8 +288,8 @@ def _page(
 ) -> str:
     """Return the page of a comparison, with links to the existing pages of its clips.
 
-    With a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means are those of
-    the mixed models.
+    If there is a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means are
+    those of the mixed models.
     """
     by_row = {name: name for name in results.motions}
     if experiment is not None:

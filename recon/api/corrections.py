@@ -28,7 +28,7 @@ from recon.show.page.player_data import player_data
 
 MOST_CORRECTIONS = 100_000
 IDLE_S = 2.0
-"""Time without a change after which the clip is fitted from the start."""
+"""Time without a change, in seconds, after which the clip is fitted from the start."""
 
 
 @dataclass(eq=False)
@@ -54,7 +54,7 @@ class CorrectionSession:
     is_whole: bool = True
     """Whether the latest fit equals that of `recon fit --corrections`."""
     problem: str = ""
-    """Why the latest corrections could not be fitted, or ""."""
+    """Reason why the latest corrections could not be fitted; "" if they were fitted."""
 
     @classmethod
     def open(cls, folder: Path, out: Path, camera: int = 0) -> CorrectionSession:

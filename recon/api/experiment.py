@@ -236,7 +236,7 @@ def _shared_errors(clips: pd.DataFrame, with_size: bool) -> tuple[Array, Array, 
 def joint_posterior(
     values: Array, sigmas: Array, run_sigmas: Array, size_sigmas: Array, prior_sigmas: Array, focal_sigmas: Array
 ) -> tuple[float, float, float]:
-    """Return a quantity of a run from C cameras, its standard deviation, and that of its shared errors, relative.
+    """Combine the results of C cameras for one quantity of a run, considering independent and shared errors.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def joint_posterior(
     -----
     A size has the standard deviation s, and p before the pictures were seen. Its error has two parts: -(s^2 / p^2) d,
     where d is the deviation of the animal from the expected size, which all cameras share; and an independent error of
-    variance s^2 (1 - s^2 / p^2) from the pictures. With the covariance of all errors, the generalised mean is the mode
+    variance s^2 (1 - s^2 / p^2) from the pictures. Given the covariance of all errors, the generalised mean is the mode
     of the joint posterior in which the expectation of the size counts once. Negative weights, which would extrapolate
     from errors that are shared only in part, are 0.
 

@@ -37,7 +37,7 @@ class Plan:
     """Difference between two groups, in the unit of the quantity or relative to the mean."""
     is_relative: bool
     variances: Mapping[str, float]
-    """Standard deviations given for levels."""
+    """Given standard deviations by level: animal, run, stride and measurement."""
     mean: float | None = None
     quantity: str = SPEED
     power: float = 0.8
@@ -68,7 +68,7 @@ def read_plan(texts: Sequence[str]) -> Plan:
     Raises
     ------
     InputError
-        With all words that cannot be used.
+        If words cannot be used; the message lists all of them.
     """
     values, problems = {}, []
     for word in " ".join(texts).split():

@@ -237,7 +237,7 @@ def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple
 def _clip_problem(
     clip: FitSettings, first: ClipInputs, sources: Sequence[Source], cameras: Sequence[Camera], poses: Sequence[Array]
 ) -> ClipProblem:
-    """Return the problem of a clip with one view per camera; cameras that did not film it have an empty view.
+    """Return a clip's least-squares problem with one view per camera, empty for cameras that did not film the clip.
 
     `first` holds the inputs of one of the clip's cameras.
     """

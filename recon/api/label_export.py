@@ -177,7 +177,7 @@ def write_labels(labels: LabelledFrames, video: Path, number_of_first: int, outp
     video
         The video.
     number_of_first
-        The number that the labels' frames give to the video's first frame.
+        Frame number of the video's first frame, in the numbering of the labels.
     output
         Output of the files.
 

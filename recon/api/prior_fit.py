@@ -31,7 +31,7 @@ from recon.io.positions import read_pose_segments
 from recon.show.plain import picked
 
 Segment = tuple[str, Array, float]
-"""Name, states (T, D), frames per second."""
+"""Name, states (T, D) and frame rate (Hz) of a segment of motion."""
 _Files = Mapping[Path, Mapping[str, Pose3D]]
 """Poses by file and by the name of a segment in the file."""
 
@@ -242,7 +242,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
 
 
 def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
-    """Yield problems of files with too few markers, and of frame rates, which are a single one or one per segment."""
+    """Yield problems of files with too few markers, and of frame rates that are neither one nor one per segment."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
         count_known = sum(marker in names for marker in body.markers)

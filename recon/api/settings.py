@@ -208,7 +208,7 @@ class FitSettings(Settings):
     pose along the direction of travel)
     """
     initial_damping: Annotated[Positive | None, _FRAME] = None
-    """First damping of a search, such as 0.01. (default: MINPACK finds its own)"""
+    """First damping of a search, such as 0.01. (default: chosen by MINPACK)"""
     damping_factor: Annotated[Annotated[Number, Field(gt=1)], _FRAME] = 10.0
     """Factor by which the damping falls after a step that lowers the cost, and grows after any other step."""
     base_length_m: Annotated[Positive | None, _FRAME] = None

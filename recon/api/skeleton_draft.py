@@ -512,8 +512,8 @@ def _tree(bodies: Sequence[list[int]], root: int, labels: Sequence[str], distanc
     def joint(a: list[int], b: list[int]) -> tuple[float, int, int]:
         """Return the cost of the best joint between two bodies, and its point on each."""
         pairs = costs[np.ix_(a, b)]
-        # The point of each body whose distances to all points of the other body vary least; and the closest pair,
-        # which needs a link between two points.
+        # Candidates are the point of each body whose distances to all points of the other body vary least, and the
+        # closest pair of points, which needs a link.
         u, v = int(pairs.max(axis=1).argmin()), int(pairs.max(axis=0).argmin())
         i, j = divmod(int(pairs.argmin()), len(b))
         joint_costs = float(pairs[u].max()), float(pairs[:, v].max()), float(pairs[i, j]) + 0.5 * same_m
@@ -567,7 +567,7 @@ def _segment(
 
 
 def _rounded(position_m: Array) -> list[float]:
-    """Return a position to 10 micrometres, for a skeleton file."""
+    """Return a position rounded to 10 micrometres, for a skeleton file."""
     return [round(float(x), 5) for x in position_m]
 
 

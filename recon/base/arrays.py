@@ -94,7 +94,7 @@ def median(values: Array | Sequence[float]) -> float:
 def running_median(values: Array, count: int) -> Array:
     """Return the running median of values (N, ...) over `count` rows, an odd number.
 
-    Beyond the first and the last row these rows are repeated.
+    The first and the last row are repeated beyond the ends.
     scipy.ndimage.median_filter gives the same values, but its import takes longer than the medians.
     """
     rows = np.arange(len(values))[:, None] + np.arange(count) - count // 2

@@ -66,7 +66,7 @@ def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
 
 
 def text_of(content: bytes, source: str | Path, expected: str) -> str:
-    """Return bytes in UTF-8 as text; raise InputError for other bytes."""
+    """Decode UTF-8 bytes; raise InputError for other bytes."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -199,7 +199,7 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:
-    """Return the array of an .npy file; raise ValueError if its header does not fit its data."""
+    """Return the array of an .npy file; raise ValueError if its header and its data disagree."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]

@@ -58,7 +58,7 @@ def printable(text: str) -> str:
 
 
 class InputError(ValueError):
-    """An input that cannot be used, with every problem found, not only the first."""
+    """Error about an input that cannot be used, with all its problems, not only the first."""
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
@@ -79,7 +79,7 @@ class InputError(ValueError):
         )
 
     def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Problem, ...]]]:
-        """Return how to make the error again, so that it passes from a worker process to its parent."""
+        """Return the class and its arguments, so that the error passes from a worker process to its parent."""
         return type(self), (self.problems,)
 
 

@@ -1,4 +1,4 @@
-"""Write any file name into a text file in UTF-8, and find the file of a name that was written so.
+"""Write any file name into a UTF-8 text file, and find the file again by the written name.
 
 A file name on Linux is a sequence of bytes that need not be UTF-8. Python reads a byte that is not UTF-8 as a lone
 surrogate, which no UTF-8 file can hold.

@@ -268,7 +268,7 @@ class Manifest:
 
     folder: Path
     files: Mapping[str, tuple[int, str]]
-    """Size in bytes, and SHA-256 of the content in hexadecimal digits, by name."""
+    """Size in bytes and SHA-256 (hexadecimal) of each file, by name."""
     kind: str | None = None
     """The command that wrote the files, such as fit; None in manifests of version 0.2."""
 

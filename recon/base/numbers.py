@@ -49,7 +49,7 @@ def rounded(value: float, digits: int, sign: str = "") -> str:
 def plus_minus(value: float, sigma: float | None, unit: str = "", sign: str = "", default: str = "") -> str:
     """Return a value with its uncertainty and unit, such as "6.4 ± 0.7 m/s".
 
-    If the uncertainty is unknown or 0, only the value is returned, in the format `default`. With `sign` "+", positive
+    If the uncertainty is unknown or 0, only the value is returned, in the format `default`. If `sign` is "+", positive
     values have a sign.
     """
     digits = None if sigma is None else places(sigma)

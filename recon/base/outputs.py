@@ -131,7 +131,7 @@ class ReadResults:
 
     @classmethod
     def read(cls, folder: Path) -> ReadResults:
-        """Return the results that are now in the folder."""
+        """Return the version of the results that are now in a folder."""
         return cls(folder, _manifest_sha256(folder))
 
     @contextmanager
@@ -224,7 +224,7 @@ class Output:
     def staged(self, adds: bool = False) -> Iterator[Path]:
         """Yield a staging folder, whose files move into the output folder at the end of the block, all or none.
 
-        With `adds`, earlier files of the same kind are kept unless they are replaced; otherwise they are removed.
+        If `adds` is true, earlier files of the same kind are kept unless they are replaced; otherwise they are removed.
         Raises InputError as `require` does, and if the results that the files were made from have been replaced.
         """
         with staging_in(self.folder) as staging:
@@ -247,7 +247,7 @@ class Output:
 
     @contextmanager
     def staged_file(self) -> Iterator[Path]:
-        """Yield a path for the single file that the user named, as `staged` does."""
+        """Yield a path to write the single file that the user named; it moves into the output folder as in `staged`."""
         assert self.exact is not None
         with self.staged(adds=True) as folder:
             yield folder / self.exact

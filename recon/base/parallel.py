@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Outcome = Mapping[str, Any]
-"""Results of a task by name: at least its status, and for a task that failed its error."""
+"""Results of a task by name, with at least its status, and its error if it failed."""
 _Task = TypeVar("_Task")
 Work = Callable[[_Task, Progress], Outcome]
 """Function that does a task; it must be at the top level of a module, so that another process can import it."""

@@ -37,7 +37,7 @@ SMALL = 64
 CLASS = "class"
 """The key of a subclass's tag."""
 Classes = Mapping[str, Callable[[], type]]
-"""By tag, a function that returns the class, since some modules are slow to import."""
+"""Functions that return a class, by its tag, since some modules are slow to import."""
 
 _Class = TypeVar("_Class")
 
@@ -262,6 +262,6 @@ def _validated(record_class: type[_Class], fields: object) -> _Class:
 
 @cache
 def _adapter(record_class: type) -> TypeAdapter[Any]:
-    """Return a validator of a list of such dataclasses: pydantic takes no configuration for a single one."""
+    """Return a validator of a list of a dataclass, since pydantic takes no configuration for a single object."""
     many: Any = GenericAlias(list, (record_class,))
     return TypeAdapter(many, config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))

@@ -69,7 +69,7 @@ Count = Annotated[Integer, Field(gt=0)]
 File = Annotated[Path, AfterValidator(Path.absolute)]
 """A path, made absolute, so that a config.toml with it can be run again from anywhere."""
 NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
-"""The name of something built in, or a file as its absolute path."""
+"""Name of a built-in item, or the absolute path of a file."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
 """One value or a list of values, as a tuple; its option may be repeated."""
 
@@ -203,7 +203,7 @@ class _ReadableSignature:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
-    """Settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
+    """Base class of a command's settings; a subclass is a frozen dataclass, with each field's help below the field.
 
     Strings are accepted for numbers, sizes and files; None means not given. Raises InputError with all problems.
     """

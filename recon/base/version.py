@@ -1,4 +1,4 @@
-"""Give the version of the distribution, from the package's metadata."""
+"""Version of the distribution, from the package's metadata."""
 
 from recon.base.package import version
 

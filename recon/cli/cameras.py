@@ -82,7 +82,7 @@ _SETTINGS = (
     *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
     "keypoint_sigma_m",
 )
-"""Settings of a fit that this command reads."""
+"""Settings of a fit that `recon calibrate extrinsics` reads."""
 _OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
 
 

@@ -37,7 +37,7 @@ class LabelSettings(Settings):
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, such as run.mp4."""
     out: Path
-    """Folder for the labels; that of a DeepLabCut project has its scorer and bodyparts."""
+    """Folder for the labels; in a DeepLabCut project, its scorer and bodyparts are used."""
     skeleton: NameOrFile | None = None
     """The skeleton whose markers are labelled, such as cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
     names: str | None = None

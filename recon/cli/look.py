@@ -58,7 +58,7 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
     """Return a result, and the index of the chosen camera.
 
     The video, if there is one, has to come from that camera. `checks` are further checks, whose problems are reported
-    together with these. Raises InputError if the result or the video cannot be used.
+    together with those of the result and the video. Raises InputError if the result or the video cannot be used.
     """
     video = settings.video
 

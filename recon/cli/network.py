@@ -42,7 +42,7 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
         best_text = quantity(best["median_px"], 2, "px")
         yield f"Validation pictures, before training on them: median error {best_text} at best."
         if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
-            yield f"That is too far off to be of use: a point counts as right within {quantity(right_px, 1, 'px')}."
+            yield f"This error is too large to be of use: a point counts as right within {quantity(right_px, 1, 'px')}."
             yield "Train longer (--minutes), or label more."
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]

@@ -24,7 +24,7 @@ from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
 CameraFiles = str | Path | Sequence[Path]
-"""One file, or several files."""
+"""One calibration file, or several."""
 FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 MAX_SIZE_PX = 1_000_000

@@ -88,7 +88,7 @@ _PERSPECTIVE = ("pinhole", "perspective")
 """Values of a camera model that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
-"""Deepest nesting of a file; OpenCV crashes at 20,000."""
+"""Deepest nesting of a file that is read; OpenCV crashes at 20,000."""
 
 
 def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
@@ -218,7 +218,7 @@ def transposed(value: object) -> object:
 
 
 def recognises_anipose(path: Path) -> bool:
-    """Return whether a file is TOML; recon's own camera files are recognised before."""
+    """Return whether a file is TOML; recon's own camera files are recognised first."""
     return _is(path, (".toml",))
 
 
@@ -467,7 +467,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
 
 
 def _with_indented_lists(text: str) -> str:
-    """Return YAML with lists indented below their keys, which OpenCV requires and PyYAML does not do."""
+    """Indent the lists of YAML below their keys, as OpenCV requires and PyYAML does not do."""
     lines: list[str] = []
     indents: list[int] = []
     """Indentations of the lists that are open and were not indented."""

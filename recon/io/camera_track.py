@@ -43,20 +43,20 @@ Columns = dict[str, Array]
 UNIT_TOLERANCE = 1e-2
 """Tolerance of a quaternion's length; quaternions written with three digits are within it."""
 MAX_METRES = 1e7
-"""Largest coordinate of a camera's position."""
+"""Largest coordinate of a camera's position, in metres."""
 MAX_PX = 1e6
 """Largest focal length and coordinate of a principal point, px."""
 MAX_SIGMA_DEG = 10.0
-"""Largest standard deviation of an orientation."""
+"""Largest standard deviation of an orientation, in degrees."""
 MAX_ROTATION_RAD = 100.0
-"""Largest component of a rotation vector."""
+"""Largest component of a rotation vector, in radians."""
 LEANING_MAX_RAD = np.radians(60)
 """Angle between a picture's upward direction and z, in radians, above which the camera leans too far.
 
 A track is refused if it leans in most frames without looking down, since z then does not point up in its world.
 """
 LOOKING_DOWN_RAD = np.radians(45)
-"""Angle below the horizon, in radians, above which a camera looks down, as on a drone, so that any edge may be up."""
+"""Angle below the horizon, in radians, from which a camera looks down, as on a drone, and any edge may be the upper."""
 POSITION_COLUMNS = ("x", "y", "z")
 """Columns that replace tx, ty, tz if poses are given from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
@@ -74,7 +74,7 @@ class CameraTrack(FramePoses):
     """Poses of one camera in N frames of its video; the world is in metres and has z up."""
 
     max_gap_s: ClassVar[float] = 0.1
-    """Longest time between two poses over which poses are interpolated."""
+    """Longest time between two poses over which poses are interpolated, in seconds."""
 
     source: Path
     frames: Integers

@@ -69,7 +69,7 @@ class StoredPoints:
 
     names: tuple[str, ...]
     values: np.ndarray
-    """(T, K, 2) pixels, or (T, K, 3), NaN = missing."""
+    """(T, K, 2) pixels, or (T, K, 3) in the file's unit and axes, NaN = missing."""
     frames: np.ndarray
     """(T,): whole, strictly increasing frame numbers."""
     likelihood: np.ndarray | None = None
@@ -132,7 +132,7 @@ UNTRACKED = "untracked"
 
 
 class NoChoiceError(InputError):
-    """A file has several animals with points, and none of them was chosen."""
+    """Error about a file of several animals with points, none of which was chosen."""
 
     def __init__(self, path: Path, animals: Sequence[str], hint: str = "") -> None:
         detail = f"{len(animals)} animals and no --individual"
@@ -336,7 +336,7 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
 
 
 def number(text: str) -> float:
-    """Return a cell as a number, NaN for an empty one.
+    """Return a cell as a number, NaN for an empty cell.
 
     Raises ValueError for numbers that only Python accepts, such as 1_000.
     """
@@ -445,7 +445,7 @@ def _with_decimal_points(row: list[str]) -> list[str]:
 
 
 def width_of(header: Iterable[Sequence[str]]) -> int:
-    """Return the number of columns of a table up to the last one with a name."""
+    """Return the number of columns of a table up to the last named column."""
     return max((j + 1 for row in header for j, cell in enumerate(row) if cell.strip()), default=0)
 
 

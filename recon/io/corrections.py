@@ -27,7 +27,7 @@ REQUIRED = ("frame", "keypoint", "now_x_px", "now_y_px")
 _EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and for several cameras camera"
 _Point = tuple[float, float]
 SAME_PX = 1.0
-"""Distance up to which a corrected detection counts as the one in the keypoint file; the editor rounds positions."""
+"""Distance, in pixels, up to which a corrected detection counts as that of the keypoint file, since it is rounded."""
 MANY_CORRECTIONS = 5
 """Smallest number of corrections that are compared with the keypoint file."""
 
@@ -187,7 +187,7 @@ def _problems(
 
 
 def _are_of_other_detections(file: Keypoints, rows: Sequence[Correction]) -> bool:
-    """Return whether the file has a detection at none of the positions before the corrections.
+    """Return whether no detection in the file is at a position that a correction states as detected.
 
     Detections of all keypoints count, because a fit may exchange left and right.
     """

@@ -28,7 +28,7 @@ from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, one_animal, starts_with
 
 MAX_BYTES = 1 << 28
-"""Largest size of a file."""
+"""Largest size of a file, bytes."""
 MAX_UNPACKED = 1 << 28
 """Largest size of the unpacked elements of a file, bytes."""
 MAX_DEPTH = 12
@@ -38,7 +38,7 @@ MAX_ITEMS = 100_000
 _MATRIX, _COMPRESSED = 14, 15
 """Types of elements in MATLAB's format: an array, and compressed elements."""
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""NumPy's type, by the type of an element."""
+"""NumPy type for each type of element."""
 _TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
 """Classes of arrays in MATLAB's format."""
@@ -176,7 +176,7 @@ class _File:
         if kind == _CHAR:
             text_type, text = elements[3]
             return name, bytes(text).decode(_TEXTS[text_type])
-        if not 6 <= kind < 16 or flags & 0x0800:  # texts and complex numbers
+        if not 6 <= kind < 16 or flags & 0x0800:  # objects, sparse arrays and complex numbers
             return name, None
         values = self.numbers(*elements[3]) if len(elements) > 3 else np.zeros(0)
         if min(shape) < 0:

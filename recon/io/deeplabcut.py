@@ -204,7 +204,7 @@ def points_of_table(
     Raises
     ------
     InputError
-        With the known problems, or those of the columns and frame numbers, and as in `recon.io.common.choose`.
+        If `problems` are given, if columns or frame numbers are invalid, and as in `recon.io.common.choose`.
     """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     columns, blank_notes = _stripped(named)
@@ -422,7 +422,7 @@ def _points(
 
 
 def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarray, list[str], list[Problem]]:
-    """Return frame numbers (T,) of the index cells, the pictures' names of labels, and problems."""
+    """Return the frame numbers (T,) in the index cells, the names of labelled pictures, and problems."""
     texts = ["/".join(cell for cell in cells if cell).strip() for cells in index]
     labels = bool(texts) and re.search(r"[/\\]|\.[A-Za-z]\w*$", texts[0]) is not None
     frames, problems = [], []
@@ -443,7 +443,7 @@ def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarr
 
 
 def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
-    """Return the animals' prefixes of bodypart names, such as B and W in B_nose, B_tail, W_nose, W_tail.
+    """Return the prefixes of bodypart names that stand for animals, such as B and W in B_nose, B_tail, W_nose, W_tail.
 
     The result is empty if a prefix names a position on an animal, or if the animals have different bodyparts.
     """

@@ -407,7 +407,7 @@ def read_points(
     try:
         stored = _read_animal(reader, path, individual) if kind is None or kind in reader.reads else None
     except NoChoiceError as error:
-        # otherwise choosing an animal would not help
+        # a file of the wrong kind is refused first, since choosing an animal would not help
         _require_kind(path, kind, reader, reader.read(path, error.animals[0]))
         raise NoChoiceError(path, error.animals, _hint_to_join(reader, path, error.animals)) from None
     stored = _require_kind(path, kind, reader, stored)

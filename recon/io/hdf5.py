@@ -48,8 +48,8 @@ def is_hdf5(path: Path) -> bool:
 def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading.
 
-    With `names_only`, only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError
-    for a damaged file, also for h5py's errors inside the block.
+    If `names_only` is true, only names and types are read, which is safe without `_require_sound_heaps`. Raises
+    InputError for a damaged file, also for h5py's errors inside the block.
     """
     with damage_as_input_error(path, "a complete, undamaged HDF5 file"):
         if not names_only:

@@ -135,7 +135,7 @@ def _texts_of(group: h5py.Group, values: np.ndarray) -> list[str]:
 def _is_empty(dataset: h5py.Dataset) -> bool:
     """Return whether a dataset is empty; raise ValueError for pickled cells.
 
-    pandas stores an empty array as one with one element, with its shape as an attribute.
+    pandas stores an empty array as an array of one element, with the true shape as an attribute.
     """
     if attribute(dataset, "PSEUDOATOM") is not None:
         raise ValueError("cells with pickled Python objects, which could run any program")
@@ -405,7 +405,7 @@ IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y 
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
 """Comment in recon's own series, whose times may be irregular."""
 UP_TEXT = "z up"
-"""End of the frame of reference of recon's own 3D series."""
+"""Last words of the description of the axes in recon's own 3D series."""
 
 
 def recognises_nwb(path: Path) -> bool:
@@ -471,11 +471,11 @@ class _Series(NamedTuple):
     """One point in T frames."""
 
     positions: np.ndarray
-    """(T, 2 or 3)."""
+    """(T, 2) pixels, or (T, 3) in the file's unit."""
     confidence: np.ndarray
-    """(T,)."""
+    """(T,): NaN if unknown."""
     times_s: np.ndarray
-    """(T,)."""
+    """(T,): times of the frames, seconds."""
     fps: float | None
 
 

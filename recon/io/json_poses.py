@@ -99,7 +99,7 @@ def recognises_coco(path: Path) -> bool:
 
 
 def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one animal; raise InputError for an invalid file."""
+    """Return the keypoints of one animal in COCO's JSON; raise InputError for an invalid file."""
     content = read_json(path, _EXPECTED)
     people = [annotation for annotation in content["annotations"] if "keypoints" in annotation]
     numbers, notes = _frame_numbers(path, content["images"])
@@ -160,7 +160,7 @@ def recognises_mmpose(path: Path) -> bool:
 
 
 def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one animal; raise InputError for an invalid file."""
+    """Return the keypoints of one animal in MMPose's JSON; raise InputError for an invalid file."""
     content = read_json(path, _EXPECTED)
     names = content["meta_info"]["keypoint_id2name"]
     instances = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}

@@ -120,7 +120,7 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     fps = common.rate(str(np.float32(point["RATE"].ravel()[0])))
     frames = np.arange(len(xyz)) + first - 1
     listed = writing.frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
-    # cut files keep the number of frames before the cut
+    # another program that cuts the file keeps the list of frames before the cut
     if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))

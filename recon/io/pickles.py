@@ -48,7 +48,7 @@ def plain_pickle(content: bytes) -> Plain:
 def plain_parts_of_pickle(content: bytes) -> Plain:
     """Return the plain values and NumPy numbers of a pickle, with an `Unread` for every object of another class.
 
-    Nothing in the pickle is imported or called. Raises ValueError for a damaged pickle.
+    Nothing else in the pickle is imported or called. Raises ValueError for a damaged pickle.
     """
     _require_small(content)
     try:

@@ -161,7 +161,7 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
-    """Return times of one day that follow its date in any format, in seconds after the first, or None."""
+    """Return times after a date in any format, in seconds after the first; None unless all have the same date."""
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
     dated = [match for match in matches if match is not None]
     if len(dated) < len(texts) or len({(match[1], match[3]) for match in dated}) != 1:

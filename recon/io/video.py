@@ -36,7 +36,7 @@ of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
 UNEVEN = 0.3
 """Largest deviation of the time between frames from a multiple of the usual time, as a fraction of the usual time."""
 STAMP_S = 1e-3
-"""Time that is added to this deviation, as Matroska's time stamps are whole milliseconds."""
+"""Time, in seconds, added to the allowed deviation, as Matroska's time stamps are whole milliseconds."""
 DRIFT = 0.05
 """Largest relative deviation from the usual rate; phones film more slowly in the dark."""
 DRIFT_FRAMES = 30
@@ -214,9 +214,9 @@ def timed_frames(
 def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
     """Yield a function that appends a picture (height, width, 3; blue, green, red) to a new video.
 
-    size_px is (width, height), even. The file appears, or replaces an earlier one, when the block ends without an
-    exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or if OpenCV lacks the
-    encoder; OSError if the disk is full.
+    `size_px` is (width, height), both even. The file appears, or replaces an earlier one, when the block ends without
+    an exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or if OpenCV lacks
+    the encoder; OSError if the disk is full.
     """
     path = Path(path)
     codec = require_codec(path)
@@ -293,7 +293,7 @@ def _webm_length(path: Path) -> int:
     with path.open("rb") as file:
         head = file.read(80)
     position = 0
-    # each part begins with an identity of four bytes and its length, whose leading zeros give its number of bytes
+    # each part begins with an identifier of four bytes and its length, whose leading zeros give its number of bytes
     for _ in range(2):
         size_bytes = 9 - head[position + 4].bit_length() if len(head) > position + 12 else 1
         size = int.from_bytes(head[position + 4 : position + 4 + size_bytes], "big") & ((1 << 7 * size_bytes) - 1)
@@ -312,7 +312,7 @@ def require_codec(path: Path) -> str:
 def _local(path: Path) -> str:
     """Return a file name that FFmpeg does not mistake for a protocol, as in run10:30.mp4 or a folder called http:.
 
-    Raises InputError for a name that OpenCV cannot take: it crashes at bytes that are not UTF-8.
+    Raises InputError for a name that is not UTF-8, at which OpenCV crashes.
     """
     return utf8_path(path)
 

@@ -120,10 +120,10 @@ def write_rows(
 ) -> None:
     """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell.
 
-    With `guard`, texts are escaped so that a spreadsheet does not run them; without it, other programs read them
+    If `guard` is true, texts are escaped so that a spreadsheet does not run them; otherwise other programs read them
     unchanged.
     """
-    text = cache(guarded if guard else encodable)  # a column of texts has the same few in thousands of rows
+    text = cache(guarded if guard else encodable)  # a column of texts repeats a few in thousands of rows
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([text(name) for name in row] for row in header)
@@ -150,7 +150,8 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 def _arrow_array(values: np.ndarray) -> pa.Array:
     """Return a column (N,) as an array of pyarrow, with NaN as null.
 
-    It is made from its bytes, because `pa.array` imports pandas, which takes longer than writing a short clip's tables.
+    The array is made from bytes, because `pa.array` imports pandas, which takes longer than writing a short clip's
+    tables.
     """
     import pyarrow as pa
 

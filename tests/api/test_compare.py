@@ -89,7 +89,7 @@ def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
     }
     folders = [motion.save(tmp_path / name).parent for name, motion in motions.items()]
     ended = run("compare", *folders, "--out", tmp_path / "out")
-    assert says(ended.out, "probably of the same run", ": a and b, b and other. Give one")
+    assert says(ended.out, "probably show the same run", ": a and b, b and other. Give one")
 
 
 def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, whole_motion: Motion):
