@@ -1,4 +1,4 @@
-"""Running `recon ARGS` in tests, and what it and functions are refused for."""
+"""Run `recon ARGS` in tests, and check the problems that commands and functions are refused for."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Ended(NamedTuple):
 
 
 def run(*args: object) -> Ended:
-    """`recon ARGS` in this process: `main()` with its handling of errors."""
+    """Run `recon ARGS` in this process: `main()` with its handling of errors."""
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", ["recon", *map(str, args)])
@@ -48,7 +48,7 @@ Refusal = tuple[object, ...]
 
 
 def refused(args: Sequence[object], *expected: Refusal) -> tuple[Problem, ...]:
-    """`recon ARGS` prints nothing but one error for each problem, and these are its problems."""
+    """Check that `recon ARGS` prints only one error for each problem, and that these are its problems."""
     problems: list[Problem] = []
     app = cli.app
 
@@ -70,14 +70,14 @@ def refused(args: Sequence[object], *expected: Refusal) -> tuple[Problem, ...]:
 
 @contextmanager
 def refusal(*expected: Refusal) -> Iterator[None]:
-    """What is done inside raises `InputError` with these problems."""
+    """Check that the block raises `InputError` with these problems."""
     with pytest.raises(InputError) as caught:
         yield
     compare(caught.value.problems, expected)
 
 
 def compare(problems: Sequence[Problem], expected: Sequence[Refusal]) -> None:
-    """In any order."""
+    """Compare problems in any order."""
     said = [[_is_about(problem, one) for one in expected] for problem in problems]
     if len(problems) != len(expected) or not all(map(any, said)) or not all(map(any, zip(*said, strict=True))):
         told = "\n".join(map(repr, problems))
@@ -93,13 +93,13 @@ def _is_about(problem: Problem, expected: Refusal) -> bool:
 
 
 def says(text: str, *values: object) -> bool:
-    """Whether a line has all of them as whole words: 3 does not stand in 13, nor in 3.5."""
+    """Return whether a line contains all of these as whole words: 3 is not contained in 13, nor in 3.5."""
     begins, ends = r"(?:(?<![\w.])|(?!\w))", r"(?:(?!\w|\.\d)|(?<!\w))"
     return all(re.search(f"{begins}{re.escape(str(value))}{ends}", text) for value in values)
 
 
 def run_process(*args: object, before: str = "") -> Ended:
-    """`recon ARGS` in a process of its own, after some lines of Python."""
+    """Run `recon ARGS` in its own process, after some lines of Python."""
     command = [
         sys.executable,
         "-W",
@@ -113,7 +113,7 @@ def run_process(*args: object, before: str = "") -> Ended:
 
 
 def copy_results(results: Path, to: Path) -> Path:
-    """A folder of results elsewhere, which finds what they were made from."""
+    """Copy a folder of results so that the copy finds the inputs of the original."""
     shutil.copytree(results, to)
     (to / "config.toml").write_text(read_settings(results / "config.toml", {}).to_toml(to), encoding="utf-8")
     write_manifest(to)
@@ -121,7 +121,7 @@ def copy_results(results: Path, to: Path) -> Path:
 
 
 def run_tasks_here(work: Work, tasks: Sequence[tuple[str, Any]], tell: Callable[[Event], None], **_: Any) -> None:
-    """`run_tasks` in this process: tests of what it does need no other."""
+    """Run the tasks of `run_tasks` in this process, for tests that need no other."""
     for name, task in tasks:
         tell(Event("progress", name, stage=STARTING))
         tell(Event("ended", name, outcome=outcome_of(work, task, silent)))

@@ -1,4 +1,4 @@
-"""What pytest does before and after the tests. The fixtures are in `shared_fixtures.py`."""
+"""Set up pytest before and after the tests. The fixtures are in `shared_fixtures.py`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ gc.set_threshold(20_000)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The process that hands tests to others runs none, and does not wait for the imports of the fixtures."""
+    """Load the fixtures, except in the process that distributes tests, which runs none."""
     if "PYTEST_XDIST_WORKER" in os.environ or not config.getoption("numprocesses", None):
         config.pluginmanager.import_plugin("shared_fixtures")
 
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport() -> Generator:
-    """A name of bytes that are not UTF-8, in a log or a traceback, would end the processes of pytest-xdist."""
+    """Replace bytes that are not UTF-8 in reports, because they would end the processes of pytest-xdist."""
     report = (yield).get_result()
     report.sections = [(name, encodable(text)) for name, text in report.sections]
     if report.failed and encodable(report.longreprtext) != report.longreprtext:
@@ -33,6 +33,6 @@ def pytest_runtest_makereport() -> Generator:
 
 
 def pytest_collection_finish() -> None:
-    """What all tests share is not looked through for garbage again and again."""
+    """Exclude objects that all tests share from garbage collection."""
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""The files that the pages of docs/ speak of, made from the samples."""
+"""Make the files that the pages of docs/ name from the samples."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def commands(block: Block) -> Iterator[str]:
-    """The commands of a shell block, one by one, without comments."""
+    """Yield the commands of a shell block one by one, without comments."""
     for line in re.sub(r"\\\n\s*", "", block.text).splitlines():
         words = shlex.split(line, comments=True)
         if words:
@@ -76,7 +76,7 @@ def pose() -> Pose3D:
 
 
 def _first(count: int) -> Callable[[Path], None]:
-    """The first frames of the sample, where a page needs no more."""
+    """Return a maker of the first frames of the sample, for pages that need no more."""
 
     def make(path: Path) -> None:
         lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
@@ -86,7 +86,7 @@ def _first(count: int) -> Callable[[Path], None]:
 
 
 def _clips(path: Path) -> None:
-    """Two, the first 20 frames of the sample."""
+    """Write two clips, the first 20 frames of the sample."""
     path.mkdir()
     lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
     for name in ("run1", "run2"):
@@ -94,7 +94,7 @@ def _clips(path: Path) -> None:
 
 
 def _filmed_twice(folder: Path, name: str) -> None:
-    """The sample run of two cameras, its first 15 frames."""
+    """Write the sample run of two cameras, its first 15 frames."""
     folder.mkdir(exist_ok=True)
     for camera in ("cam1", "cam2"):
         lines = (SAMPLES / f"whole_{camera}.csv").read_text().splitlines(keepends=True)
@@ -102,7 +102,7 @@ def _filmed_twice(folder: Path, name: str) -> None:
 
 
 def _in_mm(path: Path) -> None:
-    """The truth of the sample as another program triangulates it."""
+    """Write the truth of the sample in millimetres, as another program triangulates it."""
     write_csv(replace(pose(), xyz_m=1000 * pose().xyz_m), path)
     _, *rest = path.read_text(encoding="utf-8").splitlines(keepends=True)
     names = len(rest[0].split(",")) - 1
@@ -124,7 +124,7 @@ def _mmpose(path: Path) -> None:
 
 
 def _two_animals(path: Path) -> None:
-    """As DeepLabCut writes them: a level of individuals in the header."""
+    """Write a file of two animals as DeepLabCut does, with a level of individuals in the header."""
     import pandas as pd
 
     columns, values = [], []
@@ -138,13 +138,13 @@ def _two_animals(path: Path) -> None:
 
 
 def _bvh(path: Path) -> None:
-    """In centimetres."""
+    """Write a BVH file in centimetres."""
     body = load_skeleton("cheetah-24")
     write_bvh(make_rig(body, 100.0, body.markers, np.arange(3), np.zeros((3, body.n_state)), 60.0), path)
 
 
 def _track(path: Path) -> None:
-    """The track of a camera on a tripod."""
+    """Write the track of a camera on a tripod."""
     camera = read_camera(SAMPLES / "camera.toml")
     assert camera.rotation is not None
     assert camera.translation_m is not None
@@ -166,13 +166,16 @@ def _wide(path: Path) -> None:
 
 
 def _runs(path: Path) -> None:
-    """The sample forwards, backwards and forwards again: a prior of 16 components needs 320 frames in two files."""
+    """Write the sample forwards, backwards and forwards again, in two files.
+
+    A prior of 16 components needs 320 frames.
+    """
     there = pose().xyz_m
     write_csv(replace(pose(), xyz_m=np.concatenate([there, there[::-1], there]), frames=np.arange(180)), path)
 
 
 def _board(description: str, model: str, count: int) -> list[np.ndarray]:
-    """Pictures of a board of 640x480, as a camera with a wide or a normal lens takes them."""
+    """Return pictures (640x480) of a board, taken by a camera with a wide or a normal lens."""
     board, rng = parse_board(description), np.random.default_rng(1)
     matrix = np.array([[420.0, 0, 320], [0, 420, 240], [0, 0, 1]])
     distortion = {"radtan": [-0.1, 0.02, 0, 0, 0], "fisheye": [-0.02, 0.003, 0, 0]}[model]
@@ -190,7 +193,7 @@ def _pictures(path: Path) -> None:
 
 
 def _board_video(path: Path) -> None:
-    """Three frames of each view, as a video has them."""
+    """Write a video with three frames of each view of a board."""
     with video_writer(path, (640, 480), 25.0) as write:
         for picture in _board("charuco:9x6:30mm:22mm:DICT_4X4_50", "fisheye", 14):
             for _ in range(3):
@@ -206,7 +209,10 @@ def cat_file(path: Path) -> None:
 
 
 def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
-    """400 frames of the cat of writing-a-skeleton.md in slow waves of all its angles, as it trots past at 3 m/s."""
+    """Return 400 frames of the cat of writing-a-skeleton.md.
+
+    All angles move in slow waves while the cat trots past at 3 m/s.
+    """
     file = folder / "my-cat.toml"
     if not file.exists():
         cat_file(file)
@@ -219,7 +225,7 @@ def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
 
 
 def _cat_clip(path: Path) -> None:
-    """Seen by the samples' camera, nearer."""
+    """Write the cat as the samples' camera sees it from a smaller distance."""
     _, truth = _cat(path.parent, seed=1)
     camera = read_camera(SAMPLES / "camera.toml")
     near = truth.xyz_m[70:130] + camera.centre_world + camera.rotation[2] * 6 - [0, 0, 0.3]

@@ -1,4 +1,4 @@
-"""A made-up run of `cheetah-24` before made-up cameras, which many tests fit."""
+"""Simulate a run of `cheetah-24` before simulated cameras, which many tests fit."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ POSES = (AHEAD, ASIDE, level_pose([4.0, 1.0, 1.0], 0.75 * np.pi), level_pose([9.
 
 
 def run(T: int = 40, heading_rad: float = 0.4, speed_m_s: float = 9.0) -> np.ndarray:
-    """Joints (T, J, 3), camera frame: two strides a half second, along the covariance's two widest directions."""
+    """Return joints (T, J, 3), camera frame, m: two strides per half second.
+
+    The angles move along the two widest directions of the prior's covariance.
+    """
     values, vectors = np.linalg.eigh(PRIOR.covariance)
     t = np.arange(T) / FPS
     swing = 2 * np.pi * 3.0 * t
@@ -64,19 +67,19 @@ def plain() -> TrajectorySolution:
 
 
 def errors_m(solution: TrajectorySolution, truth: np.ndarray) -> np.ndarray:
-    """(T,): mean distance of the joints, both centred."""
+    """Return the mean distance of the joints in each frame (T,), m, both poses centred."""
     found = solution.joints_camera_m
     centred = found - found.mean(axis=1, keepdims=True) - truth + truth.mean(axis=1, keepdims=True)
     return np.linalg.norm(centred, axis=-1).mean(axis=1)
 
 
 def truth_m() -> np.ndarray:
-    """(T, J, 3): a run, in the level frame of a camera in the origin."""
+    """Return joints (T, J, 3), m, of a run, in the level frame of a camera at the origin."""
     return run() @ LEVEL.T
 
 
 def view_of(points_m: np.ndarray, T_camera_world: np.ndarray, sigma_px: float = 2.0, seed: int = 0) -> View:
-    """What the run's camera sees of points from a pose."""
+    """Return the view of points by the run's camera in a pose."""
     return make_view(CAMERA, points_m, T_camera_world, sigma_px, seed)
 
 
@@ -97,13 +100,13 @@ def settings(folder: Path, *numbers: int, **more: object) -> FitSettings:
 
 
 def run_views(n: int = 4) -> list[View]:
-    """At most as noisy as expected."""
+    """Return the views of the run, at most as noisy as expected."""
     views = [view_of(truth_m(), T, sigma_px=2.0, seed=i) for i, T in enumerate(POSES[:n])]
     return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
 
 
 def late(view: View, frames: int) -> View:
-    """Its pictures were taken that much later than their numbers say."""
+    """Return a view whose pictures were taken that much later than their numbers state."""
     xy_px = np.full_like(view.xy_px, np.nan)
     if frames > 0:
         xy_px[:-frames] = view.xy_px[frames:]

@@ -1,4 +1,4 @@
-"""The texts and lines of a figure, and those of them that its edges, or those of their axes, cut off."""
+"""Find the texts and lines of a figure, and those that its edges or the edges of its axes cut off."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from recon.show.plots import style
 
 
 def drawn_texts(figure: Figure) -> Iterator[Text]:
-    """The texts that a reader sees: of axes those within their limits."""
+    """Return the texts that a reader sees; for axes only those within their limits."""
     hidden: set[Artist] = set()
     for axes in [*figure.axes, *(child for parent in figure.axes for child in parent.child_axes)]:
         for axis in (axes.xaxis, axes.yaxis):
@@ -29,7 +29,7 @@ def drawn_texts(figure: Figure) -> Iterator[Text]:
 
 
 def cut_off(figure: Figure) -> list[str]:
-    """The texts that reach out of a figure as it is saved."""
+    """Return the texts that reach beyond the edges of a figure as it is saved."""
     with style._settings():
         figure.draw_without_rendering()
         renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
@@ -45,7 +45,7 @@ def cut_off(figure: Figure) -> list[str]:
 
 
 def beyond_axes(figure: Figure) -> list[str]:
-    """The labels of lines and markers whose data reach out of their axes, which hide that part."""
+    """Return the labels of lines and markers whose data reach beyond their axes, which hide that part."""
     labels = []
     for axes in figure.axes:
         for line in axes.lines:

@@ -1,4 +1,4 @@
-"""Files of points that tests write, and what readers refuse in them."""
+"""Write files of points in tests, and check what readers refuse."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAN = float("nan")
 
 
 def refuses(path: Path, *expected: tuple[object, ...], individual: str | None = None, read=read_keypoints) -> None:
-    """expected: each problem as for `refusal`, without the file."""
+    """Check that a reader refuses a file; expected: problems as for `refusal`, without the file."""
     with refusal(*((path, *one) for one in expected)):
         read(path, individual)
 

@@ -1,4 +1,4 @@
-"""Modules that are imported when a test first uses them, because each process of the tests collects every test file."""
+"""Import modules when a test first uses them, because each process of the tests collects every test file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 class Later:
-    """A module that is imported when something of it is first used."""
+    """A module that is imported when one of its names is first used."""
 
     def __init__(self, name: str) -> None:
         self._name = name

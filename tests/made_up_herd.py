@@ -1,4 +1,4 @@
-"""Made-up results of an experiment: copies of one result, with the numbers of a herd in place of an analysis."""
+"""Make results of an experiment: copies of one result, with the numbers of a herd instead of an analysis."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def make_herd(folder: Path, results: Path) -> None:
 
 
 def use_made_up_numbers(patch: pytest.MonkeyPatch) -> None:
-    """Let `recon compare` take the numbers of a made-up herd, by the clips' order, and analyse nothing."""
+    """Let `recon compare` use the numbers of a made-up herd, in the order of the clips, and analyse nothing."""
     order: list[Motion] = []
 
     def analysed(motion: Motion) -> str:

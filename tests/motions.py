@@ -1,4 +1,4 @@
-"""Motions changed for a test."""
+"""Change motions for a test."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from recon.fit.motion import Motion
 
 
 def with_first(motion: Motion, **changes: Any) -> Motion:
-    """The same with these fields of its first source replaced."""
+    """Return a motion whose first source has these fields replaced."""
     first, *others = motion.sources
     return replace(motion, sources=(replace(first, **changes), *others))

@@ -1,4 +1,4 @@
-"""Keypoint networks that are quick to train."""
+"""Make keypoint networks that train quickly."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ EVALUATIONS = 3
 
 
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
-    """Networks as deep as those of users, but narrow, judged three times in a run, and the same on every machine.
-    Of their points, which are noise, no fit asks whether another picture explains them better."""
+    """Make networks narrow but as deep as those of users, evaluated three times per run, and repeatable.
+
+    Their points are noise, so fits do not test whether another picture explains them better.
+    """
     from recon.keypoint_net import network, train
 
     for name, value in (("WIDTHS", (4, 8, 12, 16, 16)), ("SECOND_WIDTHS", (4, 8, 12, 16)), ("HEAD", 8)):
@@ -26,7 +28,7 @@ NAMES = ("nose", "left_paw", "right_paw")
 
 
 def write_labels(path: Path, images: list[str], xy: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
-    """DeepLabCut's label file: one index column, empty cells where NaN."""
+    """Write DeepLabCut's label file: one index column, and empty cells for NaN."""
     lines = [
         "scorer," + ",".join(["me"] * 2 * len(names)),
         "bodyparts," + ",".join(n for n in names for _ in range(2)),

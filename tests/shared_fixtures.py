@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests, of the processes that run tests (`conftest.py`)."""
+"""Define the fixtures that all tests share."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Real recordings, which are not part of the project: RECON_SHARED_DATA, or ../shared/data by default."""
+    """Return the folder of real recordings: RECON_SHARED_DATA, or ../shared/data; skip without it."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     path = Path(os.environ.get("RECON_SHARED_DATA", default))
     if not path.is_dir():
@@ -62,9 +62,10 @@ SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
-    """A folder that all processes of the tests share: `made_once(name, make)` is its path, `make(path)` writes it.
+    """Return a folder that all processes of the tests share, which is read only.
 
-    Two processes that need it at the same time both make it, and one of them is thrown away. Not to be written to.
+    `made_once(name, make)` is its path, and `make(path)` writes it. If two processes need it at the same time, both
+    make it, and one copy is deleted.
     """
     own = tmp_path_factory.getbasetemp()
     shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
@@ -83,14 +84,14 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 
 @pytest.fixture(scope="session")
 def whole_results(made_once) -> Path:
-    """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
+    """Return the folder of `recon fit` on the whole-animal sample with default options. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
     return made_once("whole", lambda out: run_clip(settings, out))
 
 
 @pytest.fixture(scope="session", autouse=True)
 def commands_made_once() -> Iterator[None]:
-    """To make a command of its function takes 20 ms, and tests call commands a thousand times."""
+    """Make each command of its function once: it takes 20 ms, and tests call commands a thousand times."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("recon.cli.app.make_command", cache(make_command))
         yield
@@ -103,38 +104,38 @@ def fitted_demo(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def optimiser() -> None:
-    """For tests that train: torch imports half of itself when the first optimiser is made."""
+    """Import the optimiser for tests that train, because torch imports half of itself for the first optimiser."""
     torch = pytest.importorskip("torch")
     torch.optim.AdamW([torch.zeros(1, requires_grad=True)])
 
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of commands and pages that do not look at their figures."""
+    """Leave out drawing in tests of commands and pages that do not look at their figures."""
     leave_out_drawing(monkeypatch)
 
 
 @pytest.fixture
 def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of something else."""
+    """Leave out the playback in tests of something else."""
     leave_out_playback(monkeypatch)
 
 
 @pytest.fixture
 def remembered_analyses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of commands that analyse the same results as others."""
+    """Remember analyses in tests of commands that analyse the same results."""
     remember_analyses(monkeypatch)
 
 
 @pytest.fixture
 def frames_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of what is done with the results of many equal fits by the frame method."""
+    """Solve equal problems of the frame method once, for tests of what is done with their results."""
     solve_frames_once(monkeypatch)
 
 
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches run in this process: for tests of what is done, not of how processes share it."""
+    """Run batches in this process, for tests of what is done rather than of how processes share it."""
     for module in ("recon.api.batch", "recon.cli.look"):
         monkeypatch.setattr(f"{module}.run_tasks", run_tasks_here)
 
@@ -146,8 +147,10 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
-    """`of_results(command)` is what a command about `results/clip` prints where that is `whole_results`, and the folder
-    that it ran in, which is not to be written to. Each command is run once for all tests, its figures are empty."""
+    """Return what a command about `results/clip` prints for `whole_results`, and the folder that it ran in.
+
+    `of_results(command)` runs each command once for all tests, with empty figures. The folder must not be written to.
+    """
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
@@ -169,7 +172,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
 
 @pytest.fixture(scope="session")
 def level_results(made_once) -> Path:
-    """The same, without a calibration and with a tilt: results in the camera frame. Not to be written to."""
+    """Return the same results without a calibration and with a tilt, in the camera frame. Not to be written to."""
     settings = FitSettings(
         keypoints=SAMPLES / "whole.csv", hfov_deg=60, image_size_px=(1920, 1080), tilt_deg=3, fps=60, fast=True
     )
@@ -178,14 +181,14 @@ def level_results(made_once) -> Path:
 
 @pytest.fixture(scope="session")
 def frame_results(made_once) -> Path:
-    """Folder of `recon frame` on the noisy sample. Not to be written to."""
+    """Return the folder of `recon frame` on the noisy sample. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, method="frame")
     return made_once("frame", lambda out: run_clip(settings, out))
 
 
 @pytest.fixture(scope="session")
 def chain_results(made_once) -> Path:
-    """Folder of the same with the same skeleton by the trajectory method. Not to be written to."""
+    """Return the folder of the trajectory method with the chain of `frame_results`. Not to be written to."""
     settings = FitSettings(
         keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, skeleton="cheetah-8u"
     )
@@ -194,13 +197,13 @@ def chain_results(made_once) -> Path:
 
 @pytest.fixture(scope="session")
 def whole_analysis(whole_results: Path) -> ClipAnalysis:
-    """The analysis of `whole_results`."""
+    """Return the analysis of `whole_results`."""
     return analyse(Motion.load(whole_results))
 
 
 @pytest.fixture(scope="session")
 def retargeted(whole_results: Path) -> Callable[[str], Retargeting]:
-    """`retargeted(robot)` is the motion of `whole_results` on a robot, which each process solves once."""
+    """Return the motion of `whole_results` on a robot, `retargeted(robot)`, which each process solves once."""
     from recon.robotics.quadruped import load_robot
     from recon.robotics.retarget import reference_of, retarget
 
@@ -209,10 +212,11 @@ def retargeted(whole_results: Path) -> Callable[[str], Retargeting]:
 
 @pytest.fixture(scope="session")
 def small_motion() -> Motion:
-    """Six frames (10 to 15) of a mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera.
+    """Return six frames (10 to 15) of a mean pose in front of a pinhole camera.
 
-    Pixels are exact, but for the `neck_base` of frame 14, 300 px off. Frame 13 has no data, frame 15 only six points.
-    `nose` is in the file but not in the skeleton; `spine` is rejected as unlikely in frame 11.
+    The animal glides to the right at 9 m/s and 30 fps, 9 m away. Pixels are exact, except the `neck_base` of frame 14,
+    which is 300 px off. Frame 13 has no data, frame 15 only six points. `nose` is in the file but not in the skeleton;
+    `spine` is rejected as unlikely in frame 11.
     """
     chain = load_chain("cheetah-8u")
     camera = Camera.from_hfov(64.0, (1920, 1080))
@@ -244,12 +248,12 @@ def small_motion() -> Motion:
 
 @pytest.fixture(scope="session")
 def small_trajectory() -> Motion:
-    """Eight frames (10 to 17) of a whole cheetah's mean pose that glides to the right at 9 m/s and 30 fps, 9 m from a
-    pinhole camera, as the trajectory method would give it.
+    """Return eight frames (10 to 17) of a whole cheetah as the trajectory method would give it.
 
-    Pixels are those that the detector would see, but for the `nose` of frame 14, 300 px off and hardly trusted. Frame
-    13 has no detections. Frame 15 has a second solution. `ear` is in the file but not in the skeleton, `r_eye` is the
-    other way round. The left front paw stands in frames 11 and 12.
+    The mean pose glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera. Pixels are those that the detector
+    would see, except the `nose` of frame 14, which is 300 px off with a low weight. Frame 13 has no detections. Frame
+    15 has a second solution. `ear` is in the file but not in the skeleton, and `r_eye` is in the skeleton but not in
+    the file. The left front paw stands in frames 11 and 12.
     """
     body = load_skeleton("cheetah-24")
     camera = Camera.from_hfov(64.0, (1920, 1080))
@@ -320,7 +324,7 @@ def small_trajectory() -> Motion:
 
 @pytest.fixture(scope="session")
 def world_trajectory(small_trajectory: Motion) -> Motion:
-    """The same, seen by a camera at (1, 2, 3) that looks along x with its own right along -y, z up."""
+    """Return the same motion seen by a camera at (1, 2, 3) m that looks along x, with its right along -y, z up."""
     rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     camera = replace(small_trajectory.camera, rotation=rotation, translation_m=-rotation @ [1.0, 2.0, 3.0])
     level = small_trajectory.solution
@@ -351,8 +355,11 @@ def world_trajectory(small_trajectory: Motion) -> Motion:
 
 @pytest.fixture(scope="session")
 def two_cameras(world_trajectory: Motion) -> Motion:
-    """The same, seen by a second camera too, `cam2` at (10, -8, 2.5), which looks along y with its right along x. It
-    did not see frames 10 and 11, and puts the `tail_base` of frame 15 200 px off."""
+    """Return the same motion, also seen by a second camera.
+
+    `cam2` is at (10, -8, 2.5) m and looks along y, with its right along x. It did not see frames 10 and 11, and puts
+    the `tail_base` of frame 15 200 px off.
+    """
     motion = world_trajectory
     rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     camera = replace(motion.camera, name="cam2", rotation=rotation, translation_m=-rotation @ [10.0, -8.0, 2.5])
@@ -384,8 +391,7 @@ def two_cameras(world_trajectory: Motion) -> Motion:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run of `example_run` as run_cam1.csv and run_cam2.csv, the second without its first ten frames, beside
-    scene.json."""
+    """Write the run of `example_run` as run_cam1.csv, run_cam2.csv (without its first ten frames) and scene.json."""
     from example_run import AHEAD, ASIDE, FISHEYE, keypoints_of, truth_m
 
     out, cameras = tmp_path_factory.mktemp("two"), []
@@ -402,7 +408,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def clips(tmp_path) -> Path:
-    """A folder with three clips of the frame method."""
+    """Write a folder with three clips of the frame method."""
     folder = tmp_path / "clips"
     folder.mkdir()
     for name in ("a", "b", "c"):

@@ -1,4 +1,4 @@
-"""What tests leave out of the commands that they run, because it is slow and another test looks at it."""
+"""Leave out slow parts of the commands that tests run, if another test covers these parts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ EMPTY_FILES = {"png": b64decode(PIXEL), "svg": b'<svg xmlns="http://www.w3.org/2
 
 
 def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`recon demo` has its fit from `whole_results`, and makes no page: `test_demo` does both."""
+    """Let `recon demo` take its fit from `whole_results` and make no page; `test_demo` does both."""
 
     def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
@@ -48,7 +48,7 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
-    """Every figure is made and has its file, in which nothing is drawn; the figures of an analysis are not even made.
+    """Make every figure and its file, but draw nothing into it; figures of an analysis are not even made.
 
     Each figure is drawn in full in `tests/show`, `test_clip_analysis.py`, `test_solver_analysis.py` or the test of its
     command.
@@ -60,7 +60,7 @@ def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:
-    """Figures are drawn as always, at a lower resolution; they are not laid out, nor letters fitted to pixels."""
+    """Draw figures at a lower resolution, without layout and without fitting letters to pixels."""
     leave_out_layout(patch)
     patch.setattr(style, "PNG_DPI", SMALL_DPI)
     with NamedTemporaryFile("w", suffix=".mplstyle", encoding="utf-8", delete=False) as sheet:
@@ -69,12 +69,12 @@ def draw_small(patch: pytest.MonkeyPatch) -> None:
 
 
 def leave_out_layout(patch: pytest.MonkeyPatch) -> None:
-    """For figures that nobody looks at: their layout takes longer than the drawing, and `test_plots.py` looks at it."""
+    """Leave out the layout of figures, which takes longer than drawing; `test_plots.py` tests it."""
     patch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
 
 
 def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
-    """`recon ik --compare` draws only the first two of its methods."""
+    """Let `recon ik --compare` draw only the first two of its methods."""
     write_ik_figures = ik_clip.write_figures
 
     def of_two(solved: ik_clip._IKRun, folder: Path) -> None:
@@ -85,12 +85,12 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
 
 
 def shorten_cost_study(patch: pytest.MonkeyPatch) -> None:
-    """`recon ik --costs` follows its path for two turns instead of ten."""
+    """Let `recon ik --costs` follow its path for two turns instead of ten."""
     patch.setattr(ik_clip, "cost_outcome", partial(ik_clip.cost_outcome, turns=2))
 
 
 def remember_analyses(patch: pytest.MonkeyPatch) -> None:
-    """`recon analyse`, `compare` and `figure` analyse each motion once in a process, whatever its folder is called."""
+    """Let `recon analyse`, `compare` and `figure` analyse each motion once per process, in any folder."""
     for module in ("recon.api.analyse", "recon.api.compare", "recon.cli.figure"):
         patch.setattr(f"{module}.analyse", _remembered_analysis)
 
@@ -106,7 +106,7 @@ _ANALYSES: dict[tuple[object, ...], gait_clip.ClipAnalysis] = {}
 
 
 def solve_frames_once(patch: pytest.MonkeyPatch) -> None:
-    """The frame method solves equal problems once in a process; each fit has a copy of the solution."""
+    """Let the frame method solve equal problems once per process; each fit gets a copy of the solution."""
     solve = frame_clip.solve_frames
 
     def remembered(*problem: Any) -> Any:
@@ -127,7 +127,7 @@ _FRAME_SOLUTIONS: dict[bytes, bytes] = {}
 
 
 def leave_out_playback(patch: pytest.MonkeyPatch) -> None:
-    """Fits in this process write an empty one: the true one takes a third of their time."""
+    """Let fits in this process write an empty playback, because the real one takes a third of their time."""
     patch.setattr("recon.show.view.write", lambda motion, path, *_: path.touch())
 
 

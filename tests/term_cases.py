@@ -1,4 +1,4 @@
-"""A term of every kind with states to try it at, and the dense form of a banded matrix."""
+"""Return a term of every kind with states to evaluate it at, and the dense form of a banded matrix."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FEET = np.array([BODY.markers.index(foot) for foot in BODY.feet])
 
 
 def some_states(seed: int = 0) -> np.ndarray:
-    """A body that runs past the camera, every angle off its mean."""
+    """Return states of a body that runs past the camera, with every angle away from its mean."""
     rng = np.random.default_rng(seed)
     states = np.zeros((T, BODY.n_state))
     states[:, 4:] = PRIOR.mean + 0.2 * rng.normal(size=(T, BODY.n_state - 4))
@@ -44,7 +44,7 @@ def some_states(seed: int = 0) -> np.ndarray:
 
 
 def view(xy_px: np.ndarray, confidence: np.ndarray | None = None, camera: Camera = CAMERA) -> View:
-    """The view of a camera in the origin that stands level."""
+    """Return the view of a level camera at the origin."""
     return still_view(camera, xy_px, np.ones(xy_px.shape[:2]) if confidence is None else confidence)
 
 
@@ -54,7 +54,7 @@ def pixels(states: np.ndarray) -> np.ndarray:
 
 
 def detections(states: np.ndarray) -> np.ndarray:
-    """Off by some 10 px, one of them grossly, one missing."""
+    """Return detections that are off by some 10 px, one of them grossly, and one missing."""
     xy_px = pixels(states)
     xy_px = xy_px + 10 * np.random.default_rng(1).normal(size=xy_px.shape)
     xy_px[1, 3] += 200.0
@@ -63,7 +63,7 @@ def detections(states: np.ndarray) -> np.ndarray:
 
 
 def moving_view(xy_px: np.ndarray, confidence: np.ndarray) -> View:
-    """A fisheye that pans, travels and zooms."""
+    """Return the view of a fisheye camera that pans, travels and zooms."""
     lens = replace(CAMERA, model="fisheye", distortion=np.array([0.05, -0.01, 0.0, 0.0]))
     still, turn = view(xy_px, confidence, lens), 0.03 * np.arange(T)
     pan = np.tile(np.eye(4), (T, 1, 1))
@@ -102,7 +102,7 @@ def gradient(term, states: np.ndarray) -> np.ndarray:
 
 
 def to_dense(blocks: np.ndarray) -> np.ndarray:
-    """(TD, TD), of which both triangles are filled."""
+    """Return the dense matrix (TD, TD) with both triangles filled."""
     T, n_blocks, D, _ = blocks.shape
     dense = np.zeros((T, D, T, D))
     for t in range(T):

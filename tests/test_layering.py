@@ -56,12 +56,12 @@ def loaded_house() -> SimpleNamespace:
 
 @pytest.fixture(scope="module")
 def house() -> SimpleNamespace:
-    """The script that draws the graph of imports."""
+    """Return the module that draws the graph of imports."""
     return loaded_house()
 
 
 def parsed(source: str) -> ast.Module:
-    """What is read more than once is parsed once."""
+    """Return the syntax tree of a file, which is parsed once."""
     return loaded_house().parsed(source)
 
 
@@ -71,21 +71,21 @@ def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
 
 @cache
 def base_imports() -> set[str]:
-    """Top-level modules that every install has: the standard library's and those of pyproject's dependencies."""
+    """Return the top-level modules that every install has: the standard library and pyproject's dependencies."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = [re.split(r"[^\w.-]", requirement)[0] for requirement in project["dependencies"]]
     return {"recon", *sys.stdlib_module_names} | {IMPORT_NAMES.get(n, n.replace("-", "_")) for n in names}
 
 
 def module_name(path: Path) -> str:
-    """recon/io/formats.py -> recon.io.formats; recon/io/__init__.py -> recon.io.__init__."""
+    """Return the dotted name of a file: recon/io/formats.py -> recon.io.formats, with `__init__` kept."""
     return ".".join(path.relative_to(ROOT).with_suffix("").parts)
 
 
 def violations(
     module: str, source: str, base: set[str], is_upward: Callable[[str, str], bool] = lambda module, target: False
 ) -> list[str]:
-    """What is wrong with the imports of one module, in words; `module` is a name as `module_name` gives it."""
+    """Return what is wrong with the imports of one module, in words; `module` is as `module_name` gives it."""
     tree = parsed(source)
     found = []
     layer = room(tuple(module.split(".")))
@@ -119,7 +119,7 @@ def violations(
 
 
 def imported_names(module: str, source: str) -> Iterator[tuple[int, str, str]]:
-    """Line, module and name of every name that is imported from a module of the package."""
+    """Return line, module and name of every name that is imported from a module of the package."""
     for node in nodes_that_import(source):
         if isinstance(node, ast.ImportFrom):
             package = module.split(".")[: -node.level] if node.level else []
@@ -137,13 +137,13 @@ def is_folder(module: str) -> bool:
 
 
 def defines(origin: str, name: str) -> bool:
-    """Whether a module defines a name, or is a package with a module of that name."""
+    """Return whether a module defines a name, or is a package with a module of that name."""
     return name in definitions(origin) or is_file(f"{origin}.{name}") or is_folder(f"{origin}.{name}")
 
 
 @cache
 def definitions(module: str) -> set[str]:
-    """The functions, classes and variables at the top of a module, also below `if`, `try` or `with`."""
+    """Return the functions, classes and variables at the top of a module, also below `if`, `try` or `with`."""
     path = ROOT / Path(*module.split("."))
     path = path / "__init__.py" if is_folder(module) else path.with_suffix(".py")
     names, nodes = set(), list[ast.AST](parsed(path.read_text(encoding="utf-8")).body)
@@ -159,15 +159,15 @@ def definitions(module: str) -> set[str]:
 
 
 def room(parts: tuple[str, ...]) -> str:
-    """The room of a dotted name, given as its parts."""
+    """Return the room of a dotted name, which is given as its parts."""
     return parts[1] if len(parts) > 1 else ""
 
 
 def all_imports(module: str, source: str) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """Line and dotted name (as parts) of every import, those inside functions and by `import_module` included.
+    """Return line and dotted name (as parts) of every import, also inside functions and by `import_module`.
 
-    `from recon import x` is recon.x where that is a module, and otherwise the public API, recon; `__version__` and its
-    like are no API.
+    `from recon import x` is recon.x if that is a module, and otherwise the public API, recon. `__version__` and similar
+    names are not API.
     """
     for node in nodes_that_import(source):
         if isinstance(node, ast.Import):
@@ -196,7 +196,7 @@ def called_name(call: ast.Call) -> str | None:
 
 
 def imports_on_import(node: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and first part of the name of every absolute import that runs when the module is imported."""
+    """Return line and first part of the name of every absolute import that runs when the module is imported."""
     if isinstance(node, ast.Import):
         yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
     elif isinstance(node, ast.ImportFrom) and not node.level and node.module:

@@ -1,4 +1,4 @@
-"""A motion that is saved and loaded is the same, bit for bit; damaged and hostile files are refused."""
+"""Test that a saved and loaded motion is the same bit for bit, and that damaged and hostile files are refused."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FILES = Path(__file__).parent / "files"
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:
-    """Where two trees of dataclasses differ, also in the last bit."""
+    """Return where two trees of dataclasses differ, even in the last bit."""
     if type(a) is not type(b) and not (isinstance(a, tuple | list) and isinstance(b, tuple | list)):
         return [f"{where}: {type(a)} {type(b)}"]
     if isinstance(a, np.ndarray):
@@ -70,13 +70,13 @@ def saved(small_trajectory: Motion, tmp_path: Path) -> Path:
 
 
 def refuses(path: Path, *expected: tuple[object, ...]) -> None:
-    """expected: each problem as for `refusal`, without the file."""
+    """Check that a file is refused; expected: problems as for `refusal`, without the file."""
     with refusal(*((path, *one) for one in expected)):
         Motion.load(path.parent)
 
 
 def rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, Any]], None]) -> None:
-    """With other arrays, or another text."""
+    """Rewrite a motion with other arrays or another text."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     record = json.loads(arrays.pop("record").tobytes())
@@ -85,7 +85,7 @@ def rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, Any
 
 
 def as_version_3(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
-    """With every array as it is, under the name of its first field."""
+    """Rewrite a motion as schema version 3 did, with every array unpacked under the name of its first field."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -101,7 +101,7 @@ def as_version_3(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
 
 
 def cut_states(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
-    """Without the first frame's state."""
+    """Leave out the state of the first frame."""
     as_version_3(arrays, record)
     arrays["solution.states"] = arrays["solution.states"][1:]
 
@@ -204,7 +204,7 @@ def test_files_name_classes_by_tags(fixture: str, request: pytest.FixtureRequest
     ],
 )
 def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
-    """They name classes by modules, some of which are gone."""
+    """Motions of schema version 2 are read, although they name classes by modules that no longer exist."""
     motion = Motion.load(FILES / "motions-version-2" / method)
     assert motion.solution.method == method
     assert motion.solution.size == pytest.approx(size, abs=1e-12)
@@ -214,7 +214,7 @@ def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: li
 
 
 def test_motions_of_schema_version_3(small_trajectory: Motion, tmp_path: Path) -> None:
-    """They have every array as it is."""
+    """Motions of schema version 3, with every array unpacked, are read."""
     path = small_trajectory.save(tmp_path)
     rewritten(path, as_version_3)
     with np.load(path) as arrays:
@@ -292,7 +292,10 @@ class _Arrays:
 
 
 def test_arrays_are_stored_small(tmp_path: Path) -> None:
-    """Symmetric matrices once, single precision where no bit is lost, equal arrays once; all come back bit for bit."""
+    """Arrays are stored small and are restored bit for bit.
+
+    Symmetric matrices and equal arrays are stored once, and single precision is used if no bit is lost.
+    """
     random = np.random.default_rng(0)
     doubles = random.normal(size=(50, 4))
     doubles[3] = np.nan

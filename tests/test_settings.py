@@ -1,4 +1,4 @@
-"""Settings: what the command line and config.toml may say, and what is said about mistakes."""
+"""Test settings: what the command line and config.toml accept, and the messages about mistakes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"
 
 
 def of_method(method: str) -> list[str]:
-    """Names of the settings that only this method reads."""
+    """Return the names of the settings that only this method reads."""
     return [name for name, setting in SETTINGS.items() if setting.option.method == method]
 
 
@@ -41,7 +41,7 @@ def test_the_help_of_a_setting_is_about_that_setting():
 
 
 def refuses(given: dict, *expected: tuple[object, ...], config: Path | None = None) -> None:
-    """expected: each problem as for `refusal`, without the file: the setting's own option, or config."""
+    """Check a refused setting; expected: problems as for `refusal`, with the setting's option or config as the file."""
     with refusal(*((config or SETTINGS[str(one[0])].on_command_line, *one) for one in expected)):
         read_settings(config, given)
 
@@ -119,7 +119,7 @@ def test_config_reads_back_as_it_was(tmp_path, given):
 
 
 def test_paths_in_a_config_are_relative_to_it(tmp_path, monkeypatch):
-    """From wherever it is run; the names of things built in stay."""
+    """Paths in a config are relative to its folder; names of built-in files stay."""
     (tmp_path / "cats").mkdir()
     config = write_config(
         tmp_path / "cats",
@@ -387,7 +387,7 @@ def test_every_setting_is_listed():
 
 
 def test_settings_without_an_option_are_in_the_docs():
-    """By name, and what they are for; their help and defaults are what `recon settings` prints."""
+    """Settings without an option are in the docs by name; `recon settings` prints help and defaults."""
     text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"`([a-z-]+)`", text.partition("## Settings without an option")[2]))
     for info in SETTINGS.values():
@@ -433,7 +433,7 @@ def test_every_command_says_what_it_does():
 
 
 def test_help_is_printed_whole():
-    """What looks like markup, as in recon[plots], would be swallowed."""
+    """Help is printed whole, also text that looks like markup, such as recon[plots]."""
     for path, command in commands().items():
         texts = [command.help, *(parameter.help for parameter in command.params if hasattr(parameter, "help"))]
         for text in filter(None, texts):
@@ -462,7 +462,7 @@ def test_options_that_are_numbers(arguments):
 
 
 def test_each_camera_may_have_its_own_file(tmp_path):
-    """Files whose only camera has no name, or one that another has, are told apart by their own names."""
+    """Each camera may have its own file; cameras without a unique name are named by their files."""
     given = (Path(__file__).parents[1] / "data" / "samples" / "camera.toml").read_text()
     for name in ("left", "right"):
         (tmp_path / f"{name}.toml").write_text(given)
@@ -516,7 +516,7 @@ def test_every_help_has_an_example_in_a_paragraph_of_its_own():
 
 @pytest.mark.parametrize("value", ["auto", True, False])
 def test_a_playback_is_written_for_short_clips_always_or_never(tmp_path, value):
-    """As an option, where all values are texts, in config.toml and in Python."""
+    """`playback` can be set by option, in config.toml and in Python: automatic, always or never."""
     text = str(value).lower()
     assert read_settings(None, {**GIVEN, "playback": text}) == FitSettings(**GIVEN, playback=value)
     assert read_settings(saved(tmp_path, playback=value), {}).playback is value

@@ -1,4 +1,4 @@
-"""Files of a user's under the names that a command writes, and what has to become of them: nothing."""
+"""Make a user's files under the names that a command writes, and check that they stay unchanged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REFUSED = "did not write, or that was changed since"
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the text of every file below a folder, of a link where it leads, but for recon's record."""
+    """Return the text of every file below a folder, and the target of every link, except recon's record."""
     return {
         path.relative_to(folder).as_posix(): os.readlink(path) if path.is_symlink() else path.read_text("latin-1")
         for path in folder.rglob("*")
@@ -25,7 +25,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def put_foreign(folder: Path, names: Iterable[str]) -> None:
-    """Write a user's files, 40 with others whose names are similar."""
+    """Write a user's files: 40 files with other content and similar names."""
     names = [*names]
     names += [f"{number}_{names[0]}" for number in range(FOREIGN - len(names))]
     for name in names:
@@ -34,9 +34,9 @@ def put_foreign(folder: Path, names: Iterable[str]) -> None:
 
 
 def require_untouched(arguments: Sequence[object], folder: Path, names: Sequence[str]) -> None:
-    """Run a command that writes these names: it refuses, and all stays, also where only one of the names is taken.
+    """Check that a command that writes these names refuses, and that all files stay, even if one name is taken.
 
-    Without `--overwrite`, which is the easier case, only the first of the names is tried alone.
+    Without `--overwrite`, only the first of the names is tried alone.
     """
     put_foreign(folder, names)
     _require_refused(arguments, folder)

@@ -1,4 +1,4 @@
-"""Whole animals: kinematics and mirror image of every built-in body, the files that describe them, chains as bodies."""
+"""Test every built-in body, its mirror image, the files that describe bodies, and chains as bodies."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def example_body() -> Body:
 
 
 def random_states(body: Body, n: int) -> np.ndarray:
-    """Around what is expected, anywhere and with any heading."""
+    """Return random states around the expected pose, or anywhere and with any heading."""
     rng = np.random.default_rng(0)
     angles = rng.normal(body.mean_rad, body.sigma_rad, (n, body.n_state - 4))
     return np.concatenate([rng.uniform(-5, 5, (n, 3)), rng.uniform(-3, 3, (n, 1)), angles], axis=1)
@@ -61,7 +61,7 @@ def in_file(folder: Path, text: str, name: str = "body.toml") -> Path:
 
 
 def problems(file: Path, subject: Path | None = None) -> dict[str, tuple[str, str]]:
-    """What is wrong with a file: field -> found, expected."""
+    """Return the problems that a file is refused for, as field -> found, expected."""
     with pytest.raises(InputError) as error:
         load_skeleton(file, subject)
     return {p.field: (p.found, p.expected) for p in error.value.problems}
@@ -115,7 +115,7 @@ def test_mirror(body: Body):
 
 
 def test_a_body_fitted_to_itself(body: Body):
-    """Gauss-Newton from a pose nearby finds the points again, and with it the size."""
+    """Gauss-Newton from a nearby pose recovers the points and the size."""
     truth = random_states(body, 5)
     target = body.tree.pose(truth, 1.1).points_m
     state, size = truth + np.random.default_rng(1).normal(0, 0.05, truth.shape), np.ones(5)
@@ -167,7 +167,7 @@ def test_the_documented_example_and_its_subject(tmp_path: Path):
 
 
 def test_keypoints_off_their_markers(tmp_path: Path):
-    """A subject's offset holds for both sides, mirrored, and moves what is detected, not what is given out."""
+    """A subject's offset applies to both sides, mirrored, and moves the detected points but not the returned joints."""
     offset = SUBJECT + "\n[keypoint_offset_m]\nl_front_paw = [0.01, 0.02, 0.03]\n"
     body = load_skeleton(in_file(tmp_path, EXAMPLE), in_file(tmp_path, offset, "subject.toml"))
     assert body.keypoint_offset_m == {"l_front_paw": (0.01, 0.02, 0.03), "r_front_paw": (0.01, -0.02, 0.03)}
@@ -282,7 +282,7 @@ def test_a_body_is_no_chain(tmp_path: Path):
 
 
 def test_a_chain_is_posed_as_its_body_is(chain: UnknownsChain):
-    """Wherever the camera is, in one place or in one for each frame."""
+    """A chain and its body have the same pose, for a camera that stands still or moves."""
     body = chain.body
     assert body.markers == chain.joints
     rng = np.random.default_rng(3)

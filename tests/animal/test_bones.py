@@ -1,4 +1,4 @@
-"""Bones have anatomical names, and their lengths are rigid distances of the skeleton."""
+"""Test that bones have anatomical names, and that their lengths are rigid distances of the skeleton."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Detectors' files: which keypoints lie where beside the markers."""
+"""Test detector files, which state the offsets of keypoints from markers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OF_ACINOSET = "DLC_resnet152_CheetahOct14shuffle4_650000"
 
 
 def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv") -> FitSettings:
-    """The run of `tests.test_cameras` in files of these scorers; None: a format that has none."""
+    """Write the run of `tests.test_cameras` to files with these scorers; None stands for a format without a scorer."""
     files = []
     for number, scorer in enumerate(scorers, start=1):
         csv, path = run / f"run_cam{number}.csv", out / f"run_cam{number}{suffix}"
@@ -111,7 +111,7 @@ def test_the_offsets_of_a_measured_animal_come_first():
 
 
 def test_a_file_is_read_as_it_was_written(tmp_path):
-    """And the right side is the left one's mirror image."""
+    """A detector file is read as it was written, and the right side mirrors the left."""
     path, offsets = tmp_path / "mine.toml", {"l_hip": (0.01, 0.02, -0.03), "spine": (0.0, 0.0, 0.04)}
     spread, noise = {"l_hip": 0.02, "spine": 0.03}, {"l_hip": 0.06}
     as_seen = replace(
@@ -133,7 +133,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
 
 
 def test_each_markers_noise_is_its_own():
-    """Unless one is asked for, of all."""
+    """Each marker has its own noise, unless one value for all is given."""
     seen = replace(body(), keypoint_sigma_m=0.03, keypoint_noise_m={"l_hip": 0.06})
     view = still_view(Camera.from_hfov(60.0, (1920, 1080)), np.zeros((1, 24, 2)), np.ones((1, 24)))
     points_m = np.tile([0.0, 5.0, 0.0], (1, 24, 1))
@@ -181,7 +181,7 @@ def test_other_files_keep_it_too(runs, tmp_path, name, write):
 
 @pytest.mark.parametrize(("fps", "written"), [(None, OF_ACINOSET), (90.0, f"{OF_ACINOSET}_recon_90fps")])
 def test_a_converted_file_keeps_its_scorer(runs, tmp_path, fps, written):
-    """And with it what it says of the detector."""
+    """A converted file keeps its scorer, and with it the detector."""
     (path,) = with_scorers(runs, tmp_path, OF_ACINOSET).keypoints
     keypoints = replace(read_keypoints(path), fps=fps)
     deeplabcut.write_csv(keypoints, tmp_path / "copy.csv")

@@ -1,4 +1,4 @@
-"""A skeleton that is drafted from the geometry of the keypoints of an animal with legs."""
+"""Test skeletons that are drafted from the geometry of the keypoints of an animal with legs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FPS = 50.0
 
 @pytest.fixture(scope="module")
 def rat() -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and points (T, K, 3) of a rat that walks 0.4 m."""
+    """Return names and points (T, K, 3), metres, of a rat that walks 0.4 m."""
     body, t = load_skeleton("rat"), np.arange(80) / FPS
     assert isinstance(body, Body)
     random = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Names of keypoints: maps, near misses, and what detectors write into their files."""
+"""Test names of keypoints: maps, near misses, and the names that detectors write into their files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 
 
 def keypoints(*names: str) -> Keypoints:
-    """Keypoint k is at (10 k, 20 k) in frame 0, one pixel further in each of two more."""
+    """Return three frames of keypoints: keypoint k is at (10 k, 20 k) px in frame 0 and moves by 1 px per frame."""
     xy = np.arange(len(names))[:, None] * [10.0, 20.0] + np.arange(3.0)[:, None, None]
     return Keypoints(names, xy, np.full((3, len(names)), 0.9), np.arange(3), fps=30.0, source="clip.csv")
 
@@ -107,7 +107,7 @@ def test_a_map_of_no_known_name():
 
 
 def test_points_go_with_their_names():
-    """Also where two names are exchanged, and with a note of what was done."""
+    """Points follow their names, even if two names are exchanged, and a note states what was renamed."""
     file = keypoints("a", "b", "c", "d")
     new = renamed(file, NameMap("map.csv", {"a": "b", "b": "a", "c": "", "x": "y"}))
     assert new.names == ("b", "a", "d")
@@ -138,7 +138,7 @@ def test_a_map_that_does_not_fit_is_refused():
     ],
 )
 def test_bundled_maps(bundled, names, of_cheetah):
-    """They have no name that their detector lacks, and keep the sides; the fit finds its own map."""
+    """Bundled maps have only names of their detector and keep the sides; the fit finds its own map."""
     by = load_names(bundled)
     cheetah = load_skeleton("cheetah-24")
     if names not in (MMPOSE_AP_10K, WOLF):  # by their words
@@ -190,7 +190,7 @@ def test_names_with_the_code_of_a_leg(name, marker):
 
 
 def test_every_bundled_map_is_tested():
-    """`coco-17`, `mouse-15` and `rat-23` in tests/fit/test_bodies.py and tests/animal/test_body.py."""
+    """Maps without tests here have them in tests/fit/test_bodies.py and tests/animal/test_body.py."""
     assert builtin_maps() == (
         "anatomical",
         "animal3d",
@@ -238,7 +238,7 @@ def test_the_map_to_write(tmp_path):
 
 
 def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
-    """r_eye is missing in the clip, whose ear is of no use."""
+    """The summary names the keypoints in use and near misses: r_eye is missing in the clip, and the ear is not used."""
     source = small_trajectory.sources[0]
     file = replace(source, file_names=tuple("right_eye" if name == "ear" else name for name in source.file_names))
     for motion, said in (
@@ -260,7 +260,10 @@ def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
     [(SUPERANIMAL, 22), (AP_10K, 17), (MMPOSE_AP_10K, 17), (ANIMAL3D, 21), (ACINOSET, 24), (RACEHORSE, 9)],
 )
 def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
-    """It can be used, and has the quadruped's pose; a keypoint may be called as one of its segments, such as neck."""
+    """A skeleton drafted from names can be used and has the pose of the quadruped.
+
+    A keypoint may have the name of one of its segments, such as neck.
+    """
     markers, others, text = draft_skeleton(names, "mine", Path("clip.csv"))
     assert len(markers) == placed
     assert {*markers} | {*others} == {*names}
@@ -298,7 +301,7 @@ def test_recon_skeleton_from_keypoints(tmp_path):
 
 
 def as_named_by(bundled: str, path: Path, names: tuple[str, ...]) -> Path:
-    """The sample of a whole cheetah as a detector with these names would have written it: nothing else is in it."""
+    """Return the sample of a whole cheetah as a detector with these names would have written it, and nothing else."""
     file, of = read_keypoints(SAMPLES / "whole.csv"), load_names(bundled).names
     T, K = len(file.frames), len(names)
     xy, confidence = np.full((T, K, 2), np.nan), np.zeros((T, K))
@@ -328,8 +331,10 @@ def test_a_fit_takes_a_detectors_own_names(tmp_path):
 
 @pytest.mark.parametrize("name", detectors.FILES)
 def test_a_detectors_own_file(name, tmp_path):
-    """In its layout, with animals and a frame that it did not see: there is no choice to make, and the points are those
-    of the skeleton's own names."""
+    """A detector's own file is read without any choice, and gives the same points as the skeleton's own names.
+
+    The file has the detector's layout, with several animals and a frame that the detector did not see.
+    """
     bundled, write = detectors.FILES[name]
     write(tmp_path / name, read_keypoints(SAMPLES / "whole.csv"))
     (source,) = prepare(settings(tmp_path / name, rename=bundled)).sources
@@ -351,8 +356,11 @@ def test_every_bundled_map_has_a_file_of_its_detector():
 
 @pytest.mark.slow
 def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
-    """All 39 keypoints in DeepLabCut's spelling: four feet with their sides, the gait, and nearly the accuracy that the
-    skeleton's own names give."""
+    """SuperAnimal's file leads to a robot's motion.
+
+    It has all 39 keypoints in DeepLabCut's spelling. The result has four feet with their sides, the gait, and nearly
+    the accuracy of the skeleton's own names.
+    """
     detectors.write_superanimal(tmp_path / "clip.csv", read_keypoints(SAMPLES / "whole.csv"))
     run_clip(settings(tmp_path / "clip.csv", rename="superanimal-quadruped"), tmp_path / "clip")
     found, native = Motion.load(tmp_path / "clip"), Motion.load(whole_results)
@@ -366,7 +374,7 @@ def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
 
 
 def test_few_names_are_refused_with_the_map_to_write(tmp_path):
-    """nose, neck_base and tail_base alone were fitted before, without a word. The lines are a map that is taken."""
+    """A file with few known names is refused, and the message contains a map that `--rename` accepts."""
     clip = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL)
     args = ["fit", clip, "--camera", SAMPLES / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     expected = ["cheetah-24", "--rename superanimal-quadruped", "--rename with a file"]
@@ -387,7 +395,7 @@ def test_a_built_in_map_of_all_names_needs_no_map_of_ones_own():
 
 
 def test_renaming_works_in_files_of_several_animals(tmp_path):
-    """In each of which every name stands once for each animal, below a row that names the animals."""
+    """`--rename` works in files of several animals, in which every name occurs once for each animal."""
     rows = list(csv.reader((SAMPLES / "whole.csv").read_text().splitlines()))
     rows = [[*row, *row[1:]] for row in rows]
     half = (len(rows[0]) - 1) // 2

@@ -1,4 +1,4 @@
-"""Motion priors: fitted to synthetic motion, their files, and the command that makes them."""
+"""Test motion priors: fits to synthetic motion, their files, and the command that makes them."""
 
 from __future__ import annotations
 
@@ -46,8 +46,10 @@ def cheetah(subject: str | None = None) -> Body:
 
 
 def swinging(body: Body, n: int, frames: int, fps: float, seed: int = 0) -> list[tuple[str, np.ndarray, float]]:
-    """n segments in which every angle but the trunk's roll swings about its mean, amplitude and phase at random, while
-    the animal runs straight at 1, 2, 3, ... m/s."""
+    """Return n segments in which all angles but the trunk's roll swing about their means.
+
+    Amplitude and phase are random. The animal runs straight at 1, 2, 3, ... m/s.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(frames)[:, None] / fps
     still = body.state_names[4:].index("front_trunk_roll")
@@ -98,8 +100,11 @@ def test_recovers_poses(body, prior):
 
 
 def test_recovers_dynamics(prior):
-    """A swing's acceleration is minus the square of its frequency times the angle, at two frame rates; the ridge, which
-    adds to the regressors' unit variance, takes its part."""
+    """The fitted dynamics are those of the swing, at two frame rates.
+
+    The acceleration of a swing is minus the square of its frequency times the angle. The ridge, which adds to the unit
+    variance of the regressors, reduces it.
+    """
     n = len(prior.mean)
     expected = -(OMEGA_RAD_S**2) / (1 + RIDGE_PER_ROW) * np.eye(n)
     still = prior.angles.index("front_trunk_roll")
@@ -114,7 +119,7 @@ def test_recovers_dynamics(prior):
 
 
 def test_apart_segments_have_no_part_in_the_dynamics(body):
-    """No drift of theirs, none from them, and noise of their own."""
+    """Segments that are set apart have no drift, cause none, and have their own noise."""
     rng = np.random.default_rng(0)
     states = np.cumsum(rng.normal(size=(400, body.n_state)) * 0.02, axis=0)
     made = fit_prior(body, [("walk", states, 90.0)], components=1, apart=["tail_1", "tail_2"])
@@ -163,7 +168,7 @@ def test_two_kinds_of_pose_are_two_components(body):
 
 
 def test_poses_that_repeat(body):
-    """Fewer different poses than components: some stay empty."""
+    """If there are fewer different poses than components, some components stay empty."""
     states = np.zeros((100, body.n_state))
     states[50:, 4:] = 0.3
     prior = fit_prior(body, [("a", states, 100.0)], components=5)
@@ -293,7 +298,7 @@ def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
 
 
 def altered(prior: MotionPrior, path: Path, changes: dict) -> Path:
-    """A prior's file with some of its arrays, or of the texts `about` it, replaced; None: left out."""
+    """Write a prior's file in which some arrays, or texts of `about`, are replaced; None leaves one out."""
     save_prior(prior, path)
     with np.load(path) as file:
         stored = {key: file[key] for key in file.files}
@@ -359,7 +364,7 @@ def test_pickles_are_refused(body, prior, tmp_path):
 
 
 def test_arrays_that_python_2_wrote(body, prior, tmp_path):
-    """Whose shapes are long integers."""
+    """Arrays that Python 2 wrote, with shapes of long integers, are read."""
     save_prior(prior, tmp_path / "x.npz")
     with zipfile.ZipFile(tmp_path / "x.npz") as now, zipfile.ZipFile(tmp_path / "then.npz", "w") as then:
         for name in now.namelist():
@@ -465,7 +470,7 @@ def test_every_problem_of_a_command(body, tmp_path):
 
 
 def test_results(whole_results, body, tmp_path):
-    """Two folders of results say skeleton, frame rate and names themselves; flagged frames are left out."""
+    """Two folders of results provide skeleton, frame rate and names; flagged frames are left out."""
     for name in ("run1", "run2"):
         shutil.copytree(whole_results, tmp_path / name)
     ended = run("prior", "fit", tmp_path / "run1", tmp_path / "run2", "--out", tmp_path / "x.npz", "--json")

@@ -1,4 +1,4 @@
-"""Skeletons of other animals, of the package and of users, and `recon skeleton`."""
+"""Test skeletons of other animals, of the package and of users, and `recon skeleton`."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_the_horse_is_about_as_long_as_it_is_high():
     [("dog-27", 1.0, 5.0, 25), ("horse-22", 1.5, 9.0, 60), ("quadruped", 1.5, 5.0, 60)],
 )
 def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
-    """Slow waves of all angles at a third of their spread, seen from the side without noise."""
+    """Each skeleton is recovered from a clip of its own: slow waves of all angles, seen from the side without noise."""
     body, T, fps = body_of(name), 24, 30.0
     rng, time_s = np.random.default_rng(1), np.arange(T) / fps
     states = np.zeros((T, body.n_state))
@@ -166,7 +166,7 @@ def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
 
 
 def test_the_quadruped_has_the_names_of_the_cheetah_and_of_every_map_of_its_kind():
-    """And is the less sure of its size and of where keypoints lie."""
+    """The quadruped has the names of the cheetah and of every map of its kind, and a less certain size."""
     body, cheetah = body_of("quadruped"), body_of("cheetah-24")
     assert {*body.markers} - {*cheetah.markers} == {"withers", "l_ear", "r_ear"}
     assert {*cheetah.markers} < {*body.markers}
@@ -244,7 +244,7 @@ def test_the_middle(name):
 
 @pytest.mark.parametrize("skeleton", builtin_names())
 def test_the_built_in_skeletons_say_their_sides_by_the_beginnings_of_names(skeleton):
-    """What the reading of names found before it looked beyond their beginnings."""
+    """The built-in skeletons state their sides at the beginnings of names, and reading gives the same sides."""
     body = load_skeleton(skeleton)
     names = {*body.markers, *body.state_names, *(s.name for s in body.tree.segments), *sum(body.keypoints, ())}
     pairs = (("l_", "r_"), ("Left", "Right"), ("Near", "Off"), ("left_", "right_"))
@@ -259,7 +259,7 @@ def test_the_built_in_skeletons_say_their_sides_by_the_beginnings_of_names(skele
 
 
 def test_sides_in_the_middle_of_names(tmp_path):
-    """Feet, limbs, mirror images and angles of a skeleton with names such as front_left_paw, as a detector's."""
+    """Sides in the middle of names, such as front_left_paw, give feet, limbs, mirror images and angles."""
     middle = re.sub(r"\b(left|right|l|r)_(fore|front|hind)_", r"\2_\1_", CAT)
     assert "front_left_paw" in middle
     cat, before = load_skeleton(in_file(tmp_path, middle)), load_skeleton(in_file(tmp_path, CAT))
@@ -295,7 +295,7 @@ def test_markers_of_other_names_are_mirrored_onto_their_segments(tmp_path):
 
 
 def walking_cat(folder: Path) -> tuple[Path, np.ndarray, Body]:
-    """Detections of the cat of the documentation, its truth (T, J, 3) with z up, and the cat."""
+    """Return detections of the cat of the documentation, its true joints (T, J, 3) in m, z up, and its body."""
     body = body_of(in_file(folder, CAT))
     T = 24
     states = np.zeros((T, body.n_state))
@@ -315,7 +315,7 @@ def walking_cat(folder: Path) -> tuple[Path, np.ndarray, Body]:
 
 
 def test_a_users_file_works_where_a_name_does(tmp_path, monkeypatch):
-    """In fit with a subject file and with a prior that was fitted to it, from another folder."""
+    """A user's file can replace a name, in a fit with a subject file and with a prior that was fitted to the file."""
     keypoints, points_m, body = walking_cat(tmp_path)
     columns = pd.MultiIndex.from_product([body.markers, ["x", "y", "z"]], names=["bodyparts", "coords"])
     pd.DataFrame(points_m.reshape(len(points_m), -1), columns=columns).to_csv(tmp_path / "poses.csv")
@@ -447,7 +447,10 @@ def test_remarks(tmp_path, old, new, words):
 
 
 def test_sides_and_ends_stand_in_the_file(tmp_path):
-    """Near is left, off is right. What a foot is said to be counts where its name says nothing."""
+    """The file can state sides and ends: near is left and off is right.
+
+    The stated foot counts if its name does not say which foot it is.
+    """
     horse = load_skeleton("horse-22")
     assert horse.feet_by_label() == {
         "LF": "Nearfrontfoot",
@@ -510,7 +513,7 @@ def test_pictures(tmp_path):
 
 
 def test_the_horse_on_its_recording(shared_data):
-    """Hand labels of a led horse seen from the side, in a picture of 288x162: reprojection, and where it heads."""
+    """The horse fits hand labels of a led horse in pictures of 288x162: reprojection and heading."""
     file = shared_data / "horse-side" / "CollectedData_Byron.csv"
     keypoints: Keypoints = read_keypoints(file)
     assert {*keypoints.names} == {*HORSE}
@@ -536,7 +539,7 @@ def test_the_horse_on_its_recording(shared_data):
 
 
 def test_the_dog_on_its_recording(shared_data):
-    """A side view of a second of walking; the file's axes have y up."""
+    """The dog fits a side view of a second of walking; the axes of the recording have y up."""
     names = json.loads((shared_data / "dog-mocap" / "joints.json").read_text())["joints"]
     assert names == list(dict.fromkeys(names))
     assert {*names} == {*DOG}

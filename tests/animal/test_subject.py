@@ -1,4 +1,4 @@
-"""Measuring an animal in clips of several cameras: its derivatives, what it finds, and its file."""
+"""Test the measurement of an animal in clips of several cameras: derivatives, estimates and the subject file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_left_and_right_share_their_unknowns():
 
 
 def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
-    """What is found from two cameras that filmed an animal of that shape; posed: with its poses known."""
+    """Fit an animal of this shape that two cameras filmed; posed: with its poses known."""
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
     options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0)
@@ -70,7 +70,7 @@ def true_values(shape: Shape) -> np.ndarray:
 
 
 def test_lengths_are_found():
-    """Two segments of other lengths, of an animal whose size was hardly known: to half a per cent."""
+    """The lengths of two segments are found to half a per cent, although the size is hardly known."""
     shape = Shape.of_body(replace(body(), size_sigma=0.1))
     fit = fitted(shape, true_values(shape))
     assert fit.converged
@@ -79,7 +79,7 @@ def test_lengths_are_found():
 
 
 def test_offsets_are_found():
-    """Keypoints of the paws one and a half centimetres above them, and those of the knees outside."""
+    """Offsets of the keypoints of paws (1.5 cm up) and knees (outwards) are found."""
     shape = Shape.of_body(body(), lengths=False, offsets=True)
     true = np.zeros(len(shape))
     moved = [shape.names.index("l_front_paw_z"), shape.names.index("l_back_knee_y")]
@@ -91,7 +91,7 @@ def test_offsets_are_found():
 
 @pytest.mark.slow
 def test_beside_known_poses_an_offset_is_no_other_pose():
-    """The keypoints of a whole fore leg four centimetres ahead of it."""
+    """If poses are known, an offset of a whole fore leg by 4 cm is not taken for another pose."""
     shape = replace(Shape.of_body(body(), lengths=False, offsets=True), offset_sigma_m=0.02)
     true = np.zeros(len(shape))
     moved = [shape.names.index(f"l_{name}_x") for name in ("shoulder", "front_knee", "front_ankle", "front_paw")]
@@ -109,13 +109,13 @@ def test_lengths_and_offsets_together_are_less_certain():
 
 
 def _run_of(animal: Body) -> np.ndarray:
-    """(T, J, 3): keypoints of the run of `truth_m` by another body."""
+    """Return keypoints (T, J, 3), metres, of the run of `truth_m` by another body."""
     states, *_ = solve_points(BODY, truth_m())
     return animal.detected.pose(states).points_m
 
 
 def test_command(runs, tmp_path):
-    """From the config of a fit to a subject file that `recon fit` takes."""
+    """The command makes a subject file that `recon fit` accepts from the config of a fit."""
     config, out = tmp_path / "config.toml", tmp_path / "cat.toml"
     config.write_text(settings(runs, 1, 2, subject=None).to_toml())
     ended = run("subject", "fit", config, "--out", out, "--offsets", "--json")

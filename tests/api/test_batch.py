@@ -1,4 +1,4 @@
-"""Many clips: which they are, what is done again and what is not, and what faults do to the others."""
+"""Test batches of clips: which clips they have, what is fitted again, and that a failed clip does not stop others."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks a
 
 
 def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str, str]]:
-    """(action, reason) of each clip, and do it, in this process."""
+    """Return (action, reason) of each clip, and run the batch in this process."""
     plan = plan_batch(clips, out, overwrite)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("recon.api.batch.run_tasks", run_tasks_here)
@@ -109,7 +109,7 @@ def test_another_version_does_not_count(clips, tmp_path):
 
 
 def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
-    """Between the results' arrival and the end of the record."""
+    """A fit that was killed between the arrival of its results and the end of the record is not finished."""
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     started, finished = (out / RECORD).read_text().splitlines()
@@ -137,7 +137,10 @@ def test_results_of_others_are_left_alone(clips, tmp_path):
 
 
 def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
-    """But results that are missing do; those that somebody changed are not touched."""
+    """A clip is not fitted again after files are added to its results, but it is if results are missing.
+
+    Results that somebody changed are not touched.
+    """
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     analyse_command(AnalyseSettings(folder=out / "a", figures=False))
@@ -274,7 +277,7 @@ def test_a_look_finds_what_the_fit_refuses(clips, wrong, field):
 
 
 def test_what_many_clips_lack_is_said_once(clips, tmp_path):
-    """Each with a camera file of its own, as one folder a recording has it."""
+    """A problem that many clips share is stated once, also if each clip has its own camera file."""
     plain = "matrix = [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]]\nsize = [1920, 1080]\ndistortions = [0, 0, 0, 0, 0]\n"
     pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]\n"
     for name in "abc":
@@ -295,7 +298,7 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
 
 
 def killer(*, once: str = "", always: str = "") -> Any:
-    """Kills the worker of a clip at its first, or at every sign of life."""
+    """Return an event handler that kills the worker of a clip: once, at its first progress, or always."""
     killed: set[int] = set()
 
     def on_event(event: Event, summary: Summary) -> None:
@@ -401,7 +404,7 @@ def test_dry_run_looks_only(clips, tmp_path):
 
 
 def test_command(clips, tmp_path, in_process):
-    """A line for each clip, --strict and the summary as JSON."""
+    """The command prints a line for each clip, obeys --strict and prints the summary as JSON."""
     out = tmp_path / "out"
     (clips / "c.csv").write_text("scorer,x\n")
     fit(found(clips / "a.csv", clips / "b.csv"), out)
@@ -437,7 +440,7 @@ def test_unusable_input_ends_it_before_any_work(clips, tmp_path):
 
 
 def workers(pid: int) -> list[int]:
-    """The processes that fit clips: its children but for Python's own helper, which ends with it."""
+    """Return the child processes that fit clips, without Python's own helper process."""
     lists = Path(f"/proc/{pid}/task").glob("*/children")
     children = [int(child) for path in lists for child in path.read_text().split()]
     return [child for child in children if b"resource_tracker" not in Path(f"/proc/{child}/cmdline").read_bytes()]
@@ -481,7 +484,7 @@ main()
 
 @pytest.fixture
 def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path, list[object]]]:
-    """`recon batch` on four clips in a process of its own, after the first is done; its folder and its arguments."""
+    """Start `recon batch` on four clips; after the first clip, yield the process, its folder and its arguments."""
     shutil.copy(clips / "a.csv", clips / "d.csv")
     command = args(clips, tmp_path / "out", "--jobs", 1)
     code = [sys.executable, "-c", HELD, *map(str, command)]
@@ -494,13 +497,13 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
 
 
 def finished(out: Path) -> dict[str, int]:
-    """The moment of each finished clip."""
+    """Return by clip when the report of each finished clip was written, ns."""
     done = [name for name, row in Record(out / RECORD).rows.items() if "files" in row]
     return {name: (out / name / "report.json").stat().st_mtime_ns for name in done}
 
 
 def some_left(clips: Path, done: dict[str, int]) -> int:
-    """How many clips are to be done: one at most, the others are taken away."""
+    """Delete all clips that are left but one, and return how many are left: 1 or 0."""
     left = sorted(path for path in clips.glob("*.csv") if path.stem not in done)
     for path in left[1:]:
         path.unlink()
@@ -552,7 +555,7 @@ def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middl
 
 @pytest.fixture
 def cluster() -> Iterator[Any]:
-    """Two Dask workers, each a process with one thread."""
+    """Start two Dask workers, each a process with one thread."""
     distributed = pytest.importorskip("distributed")
     with (
         warnings.catch_warnings(action="default"),  # Dask's own
@@ -591,7 +594,7 @@ def test_dask_cluster(clips, tmp_path, cluster):
 
 @pytest.fixture
 def certificates(tmp_path) -> dict[str, str]:
-    """Dask's settings of a cluster with encryption: one key for all, with a certificate that it signed itself."""
+    """Write Dask's settings of an encrypted cluster, with one key and a self-signed certificate for all."""
     openssl = shutil.which("openssl")
     if openssl is None:
         pytest.skip("no openssl")
@@ -607,7 +610,7 @@ def certificates(tmp_path) -> dict[str, str]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Dask's own
 def test_a_cluster_with_certificates(clips, tmp_path, certificates):
-    """They are those of Dask's own configuration; without them there is a message, and nothing is done."""
+    """A cluster uses the certificates of Dask's own configuration; without them a message ends the batch."""
     dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
     one, out = clips / "a.csv", tmp_path / "out"
     with dask.config.set(certificates):

@@ -1,4 +1,4 @@
-"""Which clips a batch has: files, patterns, folders and manifests, and the cameras of each clip."""
+"""Test the clips of a batch: files, patterns, folders and manifests, and the cameras of each clip."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_manifest_rows_overrule_the_common_options(clips):
 
 
 def test_lines_that_end_as_on_old_macs(clips):
-    """Neither a manifest nor a keypoint file of that kind ends the batch."""
+    """A manifest and a keypoint file with the line ends of old Macs are read."""
     table = (clips / "a.csv").read_bytes().replace(b"\r\n", b"\n")
     (clips / "a.csv").write_bytes(table.replace(b"\n", b"\r"))
     (clips / "list.csv").write_bytes(b"keypoints;frames\ra.csv;0:4\r\rb.csv;\r")
@@ -178,7 +178,7 @@ def test_clips_of_one_file_are_told_apart(clips):
 
 
 def test_each_animal_of_a_file_is_a_clip(tmp_path):
-    """Each animal with points is one, unless one is chosen, and as it is read by whatever reads it."""
+    """Each animal with points in a file is a clip, unless one is chosen, in every format."""
     header = "scorer" + ",net" * 9 + "\nindividuals" + "".join(f",{name}" * 3 for name in ("one", "two", "never"))
     header += "\nbodyparts" + ",nose" * 9 + "\ncoords" + ",x,y,likelihood" * 3
     (tmp_path / "pair.csv").write_text(f"{header}\n0,1,2,0.9,3,4,0.8,,,\n")
@@ -243,7 +243,7 @@ TWO = {"camera": SCENE, "fps": 120, "fast": True, "frames": "0:8"}
 
 
 def filmed(folder: Path, *names: str) -> None:
-    """Keypoint files of the sample that two cameras filmed: of the second where 2 or B is in the name."""
+    """Write keypoint files of the sample for two cameras; a 2 or B in the name means the second camera."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         camera = "cam2" if {"2", "B"} & {*name} else "cam1"
@@ -251,7 +251,7 @@ def filmed(folder: Path, *names: str) -> None:
 
 
 def cameras(inputs: list[Path], common: dict[str, Any] = TWO, by: str = "auto") -> dict[str, tuple[str, ...] | None]:
-    """The cameras of each clip, by name."""
+    """Return the names of the cameras of each clip."""
     return {clip.name: clip.settings.camera_name for clip in find_clips(inputs, common, cameras_by=by)[0]}
 
 
@@ -272,7 +272,7 @@ def test_files_of_one_clip_are_known_by_the_names_of_cameras(tmp_path):
 
 @pytest.mark.parametrize("given", [["pose/cam?_json/*.json"], ["pose/cam1_json", "pose/cam2_json"]])
 def test_files_of_single_frames_are_one_clip(tmp_path, given):
-    """In Pose2Sim's folders, one for each camera; files of several clips in a folder are as many."""
+    """Files of single frames are one clip for each camera folder of Pose2Sim, and several clips can share a folder."""
     for name in ("pose/cam1_json/cam1", "pose/cam2_json/cam2", "both/run", "both/walk"):
         for frame in (3, 4):
             path = tmp_path / f"{name}_{frame:06d}.json"
@@ -289,7 +289,7 @@ def test_files_of_single_frames_are_one_clip(tmp_path, given):
     [(TWO, "none"), (TWO | {"camera_name": "cam2"}, "auto"), (QUICK | {"camera": SCENE}, "auto"), (QUICK, "auto")],
 )
 def test_files_are_clips_by_themselves_where_that_is_meant(tmp_path, common, by):
-    """Also with the frame method, and without other cameras."""
+    """Each file is a clip if `--cameras-by none` is given, one camera is chosen, or the frame method is used."""
     filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv")
     assert [*cameras([tmp_path], common, by)] == ["walk-cam1", "walk-cam2"]
 
@@ -327,7 +327,7 @@ def test_what_is_wrong_with_cameras_in_names(tmp_path):
 
 
 def anipose(project: Path, calibration: Path, square: float, *files: str) -> None:
-    """An Anipose project with the sample's cameras as A and B."""
+    """Write an Anipose project with the sample's cameras as A and B."""
     document = {}
     for name, camera in zip("AB", read_cameras(SCENE), strict=True):
         assert camera.rotation is not None
@@ -362,7 +362,7 @@ def test_a_pattern_of_a_file_that_can_take_for_ever_is_refused(tmp_path, pattern
 
 
 def test_projects_of_anipose(tmp_path):
-    """Sessions two folders deep, a calibration for a day, one of them with filtered poses."""
+    """Projects of Anipose are found two folders deep, with a calibration per day and with filtered poses."""
     walk = ("rex/day1/pose-2d/walk-camA.csv", "rex/day1/pose-2d/walk-camB.csv")
     trot = (
         "rex/day2/pose-2d/trot-camA.csv",
@@ -421,7 +421,7 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
 
 
 def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
-    """But a file that has nothing to do with it is another."""
+    """A clip with a camera more or less is the same clip again, but an unrelated file is another clip."""
     out = tmp_path / "out"
     filmed(tmp_path / "clips", "walk-cam1.csv", "walk-cam2.csv")
     both, _ = find_clips([tmp_path / "clips"], TWO)

@@ -1,4 +1,4 @@
-"""Clips that several cameras filmed: which file is whose, on which frames, and what becomes of what is wrong."""
+"""Test clips that several cameras filmed: files and their cameras, common frames, and wrong inputs."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_or_as_given(runs):
 
 
 def test_views_have_the_same_frames(runs):
-    """The second camera's file begins at frame 10: before it, it has seen nothing."""
+    """All views have the same frames: the second camera's file begins at frame 10, so its view is empty before."""
     first, second = prepare(settings(runs, 1, 2)).sources
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(40))
     np.testing.assert_array_equal(second.keypoints.frames, np.arange(40))
@@ -112,7 +112,7 @@ def test_a_range_of_frames_is_the_first_cameras(runs):
 
 
 def test_cameras_that_began_later():
-    """By two frames and a quarter: its frame 0 belongs between the clip's frames 2 and 3."""
+    """A camera that began 2.25 frames later has its frame 0 between frames 2 and 3 of the clip."""
     xy_px = np.arange(5.0)[:, None, None] + np.zeros((5, len(BODY.markers), 2))
     sources = [Source(CAMERA, *clean(keypoints_of(values), 0.5), BODY.markers) for values in (xy_px + 100, xy_px + 200)]
     first, late = align_cameras(sources, [0.0, 2.25])
@@ -135,7 +135,7 @@ def test_a_clip_of_two_cameras(runs):
 
 @pytest.mark.parametrize(("up", "turned"), [("z", False), ("-y", True), ("0,-2,0", True), ("first-camera", None)])
 def test_up_as_it_is_said(runs, tmp_path, up, turned):
-    """Cameras in a world of which -y is up, as OpenCV's boards have it, or z."""
+    """`up` states the up direction of cameras whose world has -y up, as OpenCV's boards have, or z up."""
     R = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if turned else np.eye(3)  # from z up to the file's axes
     given = read_cameras(runs / "scene.json")
     cameras = [replace(one, rotation=np.asarray(one.rotation) @ R.T, world_z_up=False) for one in given]
@@ -164,7 +164,7 @@ def test_an_entry_of_a_camera_that_was_copied_is_named(runs, tmp_path):
 
 @pytest.mark.slow
 def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(runs, tmp_path):
-    """The pictures are the same, and so is the motion, in metres a tenth."""
+    """A tenth of the animal before a tenth of the rig gives the same pictures and a tenth of the motion."""
     cameras = [
         replace(one, translation_m=0.1 * np.asarray(one.translation_m)) for one in read_cameras(runs / "scene.json")
     ]
@@ -220,7 +220,7 @@ def test_command(runs, tmp_path):
 
 
 def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
-    """Taken where they fit better: of a camera that is turned by 2 degrees, not of one in its place."""
+    """Refined poses are used if they fit better: those of a camera turned by 2 degrees, but not of a correct camera."""
     as_it_is = fit_clip(settings(runs, 1, 2, refine_cameras=True, frames="10:30"))
     assert [one.code for one in as_it_is.findings if one.code.startswith("cameras_")] == ["cameras_as_calibrated"]
     scene = json.loads((runs / "scene.json").read_text())
@@ -249,7 +249,7 @@ def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
 
 @pytest.mark.slow
 def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_path):
-    """By 2 degrees; not where the poses are said to be exact."""
+    """The pose of a camera turned by 2 degrees in a pair is refined automatically, unless poses are stated as exact."""
     scene = json.loads((runs / "scene.json").read_text())
     beside = View(FISHEYE, ASIDE, np.zeros((1, 1, 2)), np.ones((1, 1)))
     turned = beside.corrected(np.radians([2, 0, 0, 0, 0, 0])).T_camera_world
@@ -268,7 +268,7 @@ def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_p
 
 @pytest.mark.slow
 def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatch):
-    """A refinement that throws one camera away, as the robust cost of a small rig allows, is not taken."""
+    """A refinement that makes one camera an outlier, as the robust cost allows in a small rig, is not used."""
 
     def solve(views, body, prior, fps, options, progress):
         found = solve_trajectory(views, body, prior, fps, replace(options, refine_cameras=False), progress)
@@ -299,7 +299,7 @@ def test_only_several_cameras_that_stand_still_are_refined(runs):
 
 
 def test_where_cameras_stand_from_the_animal_alone(runs, tmp_path):
-    """Two views of one run: the poses of their file are not read. Coarse, in half a second of running."""
+    """Camera poses follow from two views of one run, roughly after half a second, without reading the file's poses."""
     cameras, report = run_extrinsics([settings(runs, 1, 2, frames="10:36")], tmp_path / "found.toml")
     true, found = (read_cameras(path) for path in (runs / "scene.json", tmp_path / "found.toml"))
     assert [camera.to_dict() for camera in cameras] == [camera.to_dict() for camera in found]
@@ -320,7 +320,7 @@ def test_where_cameras_stand_from_the_animal_alone(runs, tmp_path):
 
 @pytest.mark.slow
 def test_heights_have_deviations(tmp_path):
-    """The sample's cameras are 1.5 and 1.6 m high."""
+    """Camera heights, 1.5 and 1.6 m in the sample, have standard deviations."""
     files, given = [SAMPLES / f"whole_cam{n}.csv" for n in (1, 2)], {"camera": SAMPLES / "whole_scene.json", "fps": 60}
     more = {"fast": True, "frames": "10:40"}
     cameras, report = run_extrinsics(clips_of(files, given | more)[0], tmp_path / "found.toml")
@@ -335,7 +335,7 @@ def test_heights_have_deviations(tmp_path):
 
 
 def test_clips_of_one_rig(runs, tmp_path):
-    """By their names; the files' poses, refined, stay where they are: in their world, the first camera as it was."""
+    """Clips of one rig are grouped by camera name; refined poses of the file keep its world and the first camera."""
     for number in (1, 2):
         for clip in ("a", "b"):
             (tmp_path / f"{clip}_cam{number}.csv").write_bytes((runs / f"run_cam{number}.csv").read_bytes())
@@ -372,7 +372,7 @@ def test_cameras_that_the_clips_do_not_tell_are_refused(runs, tmp_path, monkeypa
 
 @pytest.mark.slow
 def test_cameras_out_of_step_without_poses(runs, tmp_path):
-    """The second camera of the run began four frames later: its file's numbers say so, and then do not."""
+    """Cameras out of step can be calibrated: by the file's frame numbers, or by searching the four frames of delay."""
     table = (runs / "run_cam2.csv").read_text().splitlines()
     late = [line.split(",", 1) for line in table[3:]]
     rows = [f"{int(frame) - 4},{rest}" for frame, rest in late]
@@ -400,7 +400,7 @@ def test_refined_extrinsics_need_poses(runs, tmp_path):
 
 
 def test_which_way_is_up_is_said_once(runs, tmp_path):
-    """By the file, where its poses are read."""
+    """The up direction cannot be stated twice, in the option and in a file whose poses are read."""
     clip, out = settings(runs, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
     beside = ("up", "--set refine-cameras=true", "only one of the two")
     with refusal(("--tilt-deg", *beside), ("--level-deg", *beside)):

@@ -1,4 +1,4 @@
-"""The clip pipeline on every skeleton: fitted, written and played back."""
+"""Test the clip pipeline on every skeleton: fitted, written and played back."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def test_points_outside_the_picture_are_another_cameras(method):
 
 @pytest.mark.parametrize("method", ["trajectory", "frame"])
 def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, method):
-    """The sample faces right; a file with its left legs only is fitted by those."""
+    """If the side that faces the camera has no points, the other side is fitted."""
     lines = (samples_folder() / "noisy.csv").read_text().splitlines()
     keep = [i for i, name in enumerate(lines[1].split(",")) if not name.startswith("r_")]
     left = "\n".join(",".join(line.split(",")[i] for i in keep) for line in lines)
@@ -217,7 +217,7 @@ def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, m
 
 
 def test_a_pose_out_of_sight_is_not_converged():
-    """Detections that no animal of that size can have made: all in one pixel."""
+    """A pose outside the camera's view is not converged: all detections are in one pixel."""
     camera = read_camera(samples_folder() / "camera.toml")
     point = np.full((2, 9, 2), 700.0) + np.linspace(0, 0.5, 9)[:, None]
     solution = solve_frames(still_view(camera, point, np.ones((2, 9))), load_chain("cheetah-8u"), 30.0, FrameOptions())
@@ -228,7 +228,7 @@ def test_a_pose_out_of_sight_is_not_converged():
 
 
 def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_trajectory, tmp_path):
-    """Not even where no manifest names them, as after a run that was killed."""
+    """A run with fewer cameras leaves no tables of other cameras, even if no manifest names them after a killed run."""
     settings, out = sample(), tmp_path / "out"
     write_clip(two_cameras, settings, out)
     of_cameras = {"reprojection_cam1.csv", "reprojection_cam2.csv"}

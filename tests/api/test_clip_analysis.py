@@ -1,4 +1,4 @@
-"""`recon analyse`: the analysis of a clip against independent arithmetic, and what it writes and says."""
+"""Test `recon analyse` against independent arithmetic, and its files and messages."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_a_larger_animal_is_as_much_faster(whole):
 
 
 def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
-    """The uncertainty of angles comes from the pose alone; that of the place would make it several times as large."""
+    """The uncertainty of angles comes from the pose alone; the position would make it several times as large."""
     knee = whole.angles["l_back_knee"]
     assert np.degrees(np.median(knee.series.value_sigma)) < 30
     points = whole.pose.xyz_m[:, [whole.pose.names.index(n) for n in ("l_hip", "l_back_knee", "l_back_ankle")]]
@@ -131,7 +131,7 @@ def test_chains_begin_with_the_trunk(whole, one_sided):
 
 
 def test_events_are_near_those_of_the_true_joints(whole, tables):
-    """Every stance of the truth is found, and its edges are within two frames."""
+    """Every stance of the truth is found, with its ends within two frames."""
     assert whole.gait.name.name == "transverse gallop"
     table = tables["stances"]
     ground = table[(table.begins == "yes") & (table.ends == "yes")]
@@ -197,7 +197,7 @@ def test_strides_slower_than_a_leg_swings_by_itself_are_said(whole):
 
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
 def test_strides_are_those_of_the_sample(fit, request):
-    """The sample gallops at 3.2 to 3.4 strides a second."""
+    """The sample gallops at 3.2 to 3.4 strides per second."""
     found = request.getfixturevalue(fit)
     if found.gait.strides:
         assert 0.285 < found.stride.end_s - found.stride.start_s < 0.335
@@ -215,7 +215,7 @@ def test_a_stride_of_ones_own(chain_results, tmp_path):
 
 
 def test_vector_field_of_a_knee(whole, tables):
-    """The speed about the hip is the thigh's length times the rate of its angle, in the plane."""
+    """The speed of a knee about the hip is the length of the thigh times the rate of its angle, in the plane."""
     field = tables["vector_field"]
     rows = field[(field.limb == "left hind leg") & (field.link == "l_back_knee-l_back_ankle")]
     radius, dtheta, dr = (rows[name].to_numpy() for name in ("radius_m", "dtheta_rad_s", "dr_m_s"))
@@ -230,7 +230,7 @@ def test_vector_field_of_a_knee(whole, tables):
 
 
 def test_the_frame_methods_path_has_the_true_speed(one_sided):
-    """Against the speed of the true joints: the path that ties the frames, with intervals that hold."""
+    """The path of the frame method has the speed of the true joints within its intervals."""
     truth = read_pose3d(SAMPLES / "noisy_truth.csv")
     true = truth.xyz_m[:, truth.names.index("tail_base")]
     speed = np.linalg.norm(true[2:] - true[:-2], axis=1) * 15
@@ -244,7 +244,7 @@ def test_the_frame_methods_path_has_the_true_speed(one_sided):
 
 
 def test_without_a_path_the_straight_run_has_the_speed(frame_results, one_sided):
-    """As in the fit's own summary. The sample's path is right to a tenth."""
+    """Without a path, the speed is that of a straight run, as in the summary of the fit, and right to a tenth."""
     motion = Motion.load(frame_results)
     told = dict(build_report(motion)["lines"])
     assert told["speed"].startswith("at most 15.4 m/s")
@@ -269,7 +269,7 @@ def test_too_few_poses(frame_results):
 
 
 def test_a_motion_that_was_just_fitted(small_trajectory):
-    """Without any folder."""
+    """A motion that was just fitted is analysed without any folder."""
     found = analyse(small_trajectory)
     assert found.joints["spine"].mean_speed_m_s == pytest.approx(9.0, abs=0.05)
     moved, off = found.reference_motion, {"peak_speed_m_s": 10.0, "peak_speed_sigma_m_s": 11.0}
@@ -315,7 +315,10 @@ QUICK_FIGURES = ("forces", "footfalls", "side_view", "speed")
     [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK_FIGURES)) for name in FIGURES],
 )
 def test_each_figure_is_drawn_with_all_its_text(name, whole):
-    """What the others draw is looked at in `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py`."""
+    """Each figure is drawn with all its text; other tests check the content of the figures.
+
+    See `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py`.
+    """
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275
@@ -337,7 +340,7 @@ def test_each_figure_can_be_saved(name, whole, tmp_path):
 
 
 def test_what_is_hardly_known_is_not_drawn(whole):
-    """The figure has the page's words in place of the acceleration."""
+    """Instead of an acceleration that is hardly known, the figure shows the words of the page."""
     why = whole.reference_motion.why_no_acceleration
     figure = figures_of(whole)["speed"]()
     assert [axes.get_ylabel() for axes in figure.axes] == ["speed (m/s)"]
@@ -417,7 +420,7 @@ def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whol
 
 
 def test_a_back_of_one_segment_has_no_flexion(whole):
-    """Also where it rolls, so that it seems to bend in the vertical plane."""
+    """A back of one segment has no flexion, even if it rolls and seems to bend in the vertical plane."""
     solution, rolls = whole.motion.solution, Rotation.from_euler("x", np.linspace(0.0, 0.5, 60)[:, None]).as_matrix()
     stiff_m = np.einsum("tab,jb->tja", rolls, solution.joints_m[0])
     stiff = analyse(replace(whole.motion, solution=replace(solution, joints_m=stiff_m)))
@@ -438,7 +441,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
 
 
 def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
-    """The frame method's path in depth: errors, no speeds."""
+    """Speeds of the frame method that are not known are missing from the tables and grey in figures."""
     columns, rows = joints(whole)
     assert {row[-1] for row in rows} == {"yes"}
     assert np.isfinite([row[1] for row in rows]).all()

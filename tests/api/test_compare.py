@@ -1,4 +1,4 @@
-"""Clips beside each other: means with their uncertainty, groups, and what is refused."""
+"""Test the comparison of clips: means with their uncertainty, groups, and refused inputs."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
 
 
 def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, whole_motion: Motion):
-    """By the digests of their files, whatever the results are called; other frames of a clip are a clip."""
+    """Results of the same keypoint and camera files count once, by their digests; other frames make another clip."""
     (source,) = whole_motion.sources
     later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
     motions = dict.fromkeys("abc", whole_motion) | {"=later": replace(whole_motion, sources=(later,))}

@@ -1,4 +1,4 @@
-"""Corrections by hand: what the editor saves, the fit behind it, and what it refuses."""
+"""Test corrections by hand: what the editor saves, its fits, and what it refuses."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_change_is_saved_and_fitted(session: CorrectionSession, whole_results:
 def test_after_a_pause_the_clip_is_fitted_as_recon_fit_does(
     session: CorrectionSession, monkeypatch: pytest.MonkeyPatch
 ):
-    """First a quick fit from the present motion, then, with nothing more to do, the whole one."""
+    """After a correction a quick fit starts from the present motion; after a pause the whole fit follows."""
     monkeypatch.setattr("recon.api.corrections.IDLE_S", 0.0)
     fits, original = [], session.motion
     quick, whole = replace(original), replace(original)
@@ -64,7 +64,7 @@ def test_after_a_pause_the_clip_is_fitted_as_recon_fit_does(
 
 
 def test_a_quick_fit_is_near_the_whole_one(session: CorrectionSession, tmp_path: Path):
-    """A corrected detection moves the quick fit as it moves the whole one; the rest of the motion stays."""
+    """A corrected detection moves the quick fit as it moves the whole fit, and nothing else moves."""
     motion, keypoint = session.motion, "r_front_knee"
     j = motion.names.index(keypoint)
     x, y = motion.pictures[0].reprojected_px[18, j].tolist()
@@ -167,7 +167,7 @@ def test_two_editors_of_one_file_are_refused(tmp_path: Path):
 
 
 def test_corrections_made_in_a_spreadsheet_are_taken_up(session: CorrectionSession, whole_results: Path):
-    """Semicolons, decimal commas, no name of the only camera."""
+    """Corrections saved by a spreadsheet are read: semicolons, decimal commas, no name of the only camera."""
     session.out.write_text("frame;keypoint;now_x_px;now_y_px\n20;nose;3,5;4\n", encoding="utf-8")
     again = CorrectionSession.open(whole_results, session.out)
     (row,) = again.corrections
@@ -184,7 +184,7 @@ def test_corrections_of_another_clip_do_not_open(session: CorrectionSession, who
 
 
 def test_a_video_that_ends_before_the_clip_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """By what the file states before the page opens, else by what can be decoded, without a traceback."""
+    """A video that ends before the clip is reported before the page opens, or when decoding ends."""
     video, frames = SAMPLES / "rendered.mp4", np.arange(500)
     with refusal((video, "video", "90 frames", "500 or more")):
         _require_length(frames, video, 0)

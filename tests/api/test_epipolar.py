@@ -1,4 +1,4 @@
-"""Lines on which a keypoint of another camera lies."""
+"""Test the lines on which a keypoint of another camera lies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from recon.api.epipolar import epipolar_lines_px
 
 
 def distance_px(line: np.ndarray, point: np.ndarray) -> float:
-    """Distance of a point from a polyline."""
+    """Return the distance of a point from a polyline, px."""
     starts, steps = line[:-1], np.diff(line, axis=0)
     share = np.clip(((point - starts) * steps).sum(axis=1) / (steps**2).sum(axis=1), 0, 1)
     return float(np.linalg.norm(starts + share[:, None] * steps - point, axis=1).min())

@@ -1,4 +1,4 @@
-"""An experiment: its design, the cameras of a run, the mixed model of each quantity, and plans."""
+"""Test experiments: the design, the cameras of a run, the mixed model of each quantity, and plans."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def design_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def tables(design_file: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Clips and strides of the made-up herd."""
+    """Return the tables of clips and strides of the made-up herd."""
     design = design_of_table(design_file, CLIPS, "group", ())
     clips, strides = [], []
     for clip in CLIPS:

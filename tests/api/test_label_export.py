@@ -1,4 +1,4 @@
-"""Corrections go back to the detector: label files, and a corrected table, from `recon fix`."""
+"""Test the export of corrections to label files and to a corrected table by `recon fix`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROWS = [
 
 @pytest.fixture(scope="module", autouse=True)
 def _fitted_once() -> Iterator[None]:
-    """All tests export the same fit."""
+    """Let all tests export the same fit."""
     fitted: dict[str, Motion] = {}
 
     def fit_once(settings: FitSettings) -> Motion:
@@ -51,7 +51,7 @@ def corrections(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory) -> Path:
-    """A video of 22 frames, as dark as ten times their number."""
+    """Write a video of 22 frames, whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("film") / "run.avi"
     with video_writer(path, (1920, 1080), 60.0) as write:
         for number in range(22):

@@ -1,4 +1,4 @@
-"""Labels from nothing: which frames, what is saved with every click, and what is refused."""
+"""Test labelling without a detector: the choice of frames, saving after every click, and refused inputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES = ("nose", "tail")
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory) -> Path:
-    """Thirty frames in three scenes of ten, with a bright bar at the left, in the middle, and at the right."""
+    """Write thirty frames in three scenes of ten, with a bright bar at the left, in the middle and at the right."""
     path = tmp_path_factory.mktemp("film") / "run.avi"
     with video_writer(path, (64, 48), 25.0) as write:
         for number in range(30):
@@ -45,7 +45,10 @@ def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
 
 
 def test_with_a_result_frames_are_those_whose_labels_tell_most(small_motion: Motion):
-    """A neighbour of a chosen frame has little left to tell; the numbers are those of the keypoint file."""
+    """With a result, the chosen frames are those whose labels reduce the error most.
+
+    A neighbour of a chosen frame adds little. Frame numbers are those of the keypoint file.
+    """
     gain_m2 = np.zeros((1, len(small_motion.frames), len(small_motion.names)))
     gain_m2[0, [0, 1], 4] = 3.0, 2.9
     gain_m2[0, 5, :2] = 1.0, 1.5

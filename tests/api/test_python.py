@@ -1,4 +1,4 @@
-"""What Python users have: motions and keypoints as tables of other packages, and what a notebook shows."""
+"""Test the Python interface: conversion to and from other packages' tables, and the display in a notebook."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_all_that_is_public_explains_itself_and_completion_shows_no_more():
 
 
 def test_messages_are_for_who_listens(caplog, capfd):
-    """Nothing is printed from Python; what a terminal would say goes to the logger "recon"."""
+    """Nothing is printed from Python; messages go to the logger "recon"."""
     settings = recon.FitSettings(
         keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:8", fast=True
     )

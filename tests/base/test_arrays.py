@@ -1,4 +1,4 @@
-"""Values computed from arrays."""
+"""Test values that are computed from arrays."""
 
 from __future__ import annotations
 

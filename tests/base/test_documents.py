@@ -1,4 +1,4 @@
-"""Texts that the parsers of the standard library choke on, and files that are none."""
+"""Test texts that the parsers of the standard library fail on, and files that are no documents."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""File names that are not UTF-8, streams that are closed or of ASCII, and folders that cannot be written to."""
+"""Test file names that are not UTF-8, streams that are closed or ASCII, and folders without write permission."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LATIN_1 = os.fsdecode(b"caf\xe9")
 
 @pytest.fixture
 def latin_1(tmp_path):
-    """A keypoint file whose name is not UTF-8."""
+    """Return a keypoint file whose name is not UTF-8."""
     path = tmp_path / f"{LATIN_1}.csv"
     try:
         shutil.copy(SAMPLES / "whole.csv", path)
@@ -52,7 +52,7 @@ for command in " ".join(sys.argv[1:]).split(" then "):
 
 
 def process(*args: object, shell: str = "") -> subprocess.CompletedProcess:
-    """`recon ARGS` in a process of its own; shell: what stands behind it."""
+    """Run `recon ARGS` in its own process; shell: text after the command."""
     command = ["bash", "-c", f'"$@" {shell}', "bash", sys.executable, "-m", "recon", *map(str, args)]
     env = {**os.environ, "COLUMNS": "80", "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, capture_output=True, env=env, check=False, timeout=300)
@@ -105,7 +105,7 @@ def test_a_batch_goes_on_with_a_name_that_is_not_utf_8(latin_1, tmp_path):
 
 
 def test_a_clip_s_folder_has_a_name_that_file_systems_take(tmp_path):
-    """Codes of bytes are longer than the bytes, and two long names may begin alike."""
+    """A clip's folder has a name that file systems accept, even if names are long or have escaped bytes."""
     names = [os.fsdecode(b"\xe9" * 240 + b"-%d.csv" % number) for number in range(2)] + ["ä" * 120 + ".csv"]
     try:
         for name in names:
@@ -119,7 +119,7 @@ def test_a_clip_s_folder_has_a_name_that_file_systems_take(tmp_path):
 
 
 def test_a_video_with_such_a_name_is_refused(tmp_path):
-    """OpenCV crashes at it."""
+    """A video with a name that is not UTF-8 is refused, because OpenCV crashes on it."""
     from recon.io.video import probe
 
     path = tmp_path / f"{LATIN_1}.mp4"
@@ -147,7 +147,7 @@ def test_a_manifest_with_a_null_byte_is_refused(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 @pytest.mark.slow
 def test_standard_output_may_be_closed(tmp_path):
-    """A quick test of an output that nothing can be written to is in `test_interrupts.py`."""
+    """Standard output may be closed; `test_interrupts.py` tests an output that cannot be written to."""
     clip = tmp_path / "Läufer.csv"
     shutil.copy(SAMPLES / "whole.csv", clip)
     closed = process("convert", clip, tmp_path / "closed.csv", "--to", "long", "--quiet", shell=">&-")

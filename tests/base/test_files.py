@@ -1,4 +1,4 @@
-"""Folders of outputs appear whole or not at all."""
+"""Test that folders of outputs appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from recon.base.outputs import RECORD, Output
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """By their paths, the texts of all files but recon's record."""
+    """Return the text of every file by its path, except recon's record."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != RECORD)
     return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
@@ -139,7 +139,7 @@ with staged_file(sys.argv[1]) as path:
 
 
 def test_processes_do_not_remove_each_others_work(tmp_path):
-    """Each begins while the others are at it, and ends after they have begun."""
+    """Processes that overlap in time do not remove each other's work."""
     paths = [tmp_path / f"{k}.csv" for k in range(3)]
     processes = []
     for path in paths:
@@ -245,7 +245,7 @@ def write_two(out: Path) -> None:
 
 
 def steps_of_replacing(out: Path, monkeypatch: pytest.MonkeyPatch, at_step) -> None:
-    """Replace results; at_step(number) is called before every move of a file."""
+    """Replace results, and call at_step(number) before every move of a file."""
     write_results(out, a="1", b="1")
     count = itertools.count()
 
@@ -287,7 +287,7 @@ def test_what_fails_on_the_way_leaves_the_earlier_results(tmp_path, monkeypatch,
 
 
 def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, monkeypatch):
-    """What the folder holds before each move is what a kill would leave."""
+    """A kill before any move leaves nothing that could be taken for complete results."""
     out, taken = tmp_path / "out", []
 
     def look(number):
@@ -308,7 +308,7 @@ def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, mo
 
 @pytest.mark.parametrize("stage", [staged_file, lambda path: staged_folder(path.parent)], ids=["file", "folder"])
 def test_an_error_names_what_was_to_be_written(tmp_path, stage):
-    """Not a hidden folder that is gone. What fails without a name is the file, or the folder."""
+    """An error names the file or the folder that was to be written, not a hidden folder that no longer exists."""
     for error in (OSError(28, "No space left on device"), FileNotFoundError(2, "no such file", "elsewhere")):
         with pytest.raises(OSError, match=error.strerror) as caught, stage(tmp_path / "a.csv"):
             raise error

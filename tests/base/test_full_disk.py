@@ -1,6 +1,7 @@
-"""A full disk ends in one line that names the file, and leaves nothing: whatever library makes the content.
+"""Test that a full disk ends in one line that names the file, and leaves no partial files, with any library.
 
-`tests/fuzz/full_disk.py` does so for every command. Here no file may grow beyond a size, which a system says otherwise.
+`tests/fuzz/full_disk.py` tests every command. Here no file may grow beyond a size, which a system reports in another
+way.
 """
 
 from __future__ import annotations
@@ -93,7 +94,10 @@ def test_results(limit: int, small_trajectory: Motion, tmp_path: Path) -> None:
 @pytest.mark.parametrize("lacking", [50_000, 300, 1])
 @pytest.mark.parametrize("suffix", ["mp4", "avi"])
 def test_a_video(suffix: str, lacking: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """OpenCV goes on writing, and says so by itself. Without the end of an AVI all its frames can be decoded."""
+    """A full disk while a video is written is reported.
+
+    OpenCV continues to write and prints its own message. All frames of an AVI without its end can be decoded.
+    """
     film(tmp_path / f"a.{suffix}")
     size = (tmp_path / f"a.{suffix}").stat().st_size
     (tmp_path / f"a.{suffix}").unlink()

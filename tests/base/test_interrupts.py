@@ -1,4 +1,4 @@
-"""Ctrl-C: one line on stderr and exit code 130, whatever the process is at."""
+"""Test that Ctrl-C gives one line on stderr and exit code 130 at any moment of a process."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     ],
 )
 def test_the_command_cleans_up(moment):
-    """A library may make another exception of it, or none."""
+    """The command cleans up, even if a library turns the interrupt into another exception, or drops it."""
     assert recon_in(f"def work():\n    {WORK[moment]}") == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
 
 
@@ -110,7 +110,7 @@ def test_the_command_cleans_up(moment):
     "module", ["typer", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rich.markup", "recon.cli.app"))]
 )
 def test_within_an_import(module):
-    """There, libraries print exceptions that are not theirs."""
+    """An interrupt during an import prints no exceptions of libraries."""
     code = f"""
 class Finder:
     @staticmethod
@@ -155,7 +155,7 @@ def work():
 
 @posix
 def test_after_the_command():
-    """The line comes once, and what others do at the exit is not waited for either."""
+    """After the command, the line appears once, and functions registered for the exit are not awaited."""
     code = """
 def work():
     atexit.register(lambda: (ctrl_c(), time.sleep(60)))
@@ -169,7 +169,7 @@ def work():
 
 @posix
 def test_while_python_ends():
-    """Nothing is left to stop then: the exit code is the command's."""
+    """While Python ends, nothing is left to stop, so the exit code is that of the command."""
     code = """
 class Last:
     def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):
@@ -203,7 +203,7 @@ def test_where_it_is_ignored_it_stays_so():
     ],
 )
 def test_the_process_ends_with_its_own_code(end, code, said):
-    """What is registered for the exit is done, and what is printed there is not lost."""
+    """The process ends with its own exit code, after functions registered for the exit have run and printed."""
     ended = recon_in(f"def work():\n    atexit.register(print, 'at the exit'); {end}")
     assert (ended.code, ended.out) == (code, "cleaned up\nat the exit\n")
     assert ended.err.endswith(said)
@@ -216,7 +216,7 @@ def test_the_process_ends_with_its_own_code(end, code, said):
     [("/dev/full", 2, "No space left on device"), pytest.param("|", 1, "", marks=pytest.mark.slow)],
 )
 def test_output_that_goes_nowhere(where, code, said):
-    """A full disk is said; a reader that had enough is none of the user's mistakes."""
+    """A full disk is reported; a reader that closed the pipe is not an error."""
     if where == "|":
         reader, writer = os.pipe()
         os.close(reader)
@@ -234,7 +234,7 @@ def test_output_that_goes_nowhere(where, code, said):
     "after_s", [0.5, *(pytest.param(after_s, marks=pytest.mark.slow) for after_s in (0.0, 0.2, 0.8))]
 )
 def test_from_outside(after_s, tmp_path):
-    """While modules are imported, and while the clip is fitted and written, whatever it is that this machine is at."""
+    """An interrupt from outside works while modules are imported and while the clip is fitted and written."""
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     fit = ["fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     ended = interrupted([*map(str, fit)], after_s, tmp_path)

@@ -1,4 +1,4 @@
-"""The server of one page on this machine: who gets an answer."""
+"""Test which requests the server of one page on this machine answers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_page_is_served_at_its_secret_address_only(server: LocalServer):
 
 
 def test_another_host_or_page_is_refused(server: LocalServer):
-    """A name that somebody's server resolves to this machine, and a page of another origin."""
+    """Requests by another host name, and from a page of another origin, are refused."""
     assert ask(server, f"/{server.token}/", Host="evil.example")[0].status == 403
     origin = f"http://127.0.0.1:{server.server_port}"
     path = f"/{server.token}/save"

@@ -1,4 +1,4 @@
-"""What a process keeps of the memory that it frees, and how often it searches for unused objects."""
+"""Test how much freed memory a process keeps, and how often it searches for unused objects."""
 
 from __future__ import annotations
 

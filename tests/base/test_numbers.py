@@ -1,4 +1,4 @@
-"""Numbers with units in texts and figures."""
+"""Test numbers with units in texts and figures."""
 
 from __future__ import annotations
 

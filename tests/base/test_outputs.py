@@ -1,4 +1,4 @@
-"""Nothing of a user's is ever replaced or deleted, whichever command runs, with --overwrite or without."""
+"""Test that no command ever replaces or deletes a user's file, with or without --overwrite."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_an_input_is_never_replaced_nor_removed(tmp_path):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
 def test_what_a_killed_run_leaves_is_known_again(tmp_path, step):
-    """A kill before each step of putting files in place, or before every third one, and then the next run."""
+    """The next run recognises the files of a run that was killed at any step of putting files in place."""
     for kill_at in range(1, 60, step):
         out = tmp_path / str(kill_at)
         written(out, a="1", b="1")
@@ -132,7 +132,7 @@ def test_what_a_killed_run_leaves_is_known_again(tmp_path, step):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 def test_two_writers_leave_the_files_of_one(tmp_path):
-    """Each writes as often as it can, or is refused since the other one writes."""
+    """Two simultaneous writers leave the files of one of them; the other is refused."""
     children = []
     for text in ("1", "2"):
         child = os.fork()
@@ -150,7 +150,7 @@ def test_two_writers_leave_the_files_of_one(tmp_path):
 
 
 def _killed(function: Callable[..., object], count: list[int], last: int) -> Callable[..., object]:
-    """The function, before whose call of that number the process kills itself."""
+    """Return a function that kills its process just before the call with that number."""
 
     def step(*args: Any, **more: Any) -> object:
         count[0] += 1
@@ -162,7 +162,7 @@ def _killed(function: Callable[..., object], count: list[int], last: int) -> Cal
 
 
 def test_results_of_version_0_2_are_known_by_their_manifest(tmp_path):
-    """It has no kind, and there is no other record."""
+    """Results of version 0.2 are recognised by their manifest, which has no kind and is the only record."""
     written(tmp_path, motion="1", old="1")
     (tmp_path / RECORD).unlink()
     manifest = json.loads((tmp_path / MANIFEST).read_text())
@@ -412,7 +412,10 @@ Arguments = Sequence[object]
 
 
 def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
-    """For each command its arguments, and the name of a file that it surely writes. clip, frame: results of fits."""
+    """Return the arguments of each command and the name of a file that it writes.
+
+    clip, frame: results of fits.
+    """
     return {
         "fit": (("fit", SAMPLES / "whole.csv", *CAMERA, *QUICK), "motion.npz"),
         "frame": (("frame", SAMPLES / "noisy.csv", *CAMERA, "--fps", 30, "--frames", "0:4"), "motion.npz"),
@@ -437,7 +440,10 @@ def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
 )
 @pytest.mark.usefixtures("no_playback", "undrawn", "in_process", "remembered_analyses")
 def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_results, tmp_path, name):
-    """A first run says which, of fits that of the fixtures; 40 files of a user's lie there at the second."""
+    """No command touches a user's files that have the names which it writes.
+
+    A first run, or the fixtures of fits, gives the names; 40 of them are a user's files at the second run.
+    """
     arguments, sure = commands(whole_results, frame_results)[name]
     first = {"fit": whole_results, "frame": frame_results}.get(name, tmp_path / "first")
     if name not in ("fit", "frame"):
@@ -472,9 +478,9 @@ def test_a_batch_leaves_what_lies_where_a_clip_would_be(tmp_path):
 
 
 def files_and_commands(clip: Path, inputs: Path, mine: Path) -> dict[str, tuple[Arguments, Sequence[str]]]:
-    """For each command that writes files of given names its arguments, and the names.
+    """Return the arguments and the names for each command that writes files of given names.
 
-    clip: results of a fit. inputs: a folder with other inputs. mine: where it writes.
+    clip: results of a fit. inputs: a folder with other inputs. mine: the folder to write to.
     """
     film, folder = inputs / "film.avi", ("--out", mine)
     two = (SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv", "--camera", SAMPLES / "whole_scene.json")
@@ -526,7 +532,7 @@ def files_and_commands(clip: Path, inputs: Path, mine: Path) -> dict[str, tuple[
 
 @pytest.fixture(scope="module")
 def other_inputs(tmp_path_factory):
-    """A film of a black picture, which is also a picture of no board, and a network's folder."""
+    """Write a film of black pictures, which also shows no board, and the folder of a network."""
     folder = tmp_path_factory.mktemp("inputs")
     with video_writer(folder / "film.avi", (1920, 1080), 60.0) as write:
         write(np.zeros((1080, 1920, 3), np.uint8))
@@ -538,13 +544,13 @@ def other_inputs(tmp_path_factory):
 
 @pytest.mark.parametrize("name", files_and_commands(Path(), Path(), Path()))
 def test_no_command_touches_files_of_the_names_that_it_is_given(whole_results, other_inputs, tmp_path, name):
-    """Each is refused before any work, whether all are taken or only one."""
+    """No command replaces files of the names that it is given: it is refused before any work, also for a single one."""
     arguments, names = files_and_commands(whole_results, other_inputs, tmp_path / "mine")[name]
     require_untouched(arguments, tmp_path / "mine", names)
 
 
 def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
-    """`recon report` has no --overwrite: it renews its own page."""
+    """No page replaces a user's file, although `recon report` renews its own page without --overwrite."""
     monkeypatch.setattr("recon.cli.look.run_tasks", run_tasks_here)
     clip = copy_results(whole_results, tmp_path / "all" / "clip")
     put_foreign(clip, [PAGE, "summary.html"])

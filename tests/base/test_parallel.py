@@ -1,6 +1,6 @@
-"""Tasks in processes of their own: what these are told, and what becomes of a task whose process dies.
+"""Test tasks in processes of their own: their arguments, and the outcome if a process dies.
 
-This file imports little: each of the processes that it starts imports it.
+This file imports little, because each process that it starts imports it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from recon.base.progress import Progress
 
 
 def work(task: str, progress: Progress) -> dict[str, Any]:
-    """The work of the tests below, in another process."""
+    """Do the work of the tests below in another process."""
     if task == "environment":
         threads, new_objects = os.environ["OMP_NUM_THREADS"], gc.get_threshold()[0]
         return {"pid": os.getpid(), "threads": threads, "numpy": "numpy" in sys.modules, "new_objects": new_objects}
@@ -42,7 +42,7 @@ def work(task: str, progress: Progress) -> dict[str, Any]:
 
 
 def ended(*tasks: str, **more: Any) -> dict[str, Any]:
-    """Outcomes by the tasks, which are their own names but for what follows a colon."""
+    """Return the outcomes by task; a task is its own name up to a colon."""
     outcomes: dict[str, Any] = {}
 
     def tell(event: Event) -> None:
@@ -96,7 +96,7 @@ def test_an_interrupt_stops_the_processes():
 
 
 def test_a_script_needs_no_main(tmp_path):
-    """What it does is not done again in the processes, as with multiprocessing alone."""
+    """A script needs no `if __name__` guard, because its code does not run again in the processes."""
     script = tmp_path / "script.py"
     script.write_text(
         "from recon.base.parallel import run_tasks\nfrom recon.base.progress import silent\n"

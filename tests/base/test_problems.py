@@ -1,4 +1,4 @@
-"""What is wrong with an input: the line that is made of it, and how tests look at it."""
+"""Test the line that describes a problem of an input, and how tests compare problems."""
 
 import pickle
 

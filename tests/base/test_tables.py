@@ -1,4 +1,4 @@
-"""Tables that people open, and patterns that stand in files."""
+"""Test tables that people open, and patterns that files contain."""
 
 from __future__ import annotations
 
