@@ -1,13 +1,14 @@
-"""Measure the size of the package in one table: code, classes, what a fit loads, options, import cycles, times.
+"""Measure the size of the package: lines of code, classes, modules loaded by a fit, options, import cycles and times.
 
 python benchmarks/house.py [--rooms] [--quick] [--check] [--where]
 
 Code lines exclude blank lines, comments and docstrings. A public class is at the top level of a module and has a name
 without a leading underscore. A circle is a group of files that import each other, at the top or inside functions.
---rooms adds a table of lines and classes for each room; --quick leaves out the times.
+--rooms adds a table of lines and classes for each room (a package directly under `recon`). --quick leaves out the
+times.
 
 --check prints how many names, imports and types of each room break a rule (`RULES`), and fails if there are more than
-allowed. --where also prints each of them. `make lint` runs the check.
+allowed. --where also prints each violation. `make lint` runs the check.
 """
 
 from __future__ import annotations
@@ -116,11 +117,11 @@ UPWARD = {
     "recon.api.clip": {"recon.thesis.clip"},  # for fit_clip with the frame method
     "recon.api.clip_inputs": {"recon.thesis.clip"},  # for the chain of the frame method
 }
-"""Modules that import, inside a function, modules of a higher layer, and which ones."""
+"""Modules of a higher layer that a module imports inside a function, by the importing module."""
 
 
 class Syntax(NamedTuple):
-    """Nodes of a file's syntax tree, and which of them are inside a function."""
+    """Nodes of a file's syntax tree, with those inside functions."""
 
     nodes: list[ast.AST]
     local: list[ast.AST]
@@ -155,8 +156,8 @@ def shadowing_names(syntax: Syntax) -> list[tuple[int, str]]:
     """Return the lines and names of local variables that hide an import, a function or a class of the module.
 
     A module that is imported for types only may be imported again in a function, or be returned by the function that
-    asks for its package (`torch = require_torch()`). A function or class that replaces an earlier one of the module
-    counts, too, unless a decorator makes both of them parts of one.
+    requires its package (`torch = require_torch()`). A function or class that replaces an earlier one of the same name
+    also counts, unless a decorator joins the two.
     """
     imports = [node for node in syntax.nodes if isinstance(node, ast.Import | ast.ImportFrom)]
     aliases = [alias for node in imports for alias in node.names]
@@ -278,7 +279,8 @@ def parsed(source: str) -> ast.Module:
 def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
     """Return the imports in a source text, in functions too, and its calls, if one of them may import by a string.
 
-    An import is a statement: otherwise expressions, which are most of a syntax tree, need not be walked.
+    Imports are statements, so the expressions, which make up most of a syntax tree, are walked only if the text may
+    import by a string.
     """
     tree = parsed(source)
     if "import_module" in source or "__import__" in source:
@@ -295,7 +297,7 @@ def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
 
 
 def imported_by(module: str, source: str, is_package: bool, modules: Mapping[str, object]) -> set[str]:
-    """Return the package's modules that a module imports: at its top, inside functions, or by `import_module`."""
+    """Return the package's modules that a module imports at its top, inside functions, or by `import_module`."""
     found = set()
     for node in nodes_that_import(source):
         if isinstance(node, ast.Import):
@@ -374,12 +376,12 @@ def output_of(*arguments: str) -> str:
 
 
 def loaded_by_a_fit() -> list[Path]:
-    """Return the package's files that are loaded after the sample was fitted from Python."""
+    """Return the package's files that a fit of the sample from Python loads."""
     return [Path(file) for file in json.loads(output_of("-c", LOADED, str(SAMPLES)).splitlines()[-1])]
 
 
 def fit_help() -> tuple[int, int]:
-    """Return the options of `recon fit --help`, and its number of lines at 100 columns."""
+    """Return the number of options in `recon fit --help`, and its number of lines at 100 columns."""
     text = output_of("-m", "recon", "fit", "--help")
     options = re.findall(r"^\W*(?:\*\s+)?(--[a-z][\w-]*)", text, re.MULTILINE)
     return len({*options} - {"--help"}), len(text.strip().splitlines())

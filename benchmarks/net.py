@@ -1,4 +1,4 @@
-"""Measure how good and how fast the keypoint network is.
+"""Measure the accuracy and the speed of the keypoint network.
 
     python benchmarks/net.py [--only NAME ...] [--quick]
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PARTS = ROOT / "benchmarks" / "parts"
 RESULTS = ROOT / "benchmarks" / "results"
 TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
-"""Headers of columns of times."""
+"""Pattern of the headings of time columns."""
 TIMED = ("speed", "peers")
 """Questions whose results keep times."""
 
@@ -47,7 +47,7 @@ def main(description: str, question: str, parts: Mapping[str, Part]) -> None:
         "--only", nargs="+", choices=[*parts], default=[*parts], metavar="NAME", help="only these parts"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="parts and sizes that take about a minute; nothing is kept"
+        "--quick", action="store_true", help="run parts and sizes that take about a minute, and keep nothing"
     )
     options = parser.parse_args()
     failures = []
@@ -88,7 +88,7 @@ def run_part(script: str, arguments: Sequence[str]) -> str | None:
 
 
 def keep(question: str, name: str, part: Part, arguments: Sequence[str], output: str) -> None:
-    """Put the tables and sentences printed by a part into the question's results."""
+    """Add the tables and sentences that a part printed to the question's results."""
     path = RESULTS / f"{question}.json"
     results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     tables, sentences = read_markdown(output)
@@ -106,7 +106,7 @@ def keep(question: str, name: str, part: Part, arguments: Sequence[str], output:
 
 
 def without_times(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table without its columns of times."""
+    """Return a table without its time columns."""
     columns = [number for number, name in enumerate(table["header"]) if not TIMES.search(name)]
     return {
         "header": [table["header"][number] for number in columns],
@@ -115,7 +115,7 @@ def without_times(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_markdown(text: str) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tables of a Markdown text, each with header and rows, and its other lines."""
+    """Return the tables of a Markdown text, each with header and rows, and all other lines."""
     tables: list[dict[str, Any]] = []
     sentences: list[str] = []
     is_in_table = False

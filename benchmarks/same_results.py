@@ -1,15 +1,15 @@
-"""Compare, bit for bit, what two checkouts of the project compute.
+"""Compare the results of two checkouts of the project bit for bit.
 
     python benchmarks/same_results.py OLD NEW [--quick] [--only NAME ...] [--keep FOLDER]
 
 OLD and NEW are folders of checkouts. Both run the same commands on the same files: `fit` and `frame` on the samples and
 on the recordings in $RECON_SHARED_DATA (each camera, each pair of neighbouring cameras, all cameras of a run), and
 `analyse`, `ik`, `retarget` and `compare` on fits of samples. The comparison covers the cells of all tables, the numbers
-and codes of all reports and the arrays of motion.npz, without times, versions and paths. Exit code 1: something
-differs.
+and codes of all reports and the arrays of motion.npz, without times, versions and paths. The exit code is 1 if any
+result differs.
 
---quick: the samples and three views only. --only: commands whose name contains one of these words. --keep: keep results
-by commit in this folder, and take them from there where the checkout has no changes.
+--quick runs the samples and three views only. --only runs the commands whose names contain one of the words. --keep
+stores results by commit in a folder, and reuses them if the checkout has no uncommitted changes.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ CODE_KEYS = ("level", "code", "status", "flags", "side", "method")
 """Keys of reports whose texts are results."""
 PLAYBACKS = ("recon.show.view.write", "recon.show.view.playback.write")
 FIGURES = ("recon.ik.clip.write_figures", "recon.robotics.ik.clip.write_figures")
-"""Functions that take time and write nothing that is compared; skipped if a checkout has them."""
+"""Slow functions whose output is not compared; they are skipped if a checkout has them."""
 
 Command = tuple[str, list[str]]
-"""Name, which is also the folder of the results, and arguments of `recon`."""
+"""Name of the command, which is also the folder of its results, and the arguments of `recon`."""
 
 
 def sample_commands(samples: Path) -> Iterator[Command]:
@@ -144,7 +144,7 @@ def run_commands(plan: Path) -> None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of one file of both results."""
+    """Comparison of one file between the two results."""
 
     file: str
     values: int
@@ -167,7 +167,7 @@ def compare_files(old: Path, new: Path, name: str) -> Comparison:
 
 
 def values_of(path: Path) -> dict[str, str]:
-    """Return the values of a result file that do not depend on clock, version or folders, by their position in it."""
+    """Return the values of a file that do not depend on clock, version or folders, by their position in the file."""
     if path.suffix == ".csv":
         rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
         header = rows[0] if rows else []
@@ -214,7 +214,7 @@ def result_files(folder: Path) -> set[str]:
 
 
 def commit_of(checkout: Path) -> str:
-    """Return the commit of a checkout without changes, or an empty text if there are changes."""
+    """Return the commit of a checkout, or an empty text if it has uncommitted changes."""
     git = ["git", "-C", str(checkout)]
     changed = subprocess.run(
         [*git, "status", "--porcelain", "recon"], capture_output=True, text=True, check=True

@@ -1,10 +1,10 @@
-"""Make the measured tables of the docs from benchmarks/results/*.json.
+"""Write the measured tables of the docs from benchmarks/results/*.json.
 
     python benchmarks/tables.py [--check]
 
 A page has a line `<!-- results: QUESTION/NAME -->` before each such table. The table's header and rows, the command,
 the recordings and the date of the measurement are in results/QUESTION.json under "tables". A table with a "run" takes
-its rows from the last output of that part. --check writes nothing; exit code 1: a page does not agree.
+its rows from the last output of that part. --check writes nothing; the exit code is 1 if a page does not agree.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def differences() -> list[str]:
         text = page.read_text(encoding="utf-8")
         named |= {(match["question"], match["name"]) for match in MARKER.finditer(text)}
         if text.count("<!-- results:") != len(MARKER.findall(text)):
-            problems.append(f"{page.relative_to(ROOT)}: a line with results: is not followed by a table")
+            problems.append(f"{page.relative_to(ROOT)}: a line `<!-- results: ... -->` is not followed by a table")
         elif with_tables(text) != text:
-            problems.append(f"{page.relative_to(ROOT)}: its tables are not those of benchmarks/results")
+            problems.append(f"{page.relative_to(ROOT)}: its tables differ from benchmarks/results")
     kept = {(path.stem, name) for path in RESULTS.glob("*.json") for name in results_of(path.stem).get("tables", {})}
     return problems + [f"benchmarks/results/{question}.json: no page has {name}" for question, name in kept - named]
 
@@ -76,7 +76,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.check:
         problems = differences()
-        print("\n".join(problems) or "The tables of the docs are those of benchmarks/results.")
+        print("\n".join(problems) or "The tables of the docs agree with benchmarks/results.")
         sys.exit(bool(problems))
     for page in pages():
         text = page.read_text(encoding="utf-8")

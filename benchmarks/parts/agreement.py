@@ -1,4 +1,4 @@
-"""Test whether a camera that contradicts the others of its clip is named, and no other camera.
+"""Test whether the findings name a camera that contradicts the others of its clip, and no other camera.
 
     python benchmarks/parts/agreement.py [FOLDER]
 
@@ -6,7 +6,7 @@ FOLDER has one folder for each run, as in `cheetah_runs.py`; by default it is th
 $RECON_SHARED_DATA, or of ../shared/data. Each run is first checked unchanged, which compares every camera with the
 others. Then one of its cameras is turned by 5 degrees about each of its axes, or shifted in time by 10 frames, or the
 files of two cameras are exchanged, for every camera and every pair. A case counts as correct if the findings name the
-change and the right camera, and otherwise only repeat findings on the unchanged run.
+change and the right camera, and contain nothing else except findings on the unchanged run.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
 
 
 def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
-    """Return the findings on a fit, from an object with only the fields that the check reads."""
+    """Run the check of agreement on a stand-in for a fit, which has only the fields that the check reads."""
     sources = [SimpleNamespace(offset_frames=view.offset_frames, offset_s=0.0) for view in views]
     frames, solution = np.arange(len(views[0].xy_px)), SimpleNamespace(views=views)
     motion = SimpleNamespace(solution=solution, sources=sources, fps=fps, frames=frames)
@@ -89,7 +89,7 @@ def turned(view: View, axis: int) -> View:
 
 
 def late(view: View, frames: int) -> View:
-    """Return a view with the detections of a number of frames later."""
+    """Return a view in which each frame has the detections of `frames` frames later."""
     xy_px, confidence = np.full_like(view.xy_px, np.nan), np.zeros_like(view.confidence)
     to, of = (slice(None, -frames), slice(frames, None)) if frames > 0 else (slice(-frames, None), slice(None, frames))
     xy_px[to], confidence[to] = view.xy_px[of], view.confidence[of]
@@ -136,7 +136,7 @@ def main() -> None:
                 row = table.setdefault(done, {})
                 row[run.name] = row.get(run.name, 0) + by
     print_table(["run", "camera", "level", "turn_deg", "level_turned", "late_frames", "level_late", "named"], unchanged)
-    header = ["done to each camera or pair", *(run.name for run in runs)]
+    header = ["change of a camera or pair", *(run.name for run in runs)]
     print_table(header, [[done, *(f"{right[done][r]} of {n}" for r, n in row.items())] for done, row in total.items()])
     print("; ".join(f"{name}: {np.median(s):.2f} s (median)" for name, s in seconds.items()))
 

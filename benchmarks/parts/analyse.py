@@ -47,7 +47,7 @@ def recon(*arguments: str) -> tuple[float, float, float]:
 
 def main() -> None:
     counts = [int(argument) for argument in sys.argv[1:]] or [40, 4000]
-    print_header(["frames", "command", "s", "of the processor", "ms a frame", "peak memory MB"])
+    print_header(["frames", "command", "s", "processor s", "ms per frame", "peak memory MB"])
     commands = {
         "analyse": ("analyse", "--overwrite"),
         "analyse --no-figures": ("analyse", "--no-figures", "--overwrite"),

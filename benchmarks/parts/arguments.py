@@ -40,7 +40,7 @@ def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[st
 
 
 def settings_of(arguments: argparse.Namespace) -> dict[str, str]:
-    """Return the settings of --set by name."""
+    """Return the settings that --set gives, by name."""
     return dict(item.split("=", 1) for item in arguments.set)
 
 

@@ -4,10 +4,10 @@
 
 The files are the cheetahs' views and 3D poses, the plate trials, windows of a dog's motion capture and of a rat's 3D
 poses, a horse's hand labels and DeepLabCut's examples, all of $RECON_SHARED_DATA. A fault is planted if the file allows
-it: a swap needs both sides, gravity a flight. The script prints, for each fault, the fraction of files in which the
-audit names it, with the limits of `recon.check.audit` and with limits chosen without the recording; and the unchanged
-files that have findings. Real detectors make the faults `points_jump` and `sides_swap`, too: the 3D truth of the views
-decides whether such a finding on an unchanged file is right.
+it: a swap needs both sides, and gravity needs a flight. For each fault, the script prints the fraction of files in
+which the audit names it, with the limits of `recon.check.audit` and with limits chosen without the recording. It also
+prints the unchanged files that have findings. Real detectors also make the faults `points_jump` and `sides_swap`, so
+the 3D truth of the views decides whether such a finding on an unchanged file is right.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ Fault = Callable[[AuditedPoints, np.random.Generator], AuditedPoints | None]
 
 @dataclass(frozen=True)
 class File:
-    """One file of points: its name, the recording it comes from, and its points as read by the audit."""
+    """A file of points, with its name, its recording, and the points as the audit reads them."""
 
     name: str
     source: str
     points: AuditedPoints
     expected_px: np.ndarray | None = None
-    """Truth (T, K, 2) in the picture, NaN = unknown."""
+    """True positions (T, K, 2) in the picture, pixels; NaN if unknown."""
 
 
 def view_file(folder: Path, camera: str, fps: float) -> File:
@@ -67,7 +67,7 @@ def view_file(folder: Path, camera: str, fps: float) -> File:
 
 
 def files() -> Iterator[File]:
-    """Yield all files."""
+    """Yield all files that are audited."""
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
         fps = json.loads((folder / "meta.json").read_text())["fps"]
         for path in sorted(folder.glob("cam*.csv")):
@@ -104,7 +104,7 @@ def files() -> Iterator[File]:
 
 
 def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
-    """Return new points with the same names."""
+    """Return the points with other values and the same names."""
     frames, fps = more.get("frames", points.frames), more.get("fps", points.fps)
     return AuditedPoints(points.names, values, frames, fps, points.resolution, points.roles)
 
@@ -118,7 +118,7 @@ def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least
 
 
 def seen_point(points: AuditedPoints, rows: slice, rng: np.random.Generator, moving: float = 0.0) -> int | None:
-    """Return a point that is known in these rows and moves by a given part of the animal's size."""
+    """Return a random point that is known in these rows and moves by more than a fraction of the animal's size."""
     known = points.known[rows].all(axis=0)
     path = np.linalg.norm(points.positions[rows.stop - 1] - points.positions[rows.start], axis=1)
     choice = np.flatnonzero(known & (np.nan_to_num(path) > moving * points.extent) & ~(points.stands & (moving > 0)))
@@ -272,7 +272,7 @@ def other_axis_up(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoi
 
 
 def with_leap(points: AuditedPoints) -> AuditedPoints | None:
-    """Return the points with a leap of `LEAP_S` in their middle: no recording has a flight that is long enough."""
+    """Return the points with a leap of `LEAP_S` in their middle, because no recording has a flight of this length."""
     feet = points.roles.feet
     if not points.in_space or len(feet) < 4 or not points.roles.upper or not points.fps:
         return None
@@ -344,7 +344,7 @@ FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {
 
 
 def values_of(points: AuditedPoints) -> dict[str, float]:
-    """Return the largest measure of each code."""
+    """Return the largest measure of each finding, by the finding's code."""
     values: dict[str, float] = {}
     for measure in measures_of(points):
         values[measure.code] = max(values.get(measure.code, -np.inf), measure.value)
@@ -354,8 +354,8 @@ def values_of(points: AuditedPoints) -> dict[str, float]:
 def is_right(file: File, code: str) -> bool:
     """Return whether the truth confirms a finding on an unchanged file.
 
-    A jump is right if the truth does not jump there. Swapped sides are right if the exchanged detections are nearer in
-    some frames, by the sum over all points with a side.
+    A jump is right if the truth does not jump there. Swapped sides are right if, in some frames, the exchanged
+    detections are nearer to the truth, summed over all points with a side.
     """
     if file.expected_px is None:
         return False
@@ -430,7 +430,7 @@ def limits_without(
     untouched: Mapping[str, Values],
     planted: Mapping[str, Sequence[tuple[File, Values]]],
 ) -> Values:
-    """Return the limits that files of all sources but one would choose."""
+    """Choose limits from the files of all sources but one."""
     right = [untouched[file.name] for file in all_files if file.source != source]
     wrong: dict[str, list[float]] = defaultdict(list)
     for name, (_, codes) in FAULTS.items():
@@ -443,7 +443,7 @@ def limits_without(
 def print_faults(
     planted: Mapping[str, Sequence[tuple[File, Values]]], by_source: Mapping[str, Values], details: bool
 ) -> None:
-    """Print how many planted faults are named, and with `details` those that are not."""
+    """Print how many planted faults are named, and with `details` also the faults that are missed."""
     rows, total, total_out, count = [], 0, 0, 0
     for name, (_, codes) in FAULTS.items():
         entries = planted[name]

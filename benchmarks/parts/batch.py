@@ -1,9 +1,9 @@
-"""Run `recon batch` on perturbed copies of a sample, ten of them broken: throughput, memory, a kill, a Dask cluster.
+"""Measure throughput, memory and recovery of `recon batch` on perturbed copies of a sample, some of them broken.
 
 python benchmarks/parts/batch.py [--clips 500] [--broken 10]
 
-The script needs Linux, since memory is read from /proc. Dask's part needs the extra `cluster`, and is left out without
-it.
+The main process, and a worker of a Dask cluster, are killed halfway. The script needs Linux, because memory is read
+from /proc. The part on Dask needs the extra `cluster`, and is skipped without it.
 """
 
 from __future__ import annotations
@@ -169,14 +169,14 @@ def rss_mb(pid: int) -> float:
 
 
 def watch(process: subprocess.Popen[bytes], out: Path) -> Iterator[tuple[int, float, list[float]]]:
-    """Watch a running process: clips that have ended, and the RSS of the main process and of each worker, MB."""
+    """Yield the number of ended clips, and the RSS of main process and workers in MB, while a process runs."""
     while process.poll() is None:
         yield ended(out), rss_mb(process.pid), [rss_mb(child) for child in children(process.pid)]
         time.sleep(1.0)
 
 
 def throughput_and_memory(clips: Path, work: Path, total: int) -> None:
-    """Measure half of the clips with one job, all with two, and the other half with one."""
+    """Measure half of the clips with one job, all clips with two jobs, and the other half with one job."""
     halves = [clips / "first" / "*.csv", clips / "second" / "*.csv"]
     one_s, _ = run(halves[:1], work / "one", "--jobs", 1)
     began = time.perf_counter()
@@ -219,7 +219,7 @@ def killed(clips: Path, work: Path, total: int, broken: int) -> None:
     after = finished(out)
     again = [name for name, moment in before.items() if after[name] != moment]
     print_table(
-        ["finished before the kill", "fitted again", "done in all", "failed", "workers left over"],
+        ["finished before the kill", "fitted again", "done in total", "failed", "workers left over"],
         [[len(before), len(again), len(after), count(rows, "failed"), len(orphans)]],
     )
     errors = [[name, row["error"].replace(str(clips), "")[:110]] for name, row in rows.items() if row["error"]]
@@ -235,7 +235,7 @@ def on_dask(clips: Path, work: Path, total: int, broken: int) -> None:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        print(f"no Dask here: {install_command('cluster')}")
+        print(f"Dask is not installed: {install_command('cluster')}")
         return
     out = work / "dask"
     cluster: Any = LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0")

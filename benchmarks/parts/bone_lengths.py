@@ -26,7 +26,7 @@ from recon.fit.shape import MODEL_SIGMA, fit_shape
 from recon.gait.stances import INTERVAL
 
 Rows = list[tuple[str, float, float]]
-"""Bone, error, and standard deviation of the fit alone; the latter two relative to the length."""
+"""Name of a bone, with the error of its length and the fit's own standard deviation, both relative to the length."""
 
 
 def true_lengths_m(subject: str) -> dict[str, float]:
@@ -61,7 +61,7 @@ def measured() -> dict[str, Rows]:
 
 
 def holds(rows: Rows, model: float) -> list[bool]:
-    """Return whether each interval contains the length."""
+    """Return whether each 90 % interval contains the true length."""
     return [abs(error) < radius(INTERVAL) * float(np.hypot(sigma, model)) for _, error, sigma in rows]
 
 
@@ -87,7 +87,10 @@ def main() -> None:
         for run, bones in runs.items()
         for is_held in holds(bones, likeliest([others for name, others in runs.items() if name != run]))
     ]
-    print(f"\nThe 90 % intervals hold {sum(held)} of {len(held)} lengths; {sum(left_out)} if the run is left out.")
+    print(
+        f"\nThe 90 % intervals contain {sum(held)} of {len(held)} true lengths, and {sum(left_out)} with the model's "
+        "standard deviation from the other runs."
+    )
 
 
 if __name__ == "__main__":

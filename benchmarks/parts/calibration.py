@@ -1,4 +1,4 @@
-"""Calibrate from rendered boards of a known camera, and measure the errors of the result.
+"""Calibrate from boards that were rendered through a known camera, and measure the errors of the result.
 
 python benchmarks/parts/calibration.py
 """
@@ -21,7 +21,7 @@ SEEDS = (1, 2, 3)
 
 
 def cameras() -> list[Camera]:
-    """Return three lenses: ideal, with barrel distortion, and that of an action camera, 118 degrees wide."""
+    """Return cameras with three lenses: ideal, with barrel distortion, and of an action camera, 118 degrees wide."""
     matrix = np.array([[1024.0, 0, 655.3], [0, 1026.5, 351.8], [0, 0, 1]])
     wide = np.array([[620.0, 0, 655.3], [0, 621.5, 351.8], [0, 0, 1]])
     return [
@@ -46,7 +46,7 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
 
 
 def worst_px(calibration: Calibration, truth: Camera) -> float:
-    """Return the largest distance in the picture between a ray's projections by the calibrated and true camera."""
+    """Return the largest distance, pixels, between a ray's projections by the calibrated and by the true camera."""
     width, height = truth.image_size_px
     y, x = np.mgrid[0 : height - 1 : 31j, 0 : width - 1 : 31j]
     pixels = np.stack((x, y), axis=-1)

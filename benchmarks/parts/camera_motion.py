@@ -1,4 +1,4 @@
-"""Test cameras that turn, by virtual pans cut out of the videos of still cameras.
+"""Test the estimated rotation of cameras on virtual pans, which are cut out of the videos of still cameras.
 
     python benchmarks/parts/camera_motion.py [FOLDER] [--case NAME]
 
@@ -6,8 +6,8 @@ Each still video is treated as the film of a pinhole camera. A virtual camera wi
 turns inside its picture, with shake. Its pictures are resampled (bilinear, blurred by the rotation during half of each
 frame's time). A subject is pasted over 20 or 40 % of the picture: a mirrored part of the same picture that stays in the
 middle of the view, as if followed, and moves to and fro. Errors are angles between the estimated and the true rotation
-since the first frame. FOLDER is by default the still-videos of $RECON_SHARED_DATA, or of ../shared/data; without any,
-nothing is measured.
+since the first frame. FOLDER is by default the still-videos of $RECON_SHARED_DATA, or of ../shared/data; without
+videos, nothing is measured.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Film:
 
 
 def film(video: Path, pan: Pan, seed: int = 0) -> Film:
-    """Return a pan along the longer side of the still video, whose frames run to and fro if there are too few."""
+    """Cut a pan along the longer side out of a still video, which plays to and fro if it has too few frames."""
     stills = [picture for _, picture in read_frames(video)]
     if stills[0].shape[0] > stills[0].shape[1]:
         stills = [np.ascontiguousarray(np.rot90(picture)) for picture in stills]
@@ -122,7 +122,7 @@ def _with_subject(picture: np.ndarray, still: np.ndarray, covered: float, second
 
 
 def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    """Return a row for each camera file with a wrong focal length, with the focal length that the rotations give."""
+    """Yield a row for each wrong focal length in a camera file, with the focal length that the rotations give."""
     for name in cases:
         if CASES[name].zoom != 1:
             continue
@@ -139,7 +139,7 @@ def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]
 
 
 def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMotion, float]:
-    """Return errors of the rotation (N,), deg, and of the zoom (N,), relative; the motion; CPU seconds per frame."""
+    """Return errors of rotation (N,), deg, and of zoom (N,), relative; the motion; and CPU seconds per frame."""
     tracker = Tracker(one.camera, solve_zoom=zoom)
     begun = time.process_time()
     for number, picture in enumerate(one.pictures):
@@ -188,11 +188,11 @@ def rows(video: Path, cases: Sequence[str]):
 
 
 LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
-"""Focal lengths of camera files relative to the true one; the last is that of 90 degrees instead of 60."""
+"""Focal lengths in the camera files relative to the true one; the last stands for 90 degrees instead of 60."""
 LENS_HEADER = ("video", "pan", "file", "frames", "found, off by", "sigma", "worst °", "sigma there °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",
-    "CPU ms a frame",
+    "CPU ms per frame",
 )  # fmt: skip
 
 

@@ -41,12 +41,12 @@ from recon.testing.coverage import coverage
 
 PRIOR = "running-cheetah"
 FIXED = 1e-6
-"""Standard deviation of a time offset (frames) or of an angle (rad) that fixes its value at 0."""
+"""Standard deviation of a time offset (frames) or of an angle (rad), so small that it fixes the value at 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run: sources and views by camera, and the truth (T, J, 3) in their frames, world frame."""
+    """A run with sources and views by camera, and the true joints (T, J, 3) in the views' frames, world, metres."""
 
     folder: Path
     sources: dict[int, Source]
@@ -85,7 +85,7 @@ def run_of(folder: Path) -> Run:
 
 
 def runs_given(about: str | None) -> list[Run]:
-    """Return the runs of the folder that the command line names; `about` is the text of its help."""
+    """Return the runs of the folder that the command line names; `about` is the text of --help."""
     parser = parser_of(about, kind="cheetah-runs")
     return [run_of(run) for run in runs_or_exit(parser, parser.parse_args().folder.resolve())]
 
@@ -129,7 +129,7 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
 
 
 def with_poses(run: Run, cameras: Iterable[int], body: Body) -> ClipProblem:
-    """Return the problem of some cameras of a run, with the poses and headings of the reference."""
+    """Build the fitting problem of some cameras of a run, with the poses and headings of the reference."""
     plain = ClipProblem.from_views([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
     return replace(plain, known_states=states_of(run, plain.origin_m))
 
@@ -143,7 +143,7 @@ def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
 
 @cache
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
-    """Return a body with the keypoint bias measured in these runs; if `posed`, with the poses of the reference."""
+    """Measure the keypoint bias in these runs, with the reference's poses if `posed`, and return a body with it."""
     settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of_body(body_of(), lengths=False, offsets=True)
     if posed:
@@ -170,7 +170,7 @@ def with_detector(body: Body, of: Body) -> Body:
 
 
 def body_with_bias(what: str, run: Run, runs: Sequence[Run]) -> Body:
-    """Return the subject, with keypoint bias "none", or measured in "other runs", or in "this run" itself."""
+    """Return the subject's body without keypoint bias ("none"), or with that of "other runs" or of "this run"."""
     body = body_of(run.subject)
     if what == "none":
         return body
@@ -188,7 +188,7 @@ def cameras_of(run: Run) -> dict[str, list[int]]:
 
 
 def true_size(run: Run) -> float:
-    """Return the subject's size relative to the skeleton: the mean factor on the lengths of segments and markers."""
+    """Return the subject's size relative to the skeleton, as the mean ratio of its lengths to the skeleton's."""
     own, generic = (
         [np.linalg.norm(i.offset_m) for i in (*b.tree.segments, *b.tree.markers)]
         for b in (body_of(run.subject), body_of())
@@ -197,7 +197,7 @@ def true_size(run: Run) -> float:
 
 
 def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
-    """Measure one, two and all cameras; if `known`, with the lengths of the subject."""
+    """Measure the errors with one, two and all cameras, and with the subject's lengths if `known`."""
     rows: dict[str, list[dict[str, float]]] = {}
     for run in runs:
         body = as_seen(body_of(run.subject if known else None), run, runs, posed=True)
@@ -230,7 +230,7 @@ def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -
 
 
 def keypoints(runs: Sequence[Run]) -> list[dict]:
-    """Measure all cameras for each source of the keypoint bias."""
+    """Measure the errors with all cameras for each source of the keypoint bias."""
     found = []
     for known in ("none", "other runs", "this run"):
         rows = [errors(run, solved(run, cameras_of(run)["all"], body_with_bias(known, run, runs))) for run in runs]
@@ -241,7 +241,7 @@ def keypoints(runs: Sequence[Run]) -> list[dict]:
 
 
 def sideslips(runs: Sequence[Run]) -> list[dict]:
-    """Measure the sideslip, the direction of travel to the left of the heading: by the reference, by all cameras."""
+    """Measure the sideslip, the angle from heading to direction of travel, in the reference and with all cameras."""
     rows = []
     for run in runs:
         body, known = body_of(run.subject), np.isfinite(run.truth_m).all(axis=(1, 2))
@@ -304,7 +304,7 @@ def over_views(rows: Sequence[dict[str, float]]) -> dict[str, object]:
 
 
 def measured(runs: Sequence[Run]) -> list[dict]:
-    """Measure every view with one camera: keypoints on the markers, and with the bias measured in the other runs."""
+    """Measure every view alone, without keypoint bias and with the bias measured in the other runs."""
     found = []
     for label in ("none", "from the other runs, `subject fit`", "from the other runs, poses known"):
         rows = []
@@ -318,7 +318,7 @@ def measured(runs: Sequence[Run]) -> list[dict]:
 
 
 def by_run(runs: Sequence[Run]) -> list[dict]:
-    """Measure single views of each run, and of all runs but that one, with the bias measured in the other runs."""
+    """Measure single views of each run, and of all other runs, with the bias measured without the view's run."""
     of_run = {run: single_view_errors(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
     without = {run: [row for other in runs if other is not run for row in of_run[other]] for run in runs}
     return [{"views": f"of {run.folder.name}"} | over_views(of_run[run]) for run in runs] + [

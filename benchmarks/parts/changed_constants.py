@@ -1,4 +1,4 @@
-"""Change the solver's constants (`recon.fit.constants`) for a while, to measure their effect."""
+"""Change the solver's constants (`recon.fit.constants`) temporarily, to measure their effect."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from recon.fit.clip_problem import TrajectoryOptions
 
 @contextmanager
 def holding(**values: Any) -> Iterator[None]:
-    """Set constants by name, such as ROBUST_C, for a block."""
+    """Set constants by name, such as ROBUST_C, within a `with` block."""
     before = {name: getattr(constants, name) for name in values}
     try:
         for name, value in values.items():
@@ -25,6 +25,6 @@ def holding(**values: Any) -> Iterator[None]:
 
 @contextmanager
 def options_with(given: Mapping[str, Any]) -> Iterator[TrajectoryOptions]:
-    """Set options, and constants for names in capitals."""
+    """Yield options with the given values; names in capitals are constants, set within the `with` block."""
     with holding(**{name: value for name, value in given.items() if name.isupper()}):
         yield TrajectoryOptions(**{name: value for name, value in given.items() if not name.isupper()})

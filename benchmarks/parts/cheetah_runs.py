@@ -80,7 +80,7 @@ def best_90_px(motion: Motion) -> float:
 
 
 def heading_off_deg(motion: Motion, solution: FrameSolution, truth: Pose3D) -> float:
-    """Return the median angle between the fit's direction of travel and the truth's trunk, both level."""
+    """Return the median angle between the fit's direction of travel and the true trunk, both horizontal."""
     rear, front = (motion.names[joint] for joint in motion.forward)
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
     trunk = truth.xyz_m[there, truth.names.index(front)] - truth.xyz_m[there, truth.names.index(rear)]
@@ -125,7 +125,7 @@ def print_table(rows: list[dict], title: str) -> None:
         f"{table['mpjpe_mm'].mean():.0f} mm; MPE mean {table['mpe_mm'].mean():.0f} mm; heading off by "
         f"{table['heading_off_deg'].median():.0f} (median), {table['heading_off_deg'].max():.0f} degrees (worst); "
         "frames that did not converge: "
-        f"{table['failed'].sum()} of {table['frames'].sum()}; {table['ms_per_frame'].median():.1f} ms a frame.\n"
+        f"{table['failed'].sum()} of {table['frames'].sum()}; {table['ms_per_frame'].median():.1f} ms per frame.\n"
         f"Named views (*): MPJPE mean {named['mpjpe_mm'].mean():.1f} mm, MPE mean {named['mpe_mm'].mean():.0f} mm."
     )
 

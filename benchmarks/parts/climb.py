@@ -2,8 +2,8 @@
 
     python benchmarks/parts/climb.py [--recipe NAME]
 
-The planner runs on one core, after a first run that does not count. Tables are in Markdown, as in docs/climb.md.
---recipe: the recipe to time.
+The planner runs on one core, after a first run that is not timed. Tables are in Markdown, as in docs/climb.md.
+--recipe names the recipe to time.
 """
 
 from __future__ import annotations
@@ -27,13 +27,15 @@ def margin_table(climbs: dict[str, Climb]) -> None:
     rows = []
     for name, rule in RULES.items():
         rows.append([f"{rule.title}, {rule.unit}", *(f"{c.least[name][0]:.1f}" for c in climbs.values())])
-    rows.append(["fastest joint, of its limit", *(f"{100 * c.motion.rate_share.max():.0f} %" for c in climbs.values())])
+    rows.append(
+        ["fastest joint, of rate limit", *(f"{100 * c.motion.rate_share.max():.0f} %" for c in climbs.values())]
+    )
     rows.append(["largest pitch, deg", *(f"{np.degrees(c.pitch_rad.max()):.0f}" for c in climbs.values())])
     rows.append(["frames, all in equilibrium", *(f"{len(c.lifted)}" for c in climbs.values())])
     rows.append(["duration, s", *(f"{c.motion.time_s[-1]:.1f}" for c in climbs.values())])
     rows.append(["problems", *("; ".join(c.problems()) or "none" for c in climbs.values())])
     heights = [f"{name}: {1000 * c.recipe.step.height_m:.1f} mm" for name, c in climbs.items()]
-    print_table(["least margin over all frames", *heights], rows)
+    print_table(["smallest margin over all frames", *heights], rows)
 
 
 def footfall_table(climb: Climb) -> None:
@@ -55,7 +57,7 @@ def time_table(robot: Quadruped, name: str) -> None:
         wall.append(time.perf_counter() - started)
         cpu.append(time.process_time() - busy)
     row = [f"{len(climb.lifted)}", f"{climb.evaluations.mean():.1f}", f"{np.median(wall):.2f}", f"{np.median(cpu):.2f}"]
-    print_table(["frames", "evaluations a frame", "wall, s", "processor, s"], [row])
+    print_table(["frames", "evaluations per frame", "wall, s", "processor, s"], [row])
 
 
 def main() -> None:

@@ -1,19 +1,23 @@
-"""Correct detections of real runs in the order of to_correct.csv, and compare with other orders.
+"""Correct detections of real runs in the order of to_correct.csv, and compare this with other orders.
 
     python benchmarks/parts/correction_order.py [FOLDER] [--quick]
 
 Each view is the named camera of a run, or that camera and another one. Detections are replaced by the projections of
-the multi-camera reconstruction, 10, 20 and 40 at a time, and the clip is fitted again from the earlier fit. The error
-is the mean distance of the joints from the reconstruction, both poses centred; a fall is the error before less the
-error after.
+the multi-camera reconstruction, the first 10, 20 or 40 of the order, and the clip is fitted again from the earlier fit.
+The error is the mean distance of the joints from the reconstruction, both poses centred. A fall is the reduction of
+this error.
 
-Orders: `recon`, that of to_correct.csv; `random`, the mean of several; `likelihood`, the least likely first (the
-likelihoods of these runs are all 1, so it is the order of the file); `greedy`, which knows the reconstruction: at each
-step the detection whose replacement brings the joints closest to it, according to the linearised fit.
+The orders are:
 
-The second table answers how much of that fall can be reached without knowing the reconstruction. In place of the true
-errors, errors are drawn from the fit's own posterior, in which the expected falls are exact, and all falls are those of
-the linearised fit. `expected`: the order of the expected falls of all detections. FOLDER is by default the cheetah-runs
+- `recon`: that of to_correct.csv
+- `random`: the mean of several random orders
+- `likelihood`: the least likely detection first (all likelihoods of these runs are 1, so this is the file's order)
+- `greedy`, which knows the reconstruction: at each step, the detection whose replacement brings the joints closest to
+  the reconstruction, according to the linearised fit
+
+The last table shows how much of greedy's fall can be reached without the reconstruction. The true errors are replaced
+by errors drawn from the fit's own posterior, for which the expected falls are exact, and all falls are those of the
+linearised fit. `expected` is the order of the expected falls of all detections. FOLDER is by default the cheetah-runs
 of $RECON_SHARED_DATA, or of ../shared/data.
 """
 
@@ -49,7 +53,7 @@ from recon.io.corrections import Correction, write_corrections
 COUNTS = (10, 20, 40)
 RANDOM_ORDERS, DRAWS = 3, 3
 AT_ONCE = 256
-"""Candidates whose effects are compared at once."""
+"""Number of candidates whose effects are compared at once."""
 LEAST_PRECISION = 1e-6
 
 Cell = tuple[int, int, int]
@@ -58,16 +62,16 @@ Cell = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Fit of one view, and its truth."""
+    """Fit of one view, with the truth."""
 
     settings: FitSettings
     motion: Motion
     truth_m: Array
-    """Multi-camera reconstruction, shape (T, J, 3), NaN in frames without it."""
+    """Multi-camera reconstruction, shape (T, J, 3), metres; NaN in frames that it does not have."""
 
     @cached_property
     def true_px(self) -> Array:
-        """Return the projections of the truth, (V, T, J, 2), NaN outside the picture."""
+        """Return the projections of the truth, (V, T, J, 2), pixels; NaN outside the picture."""
         projections = []
         for view in views_of(self.motion.sources):
             xy_px, is_valid = view.project(self.truth_m)
@@ -86,11 +90,11 @@ class Clip:
         return 1e3 * float(np.nanmean(np.linalg.norm(off_m, axis=-1)))
 
     def falls_mm(self, order: Sequence[Cell]) -> list[float]:
-        """Return the falls of the error after the first corrections of an order."""
+        """Return the falls of the error, mm, after the first corrections of an order."""
         return [self.error_mm(self.motion) - self.error_mm(self.corrected(order[:count])) for count in COUNTS]
 
     def corrected(self, cells: Sequence[Cell]) -> Motion:
-        """Return the fit with the truth in some cells."""
+        """Fit the clip again with the true positions in some cells."""
         motion = self.motion
         rows = [
             Correction(
@@ -126,7 +130,8 @@ def centred(points_m: Array) -> Array:
 class Linearised:
     """Linearised fit of a view with N detections that can be replaced.
 
-    A replaced detection has the weight of one without error. Its effect on the joints is that of replacing it alone.
+    A replaced detection has the weight of a detection without error. Its effect on the joints is that of replacing it
+    alone.
     """
 
     def __init__(self, clip: Clip) -> None:
@@ -154,7 +159,7 @@ class Linearised:
         self.covariance_px2, self.joints_by_px = self.covariances()
 
     def projections(self, part: ClipProblem, size: float, states: Array) -> tuple[Array, Array]:
-        """Return the Jacobians (N, 2, D) of projected keypoints for the states of their frames, and the pixels."""
+        """Return the Jacobians (N, 2, D) of projected keypoints by the states of their frames, and the pixels."""
         detected = part.body.detected.pose_with_jacobian(states)
         world_m = part.in_world(detected.points_m, size)
         derivatives, projected_px = [], []
@@ -181,7 +186,7 @@ class Linearised:
         return covariance_px2, joints_by_px
 
     def shifts_m(self, innovation_px: Array) -> Array:
-        """Return the movements of the known joints, (N, frames J 3), if each detection is replaced alone."""
+        """Return the shifts of the known joints, (N, frames J 3), metres, if each detection is replaced alone."""
         variance_px2 = self.noise_px**2
         added = np.maximum(1.0 - self.weight, LEAST_PRECISION) / variance_px2
         pull = (innovation_px - self.weight[:, None] * self.residual_px) / variance_px2[:, None]
@@ -189,7 +194,7 @@ class Linearised:
         return np.einsum("nab,nb,nam->nm", inverse, pull, self.joints_by_px, optimize=True)
 
     def expected_order(self) -> list[int]:
-        """Return the detections by the expected square of their effect, the largest first.
+        """Return the detections in the order of the expected square of their effect, the largest first.
 
         The residual is known, and the expected square of the innovation is the variance of the projection.
         """
@@ -217,7 +222,7 @@ class Linearised:
         return order
 
     def drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return errors of the known joints and the innovations, for a truth from the posterior."""
+        """Draw a truth from the posterior, and return the errors of the known joints and the innovations."""
         T, D = self.joints.shape[0], self.projection.shape[-1]
         states = np.sqrt(self.variance_factor) * self.window.unwhiten(rng.normal(size=(T, D)))
         joints_m = np.einsum("tjxd,td->tjx", self.joints, states)[self.is_known]
@@ -313,7 +318,7 @@ def main() -> None:
         shares = np.mean([np.divide(falls[name], falls["greedy"]) for falls in views], axis=0)
         wins = [sum(falls["recon"][i] > falls[name][i] for falls in views) for i in range(len(COUNTS))]
         rows.append([name, *(f"{x:.2f}" for x in shares), ", ".join(map(str, wins)) if name != "recon" else ""])
-    header = [*(f"share of greedy's fall after {count}" for count in COUNTS), f"recon better, of {len(views)} views"]
+    header = [*(f"fraction of greedy's fall after {count}" for count in COUNTS), f"recon better, of {len(views)} views"]
     print_table(["order", *header], rows)
     rows = [
         [name, *(f"{x:.2f}" for x in np.mean([np.divide(f[name], f["greedy"]) for f in drawn], axis=0))]

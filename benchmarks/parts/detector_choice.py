@@ -1,10 +1,10 @@
-"""Measure which detector a fit assumes if none is given, and the errors that follow.
+"""Measure which detector a fit assumes if none is given, and the resulting errors.
 
     python benchmarks/parts/detector_choice.py
 
 Every view of cheetah-runs and plate-trials (in $RECON_SHARED_DATA, or ../shared/data) is fitted alone: without
 `--detector`, with `none`, with the shipped detector file, and with a file made in the same way without the run, as in
-`cameras.py`. Lengths are the measured ones, if known. The table has means of the views' MPJPE, over the joints of the
+`cameras.py`. Measured lengths are used if known. The table has the mean MPJPE of the views, over the joints of the
 truth. Then the views are treated as if their detector were unknown: with `none`, and with the result of `recon subject
 fit --no-lengths --offsets` on a number of other runs, with all their cameras. The script runs in one thread.
 """
@@ -41,7 +41,7 @@ HEADER = ("recordings", "views", "taken by default", "no option", "none", SHIPPE
 
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
-    """Return the error of one view, and the detector that was used."""
+    """Return the MPJPE of one view, mm, and the detector that was used."""
     scene, meta = folder / "scene.json", meta_of(folder)
     motion = fit_clip(
         FitSettings(

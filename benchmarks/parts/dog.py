@@ -1,4 +1,4 @@
-"""Measure the figures of the skeleton dog-27, and how well it is reconstructed from one side view.
+"""Measure the numbers in the skeleton dog-27, and its errors when it is reconstructed from one side view.
 
     python benchmarks/parts/dog.py [FOLDER] [--only lengths|expectations|accuracy] [--write-prior dog.npz]
 
@@ -191,7 +191,7 @@ def misfits(solved: Sequence[SegmentFit]) -> Rows:
 
 
 def side_view(clip: Clip, reference: str = "Hips") -> tuple[Camera, float]:
-    """Return the camera, with its height above the ground, and its horizontal field of view in degrees."""
+    """Return the side camera of a clip, and its horizontal field of view in degrees."""
     hips = clip.points_m[:, clip.names.index(reference)]
     middle = (hips[:, 0].min() + hips[:, 0].max()) / 2
     return narrowest(clip.points_m, np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M]))
@@ -222,7 +222,7 @@ def write_view(
     px += rng.normal(0, NOISE_PX, px.shape)
     if as_stated:
         off = rng.standard_normal(px.shape)
-        # neighbouring frames correlate such that errors last for `ERROR_TIME_S`
+        # neighbouring frames are correlated so that errors last for `ERROR_TIME_S`
         stays = np.exp(-2 / (constants.ERROR_TIME_S * clip.fps))
         for before, now in pairwise(off):
             now[:] = stays * before + (1 - stays**2) ** 0.5 * now

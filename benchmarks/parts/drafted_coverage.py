@@ -4,9 +4,9 @@
 
 A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) are seen by simulated
 cameras. The skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in
-one (for the rat: --skeleton). A later part is fitted from one, two and six cameras. The table has the fractions of
-joints whose pose and position are inside the stated 90 %, and their errors in mm. Keypoints have a constant bias of 2.5
-% of the body's length along each axis, and 2 px of noise.
+skeleton (for the rat: --skeleton). A later part is fitted from one, two and six cameras. The table has the fractions of
+joints whose pose and position are inside the stated 90 % regions, and their errors in mm. Keypoints have a constant
+bias of 2.5 % of the body's length along each axis, and 2 px of noise.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from recon.testing.coverage import coverage
 BIAS_SHARE = 0.025
 """Distance of the simulated keypoints from the recorded points, as a fraction of the body's length."""
 FRAMES = 60
-"""Frames of a clip that is fitted."""
+"""Number of frames of a fitted clip."""
 RAT_DRAFT = 500
-"""Frames of the rat's recording that draft its skeleton."""
+"""Number of frames of the rat's recording from which its skeleton is drafted."""
 RAT_NAMES = {"Snout": "nose", "EarL": "l_ear", "EarR": "r_ear", "SpineF": "neck_base", "SpineM": "spine"}
 RAT_NAMES |= {"SpineL": "lower_back", "TailBase": "tail_base"}
 for _side in "LR":
@@ -56,7 +56,7 @@ for _side in "LR":
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Points (T, K, 3), z up, in metres: those of the clip, and the earlier ones that a skeleton is drafted from."""
+    """Points (T, K, 3), z up, metres, of a clip, and of earlier frames from which a skeleton is drafted."""
 
     animal: str
     name: str

@@ -4,14 +4,15 @@
 
 The plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are fitted from single views and from both cameras. To
 find the sources of the error, one quantity after the other is taken from the plates. The dog-mocap, seen by one camera
-from the side, is compared with the markers: speed and net acceleration, flights against gravity, and the mean force of
-all feet over complete strides, which is 1. The simulated gallop of the samples has stances and a stride, so its mean
-force is known, too.
+from the side, is compared with the markers in speed, net acceleration and flights (against gravity). The mean force of
+all feet over complete strides must be one body weight. The simulated gallop of the samples has stances and a stride, so
+its mean force is also known.
 
-A gallop and a trot that given forces carry (`recon.testing.steady_gait`) have exact poses: with paws that leave the
-ground and land as fast as those over the plates, with paws that leave and land at rest, and with half a sine as the
-force of a stance. The same two gaits, seen by one camera from the side and fitted from noisy detections, test the
-intervals for feet that share the impulse as the model states. These gaits provide far more feet than the plates.
+A gallop and a trot are simulated from given forces (`recon.testing.steady_gait`) and have exact poses. There are three
+variants: the paws leave the ground and land as fast as those over the plates; they leave and land at rest; or the force
+of a stance is half a sine. The same two gaits, seen by one camera from the side and fitted from noisy detections, test
+the intervals for feet whose parts of the impulse vary as the model states. These gaits provide far more feet than the
+plates.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
         one, impulse = near.iloc[0], plate.sum() / fps
 
         def off(start_s, end_s, impulse, at_s: np.ndarray = at_s, plate=plate) -> float:
-            """Return the root mean square error of the mean force for stances with these ends and impulses."""
+            """Return the RMS error of the mean force, body weights, for stances with these ends and impulses."""
             begins_s, lasts = start_s[1:, None], (end_s - start_s)[1:, None]
             force = impulse[1:, None] / (MEAN_OF_PEAK * lasts) * shape((at_s - begins_s) / lasts)
             return float(np.sqrt(np.mean((force.mean(axis=0) - plate) ** 2)))
@@ -95,7 +96,7 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
 
 
 HELD = ("force", "peak", "impulse")
-CARRIED = "strides, intervals of the mean force that hold 1, mean force"
+CARRIED = "strides, intervals of the mean force that contain 1, mean force"
 
 
 def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
@@ -125,7 +126,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
 
 
 def carry_the_body(*found: ClipAnalysis) -> str:
-    """Return the number of complete strides, how many of their intervals contain a body weight, and the mean force."""
+    """Return the number of complete strides, of their intervals that contain one body weight, and the mean force."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
         return "none"
@@ -168,7 +169,7 @@ def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def independent(off: np.ndarray) -> float:
-    """Return the number of independent errors that (T,) consecutive errors are worth, from their correlations."""
+    """Return the number of independent errors to which consecutive errors (T,) amount, from their correlations."""
     off = off - off.mean()
     along = np.correlate(off, off, "full")[len(off) - 1 :] / (off @ off)
     until = int(np.argmax(along < 0)) or len(along)
@@ -208,7 +209,7 @@ def dog_rows(as_stated: bool) -> list[list[str]]:
 
 
 def carried_rows(motion: Motion) -> list[list[str]]:
-    """Return a row for each run that given forces carry, with as many frames as this motion."""
+    """Return a row for each run that is simulated from given forces, with as many frames as this motion."""
     rows = []
     at_rest = {"lift_off_speed": 0.0, "touch_down_speed": 0.0}
     for name, run, fps in (
@@ -236,7 +237,7 @@ SHARES = 200
 
 
 def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
-    """Return a run's fractions inside 90 % intervals, by one camera, for feet that share the impulse as stated."""
+    """Return the row of a run seen by one camera, with feet that divide the impulse as stated."""
     body, rng, rows = load_skeleton("cheetah-24"), np.random.default_rng(0), []
     with tempfile.TemporaryDirectory() as written:
         for seed in range(VIEWS):
@@ -271,7 +272,7 @@ def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tup
 
 
 def print_against_plates() -> bool:
-    """Print how far forces are from those of force plates; return whether there are recordings."""
+    """Print the errors of forces relative to force plates; return whether there are recordings."""
     runs, rows, tables, carried = trials(), [], [], []
     for kind in ("single views", "both cameras"):
         stances: list[dict[str, float]] = []
@@ -315,14 +316,14 @@ def print_against_plates() -> bool:
 def carried_row(
     run: Path, cameras: Sequence[int], fps: float, stride_s: float, stances: Sequence[dict[str, float]]
 ) -> list[str]:
-    """Return a clip's mean force of the plates over a stride, and the RMS of its stances."""
+    """Return the row of a clip with the plates' mean force over a stride and the RMS error of its stances."""
     impulse_bw_s = measured(run)[0].to_numpy().sum() / fps
     rms = np.sqrt(np.mean([row["rms"] ** 2 for row in stances]))
     return [run.name, "+".join(map(str, cameras)), f"{impulse_bw_s / stride_s:.2f}", f"{rms:.2f}"]
 
 
 def print_dogs_and_cheetahs() -> None:
-    """Print how well the forces of dogs and cheetahs carry the body."""
+    """Print how well the forces of dogs and cheetahs support the body's weight."""
     for how, as_stated in (("of its own size and keypoints", False), ("both off as the skeleton states", True)):
         if dogs := dog_rows(as_stated):
             head = ["clip", "speed in 90 %, independent", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]
@@ -336,13 +337,13 @@ def print_dogs_and_cheetahs() -> None:
 
 
 def print_simulated() -> None:
-    """Print how far forces of simulated runs and of the sample are from those that carried them."""
+    """Print the errors of forces in simulated runs and in the sample."""
     samples = samples_folder()
     motion = fit_clip(FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60))
-    print("\nExact poses of runs that given forces carry:\n")
+    print("\nExact poses of runs that are simulated from given forces:\n")
     head = ["run", "centre of mass off, m", "kinetic energy off, J/kg", "forces, RMS, body weights"]
     print_table([*head, "with the true times", "force in 90 %", CARRIED], carried_rows(motion))
-    print("\nThe same by one camera, the feet's impulses as different as they are stated to be:\n")
+    print("\nThe same seen by one camera, with feet that divide the impulse as stated:\n")
     simulated = [
         simulated_row("gallop", GALLOP, 120.0, 72, method.GALLOP_FORE),
         simulated_row("trot", TROT, 60.0, 60, method.OTHER_FORE),

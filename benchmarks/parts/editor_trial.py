@@ -1,16 +1,16 @@
-"""Correct a clip with 40 planted faults in the page of `recon fix`, as a new user would, and measure its error.
+"""Correct a clip with 40 planted faults in the page of `recon fix`, as a new user would, and measure the error.
 
     python benchmarks/parts/editor_trial.py [--seeds 1]
 
 The faults are those of `planted_faults.py`, in the film of data/samples. The clip is fitted by `recon fit`, and a
-script corrects the first 40 entries of the list in Chromium, with what the page's help names: N goes to the next entry,
-a click with Shift says where the keypoint is. The script clicks within about 1 px (one standard deviation) of the true
-position, which a user would see in the picture. Then `recon fit --corrections` fits the clip again. The error is that
-of `planted_faults.py`.
+script corrects the first 40 entries of the list in Chromium, with the actions that the page's help names: N goes to the
+next entry, and Shift-click sets the keypoint. The script clicks within about 1 px (one standard deviation) of the true
+position, which a user would see in the picture. Then `recon fit --corrections` fits the clip again. The error is
+defined as in `planted_faults.py`.
 
 No person is timed. The time is that of the keystroke-level model (S. Card, T. Moran, A. Newell, Communications of the
-ACM 23, 1980): 0.28 s for a key, 1.1 s to point, 0.2 s for a click, 1.35 s to prepare mentally; each correction counts
-two preparations, one to find the keypoint and one to decide. It needs Chromium and the package playwright.
+ACM 23, 1980): 0.28 s for a key, 1.1 s to point, 0.2 s for a click, 1.35 s to prepare mentally. Each correction includes
+two preparations, one to find the keypoint and one to decide. The script needs Chromium and the package playwright.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ ON_SCREEN = f"""([x, y]) => {{
   const is_inside = left > 0 && top > 0 && left < box.width && top < box.height;
   return [box.left + left, box.top + top, is_inside];
 }}"""
-"""JavaScript that returns where a position of the picture is on the screen, and whether it is in the shown part."""
+"""JavaScript that converts a position in the picture to the screen, and returns whether it is in the shown part."""
 
 
 def recon(*arguments: object) -> None:
@@ -74,7 +74,7 @@ def served(*arguments: object) -> Iterator[str]:
 
 
 class User:
-    """User who acts on the page with keyboard and mouse, and whose actions are counted."""
+    """Simulated user who acts on the page with keyboard and mouse, and whose actions are counted."""
 
     def __init__(self, page: Any, rng: np.random.Generator) -> None:
         self.page, self.rng = page, rng
@@ -103,7 +103,7 @@ class User:
 
 
 def corrected_by(user: User, clip: SyntheticClip) -> int:
-    """Correct the first entries of the list, and return their number."""
+    """Correct the first entries of the list, and return the number of clicks."""
     exact = clip.keypoints
     for entry in range(FAULTS):
         if entry:
@@ -161,7 +161,7 @@ def main() -> None:
         rows = [row(chromium, clip, seed) for seed in seeds]
         chromium.close()
     actions = "actions", "minutes by the keystroke-level model", f"of {FAULTS} faults corrected"
-    errors = "error without faults, mm", "with", "corrected", "difference from without"
+    errors = "error without faults, mm", "with", "corrected", "relative difference"
     print_table([*actions, *errors, "messages in the console"], rows)
 
 

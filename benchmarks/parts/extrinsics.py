@@ -3,13 +3,13 @@
     python benchmarks/parts/extrinsics.py [FOLDER]
 
 Each run is a folder as in `cheetah_runs.py`, used with all its cameras and their lenses but without their poses. Runs
-with the same camera file are clips of one rig. The tables compare, with the camera file, the relative rotations of all
-pairs of cameras, the upward direction, and the distances from the first camera. They also have the MPJPE over all 24
+with the same camera file are clips of one rig. The tables compare the relative rotations of all pairs of cameras, the
+upward direction, and the distances from the first camera with the camera file. They also have the MPJPE over all 24
 joints of a fit with the estimated cameras, after removing each pose's middle and one rotation of the world. The
-keypoint bias is measured in the other runs. The same follows with other detections: the truth's projections plus parts
-of the detector's deviations from them. At the end, several clips are simulated: a run's motion crosses the field of its
-cameras at other positions, in the same direction or in any direction. FOLDER is by default the cheetah-runs of
-$RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
+keypoint bias is measured in the other runs. This is repeated with other detections: the truth's projections plus parts
+of the detector's deviations from them. At the end, several clips are simulated, in which a run's motion crosses the
+field of its cameras at other positions, in the same direction or in any direction. FOLDER is by default the
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ drawn.
 """
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS = 8
-"""Sectors of the animal's sides; a keypoint's bias depends on the sector that is seen."""
+"""Number of sectors around the animal; a keypoint's bias depends on the sector from which it is seen."""
 LASTING_M = 0.03
-"""Standard deviation of a keypoint's bias along each axis."""
+"""Standard deviation of a keypoint's bias along each axis, metres."""
 PASSING_M = 0.03
-"""Standard deviation of a keypoint's passing deviations along each axis."""
+"""Standard deviation of a keypoint's temporary deviations along each axis, metres."""
 PASSING_S = 0.16
-"""Duration of a passing deviation, as `recon.fit.constants.ERROR_TIME_S`."""
+"""Duration of a temporary deviation, seconds, as `recon.fit.constants.ERROR_TIME_S`."""
 WHITE_PX = 5.0
 """Standard deviation of the independent noise of detections, px."""
 LEVEL_RAD = float(np.radians(1.0))
-"""Error of cameras that were levelled, or whose tilt and roll were measured."""
+"""Error of the tilt and roll of cameras that were levelled or measured, rad."""
 TOUCHED_DEG = (2.0, 5.0)
 PUT_FRAMES = 6
-"""Largest time offset, in frames, of cameras that are put out of step."""
+"""Largest time offset, in frames, of cameras that are shifted in time."""
 FIELD_M = 1.5
 """Distance of the middle of a simulated path from that of the run, along each axis."""
 
@@ -82,7 +82,7 @@ def placed(rig: Rig, views: Sequence[View]) -> list[View]:
 
 
 def rig_errors(rig: Rig, own: Sequence[View]) -> dict[str, float]:
-    """Return the errors of a rig against the views' own poses: degrees, and relative errors of distances."""
+    """Return the errors of a rig relative to the views' own poses: degrees, and relative errors of distances."""
     views, apart = placed(rig, own), []
     for (a, own_a), (b, own_b) in combinations(zip(views, own, strict=True), 2):
         turns = [(v.T_camera_world @ np.linalg.inv(w.T_camera_world))[:3, :3] for v, w in ((a, b), (own_a, own_b))]
@@ -95,7 +95,7 @@ def rig_errors(rig: Rig, own: Sequence[View]) -> dict[str, float]:
         "rotation of pairs, median": float(np.median(apart)),
         "worst": float(np.max(apart)),
         "stated": float(np.degrees(np.median(rig.sigma[1:, :3]))),
-        "off / stated": off_in_sigmas(views, own, rig.sigma),
+        "error / stated": off_in_sigmas(views, own, rig.sigma),
         "up": float(np.degrees(np.arccos(np.clip(up @ own_up, -1, 1)))),
         "distances": float(np.mean(far / own_far - 1)),
     }
@@ -114,7 +114,7 @@ def off_in_sigmas(views: Sequence[View], own: Sequence[View], sigma: np.ndarray)
 
 
 def shown(row: dict[str, float]) -> dict[str, str]:
-    units = {"distances": "{:+.1%}", "off / stated": "{:.1f}"}
+    units = {"distances": "{:+.1%}", "error / stated": "{:.1f}"}
     return {name: units.get(name, "{:.1f}°").format(value) for name, value in row.items()}
 
 
@@ -183,7 +183,7 @@ def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rn
 
 
 def causes(runs: Sequence[Run]) -> list[dict]:
-    """Return means over the runs, for one clip at a time."""
+    """Return a row of means over the runs for each kind of detections, with every rig estimated from one clip."""
     table = []
     for label, (lasting, passing, random) in PARTS.items():
         rows = []
@@ -285,9 +285,9 @@ def turned(view: View, degrees: float) -> View:
 
 
 def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):
-    """Return views of the run's motion on another path through the field.
+    """Return views of the run's motion on another path through the field of the cameras.
 
-    Their detector marks other points from other sides, at the offsets `offsets_m` (SECTORS, J, 2) in the picture.
+    The detector's bias depends on the side that it sees, with the offsets `offsets_m` (SECTORS, J, 2) in the picture.
     """
     known = np.isfinite(run.truth_m[:, 0, 0])
     motion = run.truth_m[known]

@@ -1,13 +1,13 @@
-"""Measure joint angles by anatomy on simulated gallops and a dog's motion capture, each seen by one camera or two.
+"""Measure errors of anatomical joint angles on simulated gallops and a dog's motion capture, with one or two cameras.
 
     python benchmarks/parts/flexion.py [FOLDER] [--cameras 1] [--seeds 4] [--only gallops|dogs]
 
-FOLDER: the dog-mocap, by default that of $RECON_SHARED_DATA, or of ../shared/data; without it, the gallops only. The
-second camera is 40 degrees to the side of the first. The gallops have the noise that the skeleton states: each keypoint
-has a bias over the whole clip, and jitters. The dog's clips have a detector's noise and the dog's own proportions. The
-script prints, for each joint and for all joints, the RMS error, the stated standard deviation (root mean square) and
-the fraction of frames inside the 90 % band; and how often the intervals of the greatest and the least angle over the
-stride, and of their phases, contain the true ones.
+FOLDER is by default the dog-mocap of $RECON_SHARED_DATA, or of ../shared/data; without it, only the gallops are used.
+The second camera is 40 degrees to the side of the first. The gallops have the noise that the skeleton states: each
+keypoint has a bias over the whole clip, and jitters. The dog's clips have a detector's noise and the dog's own
+proportions. The script prints, for each joint and for all joints, the RMS error, the stated standard deviation (root
+mean square) and the fraction of frames inside the 90 % band; and how often the intervals of the greatest and the least
+angle over the stride, and of their phases, contain the true ones.
 """
 
 from __future__ import annotations
@@ -70,10 +70,7 @@ def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
 
 
 def beside(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
-    """Return a camera that sees the world turned about a point (3,) as the given camera sees it unturned.
-
-    `turn` (3, 3) is that rotation of the world.
-    """
+    """Return the camera, displaced as if the world had been turned by `turn` (3, 3) about a point (3,), metres."""
     assert camera.rotation is not None
     assert camera.translation_m is not None
     offset_m = camera.rotation @ (middle_m - turn @ middle_m)
@@ -99,7 +96,7 @@ def gallops(seeds: int, folder: Path, cameras: int) -> Iterator[tuple[Motion, np
 
 
 def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, np.ndarray]]:
-    """Yield fits of the dog's clips from the side, or also from a second direction, and its markers (T, J, 3)."""
+    """Yield fits of the dog's clips from the side, and with two cameras from a second direction, with its markers."""
     clips = {clip.name: clip for clip in read_clips(recorded)}
     for name, first in DOG_CLIPS:
         clip = replace(clips[name], points_m=clips[name].points_m[first : first + DOG_FRAMES])
@@ -117,7 +114,7 @@ def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, n
 
 
 def print_errors(fits: Iterator[tuple[Motion, np.ndarray]]) -> None:
-    """Print a row for each joint, one for all joints, and how often intervals of the curves' extremes hold."""
+    """Print a row for each joint and one for all joints, and how often intervals of extremes contain the truth."""
     errors, sigmas = defaultdict[str, list[np.ndarray]](list), defaultdict[str, list[np.ndarray]](list)
     values, phases = list[bool](), list[bool]()
     for motion, truth_m in fits:

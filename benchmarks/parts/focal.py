@@ -1,4 +1,4 @@
-"""Measure the cost of a wrong focal length: `recon fit --hfov-deg` with a guess.
+"""Measure the errors that a wrong focal length causes, as with a guess in `recon fit --hfov-deg`.
 
     python benchmarks/parts/focal.py [FOLDER]
 

@@ -6,9 +6,9 @@
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
 meta.json. Every view is fitted like `recon frame`. The true peak speed is the largest speed of the reference joint in
 the frames, from the spline through the reconstruction of all cameras. A speed counts as stated if
-`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. --rows: show rows that --csv wrote,
-for example of runs that were measured at the same time. The last lines are the summary, also
-with each run left out, since the numbers of the method were chosen on all runs.
+`ClipAnalysis.why_no_speed` is None. --quick uses only the camera named in meta.json. --rows shows rows that --csv
+wrote, for example of runs that were measured at the same time. The last lines are the summary, also with each run left
+out, because the numbers of the method were chosen on all runs.
 """
 
 from __future__ import annotations
@@ -77,13 +77,13 @@ def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, An
 
 
 def depth_jitter_m(motion: Motion) -> float:
-    """Return the jitter of the reference joint from frame to frame along the line of sight."""
+    """Return the jitter of the reference joint from frame to frame along the line of sight, metres."""
     from_camera_m = motion.joints_m[:, motion.names.index(motion.reference)] - motion.solution.views[0].centre_m
     return float(frame_jitter_m(np.linalg.norm(from_camera_m, axis=1)[:, None])[0])
 
 
 def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
-    """Return the largest speed of the reference joint in the frames."""
+    """Return the largest true speed of the reference joint in the frames, m/s."""
     joint = truth.names.index(motion.reference)
     time_s = frame_times(truth.frames, motion.fps)
     rate = series_kinematics(time_s, truth.xyz_m[:, joint], oversampling=1).rate
@@ -91,7 +91,7 @@ def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
 
 
 def true_acceleration_m_s2(motion: Motion, truth: Pose3D) -> float:
-    """Return the acceleration of the reference joint along its path, over the frames of the fit."""
+    """Return the true acceleration of the reference joint along its path, m/s², over the frames of the fit."""
     joint = truth.names.index(motion.reference)
     rows = np.isin(truth.frames, motion.frames[motion.solved])
     time_s = frame_times(truth.frames[rows], motion.fps)
@@ -115,7 +115,7 @@ def acceleration_lines(table: pd.DataFrame) -> list[str]:
     stated = sigma <= ACCELERATION_KNOWN_M_S2
     holds = off <= radius(INTERVAL) * sigma
     return [
-        f"Acceleration along the way: stated in {stated.sum()} of {len(table)} views (standard deviation of at most "
+        f"Acceleration along the path: stated in {stated.sum()} of {len(table)} views (standard deviation of at most "
         f"{ACCELERATION_KNOWN_M_S2:g} m/s2); its 90 % interval holds in {percent(holds[stated].mean())} of these "
         f"and in {percent(holds.mean())} of all; off by {off[stated].median():.1f} m/s2 (median), stated standard "
         f"deviation {sigma[stated].median():.1f}."
@@ -179,7 +179,7 @@ def main() -> None:
         ["run", "camera", "verdict", "true peak m/s", "peak", "MPJPE mm", "px", "iterations", "evaluations"], cells
     )
     print()
-    names = "runs, speed stated, near the truth, 90 % hold, pose 90 % hold, use: poor pose / wrong peak, "
+    names = "runs, speed stated, near the truth, inside 90 %, pose inside 90 %, use: poor pose / wrong peak, "
     names += "MPJPE mm (named; all), px, depth jitter m, "
     names += "iterations and evaluations"
     lines = [["all", *summary(table)]]

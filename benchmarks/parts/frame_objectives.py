@@ -1,12 +1,12 @@
-"""Measure the effect of each objective of the frame method on real runs, by fits with only some of them.
+"""Measure the effect of each objective of the frame method on real runs, with fits that use only some of them.
 
     python benchmarks/parts/frame_objectives.py [FOLDER] [--only CASE ...]
 
 The fits use the named camera of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. An objective
-that is left out has a weight of a millionth, so that there are never fewer residuals than unknowns. Columns: mean
-reprojection error of the best 90 % (median of the runs); MPJPE (mean, smallest and largest of the runs); the share of
-f2 to f5 in the squared residuals (mean); jitter of the thetas from frame to frame, degrees (median). The script takes a
-quarter of an hour.
+that is left out has a weight of a millionth, so that there are never fewer residuals than unknowns. The columns are the
+mean reprojection error of the best 90 % (median of the runs), the MPJPE (mean, smallest and largest of the runs), the
+fraction of the squared residuals that comes from f2 to f5 (mean), and the jitter of the thetas from frame to frame,
+degrees (median). The script takes a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ separately, as published. "As printed" means f4 and f5 with the missing da/dt an
 """
 FADED = 1e-6
 TOLERANCE = 1e-5
-"""Tolerance of every search. It is as loose as for second solutions, since searches without priors end late."""
+"""Tolerance of every search, as loose as for second solutions because searches without priors converge slowly."""
 
 
 class Faded:
@@ -70,7 +70,7 @@ class Faded:
 
 
 def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return the reprojection error, MPJPE in mm, the share of f2 to f5, and the jitter of the thetas in degrees."""
+    """Return the reprojection error, px, MPJPE, mm, the fraction of f2 to f5, and the jitter of the thetas, degrees."""
     every, meta = frame_objectives, json.loads((run / "meta.json").read_text())
     camera = meta["monocular_camera"]
     settings = FitSettings(

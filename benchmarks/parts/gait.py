@@ -3,14 +3,15 @@
     python benchmarks/parts/gait.py [FOLDER] [--held-out]
 
 --held-out shows how `SPEED_ERROR`, the fraction of a foot's stated speed error by which a standing foot seems to move,
-is chosen: for each of three kinds of recordings from the stances of the two others, with the result on the third.
+is chosen. For each of three kinds of recordings, it is chosen on the stances of the other two and tested on the third.
 
-The samples: speeds and stance events of the true joints and of reconstructions, compared with the formula at 3600 fps.
-Real runs: each is a folder with truth.csv and meta.json (fps). The script prints their gaits, and the mean magnitudes
-of the links' motion relative to their parents. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of
-../shared/data; without any runs, only the samples are measured. From the same data come the plate-trials, single views
-and the multi-camera reconstruction compared with the force plates' stances; the dog-mocap, motion capture of walks,
-runs and a turn, by its markers and by one camera from the side; and the horse-side, labelled by hand.
+In the samples, speeds and stance events of the true joints and of reconstructions are compared with the formula at
+3600 fps. Each real run is a folder with truth.csv and meta.json (fps). The script prints the runs' gaits, and the mean
+magnitudes of the links' motion relative to their parents. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA,
+or of ../shared/data; without runs, only the samples are measured. Three more recordings come from the same folder: the
+plate-trials, in which single views and the multi-camera reconstruction are compared with the force plates' stances; the
+dog-mocap, with walks, runs and a turn, by its markers and by one camera from the side; and the horse-side, which is
+labelled by hand.
 """
 
 from __future__ import annotations
@@ -169,7 +170,7 @@ def found_gait(motion: Motion) -> Gait:
 
 
 def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
-    """Return the events of the stances that are in both sets."""
+    """Return the events of the stances that both sets contain."""
     both = match_stances(exact, found)
     late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
@@ -183,7 +184,7 @@ def plate_stances(run: Path, fps: float) -> list[Stance]:
 
 
 def plate_rows() -> list[dict]:
-    """Compare views with the force plates, and with the intervals of the stances' ends."""
+    """Compare the stances of views with the force plates, and test the intervals of their ends."""
     kinds: dict[str, list[tuple[tuple[Stance, ...], list[Stance]]]] = {"single views": [], "reconstructions": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -199,9 +200,9 @@ CANDIDATES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 
 def held_out_rows(runs: Sequence[Path]) -> list[dict]:
-    """Choose the fraction for each kind of recordings on the others, and measure it on the kind itself.
+    """Choose the fraction for each kind of recordings on the other kinds, and test it on that kind.
 
-    The choice is by the number of missed stances and by the error of the median duration.
+    The criteria are the number of missed stances and the error of the median duration.
     """
     kinds: dict[str, list[tuple[Motion, Sequence[Stance]]]] = {"cheetahs over plates": [], "cheetahs": [], "a dog": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
@@ -258,7 +259,7 @@ def event_row(kind: str, some: Sequence[tuple[Sequence[Stance], Sequence[Stance]
 
 @cache
 def run_gaits(runs: tuple[Path, ...]) -> tuple[tuple[Gait, Gait], ...]:
-    """Return the gait of each view of runs, and the gait of its run from all cameras."""
+    """Return the gait of each single view, and the gait of its run from all cameras."""
     found = []
     for run in runs:
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -289,7 +290,7 @@ def view_rows(runs: Sequence[Path]) -> list[dict]:
 
 @cache
 def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
-    """Return each clip's gait by the markers, and fitted by one camera from the side."""
+    """Return each clip, its gait by the markers, and its fit from one camera at the side."""
     folder, found = recordings("dog-mocap"), []
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):

@@ -1,14 +1,15 @@
-"""Simulate herds: variance components, intervals of effects and planned power of the mixed model.
+"""Test the mixed model on simulated herds: variance components, intervals of effects and planned power.
 
     python benchmarks/parts/herds.py [--quick]
 
-There are two groups of animals, two runs of each, and six strides per run; known standard deviations of animals, runs,
-strides and measurement; and a lens error that all clips share. Components: the mean over herds, relative to the truth.
-Intervals: how often 90 % intervals contain the effect and the mean of the first group. Power: the effect is the one
-that a plan finds in 80 % of such herds, and `reached` is how often it was found.
+There are two groups of animals, with two runs of each animal and six strides per run. The standard deviations of
+animals, runs, strides and measurement are known, and all clips share a lens error. The table has the estimated variance
+components relative to the truth, as means over the herds, and how often 90 % intervals contain the effect and the mean
+of the first group. For the power, the effect is the one that should be found in 80 % of such herds according to the
+plan, and `reached` is how often it was found.
 
-The designs are balanced, so the interval of the effect is exact without the lens error: its coverage differs from 90 %
-by the chance of the drawn herds only, which is 1 % (one standard deviation) for 1000 herds.
+The designs are balanced, so the interval of the effect is exact without the lens error. Its coverage then differs from
+90 % only by chance, with a standard deviation of 1 % for 1000 herds.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ LEVELS_SHOWN = "animal", "run", "stride"
 
 
 def herd(rng: np.random.Generator, animals: int, effect: float) -> MixedModel:
-    """Return one simulated experiment, fitted."""
+    """Simulate one experiment, and return the mixed model fitted to it."""
     lens = 1 + SHARED * rng.normal()
     values, groups, names, runs = [], [], [], []
     for k in range(animals):

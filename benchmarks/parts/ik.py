@@ -1,9 +1,9 @@
-"""Inverse kinematics: processor time of a step, success rates, iterations and closures, and strides of real runs.
+"""Measure inverse kinematics: time of a step, success rates, iterations and closures, and strides of real runs.
 
     python benchmarks/parts/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out online]
 
 The chains are the joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left
-front leg. The script runs on one core, after a first run that does not count. Tables are in Markdown, as in docs/ik.md.
+front leg. The script runs on one core, after a first run that is not timed. Tables are in Markdown, as in docs/ik.md.
 The last four parts need real runs: each is a folder with truth.csv and meta.json (fps), by default those of
 cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
 """
@@ -79,11 +79,11 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
     HARMONIC: lambda chain: harmonic_map(),
 }
 NEAR_RAD = 1e-6
-"""Distance of two near starts."""
+"""Difference between two close starts in every joint."""
 CLOSED_RAD = 1e-3
 """Largest gap of a path that counts as closed."""
 APART = 1e3
-"""Factor by which the distance of two paths grows if they count as chaotic."""
+"""Factor of growth of the distance between two paths from which they count as chaotic."""
 
 
 def joined(parts: list[Frames]) -> Frames:
@@ -178,7 +178,7 @@ def print_targets() -> None:
 
 
 def print_alphas() -> None:
-    """Print results for one factor on the rates of every method, from too short steps to steps that overshoot."""
+    """Print results for factors on the rates of every method, from steps that are too short to steps that overshoot."""
     chain = next(iter(chains(False).values()))
     some = tasks(next(iter(chains(True).values())))[:ALPHA_TASKS]
     print(f"\nIterations to {ALPHA_TASKS} targets in the plane by alpha, median; in brackets how many were reached:\n")
@@ -195,13 +195,13 @@ def print_alphas() -> None:
 
 
 def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
-    """Return the optimum of the method's cost (or of the energy's) that the null space leads to."""
+    """Move along the null space to the optimum of the method's cost, or of the energy if it has none."""
     cost = method.cost if isinstance(method, ExtendedJacobian) else rotational_energy(chain)
     return to_null_space_optimum(chain, q, cost)[0]
 
 
 def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
-    """Return the smallest closures of any joint after the turns on a circle: angle / plane of angle and rate."""
+    """Return the smallest closure of any joint after the turns on a circle, in angle / in the plane with the rate."""
     method = methods(chain).get(name)
     if method is None:
         return ""
@@ -226,7 +226,7 @@ def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
 
     The result is "convergent" if the angles after every turn equal those at its beginning; "singular" if the matrix was
     singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away; otherwise
-    "drifting". It also states for how many joints the limits held.
+    "drifting". It also states how many joints reached a limit.
     """
     method = ExtendedJacobian(cost)
     q = to_null_space_optimum(chain, q, cost)[0]
@@ -274,7 +274,7 @@ def print_circle() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A run's front leg: names, chain at the animal's size, angles (T, n), frame rate, stride durations."""
+    """A run's front leg, with its chain at the animal's size, its angles (T, n), rad, and the frame rate."""
 
     name: str
     chain: SerialChain
@@ -369,7 +369,7 @@ def closure_row(name: str, closures: list[dict[str, np.ndarray]], off_m: float, 
 
 
 def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Frames:
-    """Return the known frames in a time span, with the rates of a spline through all frames."""
+    """Return the known frames in a time span, with rates from a spline through all known frames."""
     known = np.isfinite(leg.q).all(axis=1)
     q, time_s = leg.q[known], np.flatnonzero(known) / leg.fps
     dq = CubicSpline(time_s, q).derivative()(time_s)
@@ -381,7 +381,7 @@ def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Fram
 
 
 def print_fits(folder: Path) -> None:
-    """Print fits for all chains but the 8U chain in 3D, whose phi and rates jump when a link is upright."""
+    """Print fitted parameters for all chains except the 8U chain in 3D, whose phi and rates jump at upright links."""
     for kind in ("2D", "whole animal"):
         legs = real_legs(folder)[kind]
         data = [frames_of(leg) for leg in legs]
@@ -418,7 +418,7 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A leg's stride, its frames, and its run."""
+    """A leg's stride, with its frames and its run."""
 
     leg: Leg
     stride: StridePath
@@ -453,7 +453,7 @@ def rates_by(method: Method, shown: Shown) -> Array:
 
 
 def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
-    """Return methods without a fitted parameter; their reference pose is the mean of the others."""
+    """Return methods without a fitted parameter; the reference pose is the mean pose of the other runs."""
     chain = shown.leg.chain
     pose = np.mean([one.frames.q.mean(axis=0) for one in others], axis=0)
     every = {name: method for name, method in methods(chain).items() if name.startswith(("extended", "weighted"))}
@@ -487,7 +487,7 @@ def print_held_out(folder: Path) -> None:
             ]
             rows.append(held_out_row(name, "", [], rates, scales, data, chosen))
         columns = ["method", "parameter, median", "own stride, %", "held out, % (range)", "alpha", "with alpha, %"]
-        print_table([*columns, "joints off, deg"], rows)
+        print_table([*columns, "joint error, deg"], rows)
 
 
 def print_online(folder: Path) -> None:
@@ -497,7 +497,7 @@ def print_online(folder: Path) -> None:
     frame's rates that is explained, and the deviation after following the stride.
     """
     data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
-    print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joints off, deg:\n")
+    print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joint error, deg:\n")
     online = [s.leg.online(s.stride) for s in data]
     rows = []
     for name, fit in fits().items():
@@ -509,7 +509,7 @@ def print_online(folder: Path) -> None:
             cells.append([100 * share for share in explained] + [s.off_deg(kept), s.off_deg(kept, own)])
         rows.append([name, *(f"{v:.0f}" for v in np.median(cells, axis=0))])
     where = ("from the other runs", f"from the {LAST} frames before")
-    print_table(["method", *(f"{what}, {how}" for what in ("explained", "joints off") for how in where)], rows)
+    print_table(["method", *(f"{what}, {how}" for what in ("explained", "joint error") for how in where)], rows)
 
 
 def held_out_row(

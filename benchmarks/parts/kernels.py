@@ -1,11 +1,11 @@
-"""Time each kernel of a fit next to its own limit, and each stage next to the whole.
+"""Compare the time of each kernel of a fit with its theoretical limit, and that of each stage with the whole fit.
 
     python benchmarks/parts/kernels.py [CASE ...]
 
-A case is frames x cameras, such as 400x1 (default: 400x1 300x6). All is processor time of one thread. The limit of a
-kernel is the larger of two times: its floating-point operations at the speed of small matrix products, and the bytes
-that it has to read and write at the speed of copying. Both speeds are measured in the same run, which makes ratios
-comparable on a busy machine. Stages come from the profiler, which adds about a quarter to each.
+A case is frames x cameras, such as 400x1 (default: 400x1 300x6). All times are processor times of one thread. The limit
+of a kernel is the larger of two times: its floating-point operations at the speed of small matrix products, and the
+bytes that it has to read and write at the speed of copying. Both speeds are measured in the same run, which makes
+ratios comparable on a busy machine. The times of stages come from the profiler, which adds about a quarter to each.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Kernel:
-    """A computation on all frames, with the operations and bytes of one frame that it cannot do without."""
+    """A computation on all frames, with the operations and bytes that it needs at least for one frame."""
 
     name: str
     run: Callable[[], object]
@@ -58,7 +58,7 @@ class Kernel:
 
 
 def processor_s(run: Callable[[], object]) -> float:
-    """Return the least processor time of a few runs."""
+    """Return the smallest processor time of a few runs, seconds."""
     times = []
     for _ in range(REPEATS):
         began = time.process_time()
@@ -68,7 +68,7 @@ def processor_s(run: Callable[[], object]) -> float:
 
 
 def speeds(body: Body) -> tuple[float, float]:
-    """Return flops a second of small matrix products, and bytes a second of copying."""
+    """Return floating-point operations per second of small matrix products, and bytes per second of copying."""
     D = body.n_state
     a, out = np.ones((400, 3 * D, 3 * D)), np.empty((400, 3 * D, 3 * D))
     flops = 400 * 2 * (3 * D) ** 3 / processor_s(lambda: np.matmul(a, a, out=out))
@@ -110,7 +110,7 @@ def kernels(frames: int, cameras: int) -> list[Kernel]:
 
 
 def stages(frames: int, cameras: int) -> list[list[str]]:
-    """Return a row for each stage of a fit: milliseconds a frame, and its share of the whole."""
+    """Return a row for each stage of a fit, with milliseconds per frame and the fraction of the whole."""
     views, _ = circling(frames, cameras)
     profile = cProfile.Profile(time.process_time)
     profile.runcall(solve_trajectory, views, body_of("phantom"), prior_of(PRIOR), FPS)
@@ -140,9 +140,9 @@ def main() -> None:
             limit_s = max(kernel.flops / flops, kernel.bytes_moved / copied)
             numbers = (f"{1e6 * taken_s:.1f}", f"{1e6 * limit_s:.2f}", f"{taken_s / limit_s:.1f}")
             rows.append([case, kernel.name, *numbers])
-        print_table(["case", "kernel", "µs a frame", "limit µs", "ratio"], rows)
+        print_table(["case", "kernel", "µs per frame", "limit µs", "ratio"], rows)
         print()
-        print_table(["case", "stage", "ms a frame", "of the fit"], [[case, *row] for row in stages(frames, cameras)])
+        print_table(["case", "stage", "ms per frame", "of the fit"], [[case, *row] for row in stages(frames, cameras)])
 
 
 if __name__ == "__main__":

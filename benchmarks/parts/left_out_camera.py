@@ -1,4 +1,4 @@
-"""Predict keypoints in a camera that was left out from the other cameras, and compare with triangulation.
+"""Predict the keypoints of a left-out camera from the other cameras, and compare with triangulation.
 
     python benchmarks/parts/left_out_camera.py [FOLDER] [--only runs simulated] [--cameras all two one] [--quick]
 
@@ -66,13 +66,13 @@ METHODS = "fit", "triangulated", "with splines", "aniposelib"
 RAT_FPS = 50.0
 """Frame rate of the recorded rat."""
 RAT_DRAFT = slice(0, 500)
-"""Frames from which the rat's skeleton is drafted."""
+"""Number of frames from which the rat's skeleton is drafted."""
 RAT_CLIP = slice(700, 800)
-"""Frames of the rat's clip, none of which drafted the skeleton."""
+"""Number of frames of the rat's clip, none of which is used to draft the skeleton."""
 RAT_LENGTH_M = 0.2
-"""Length of the rat."""
+"""Length of the rat, metres."""
 RAT_BIAS_M = 0.005
-"""Standard deviation of its keypoint bias along each axis."""
+"""Standard deviation of the rat's keypoint bias along each axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class Task:
     """Which of the other cameras are used: all, two or one."""
     outs: tuple[int, ...]
     peer_m: dict[int, np.ndarray] = field(default_factory=dict)
-    """Positions (T, J, 3) by aniposelib, by the camera that is left out."""
+    """Positions (T, J, 3) from aniposelib, metres, keyed by the camera that is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +137,9 @@ def predictions(
 
 
 def solved(clip: Clip, views: Sequence[View], kept: Path | None) -> TrajectorySolution:
-    """Return a fit, that of an earlier run if it is kept in a file."""
+    """Return a fit, read from a file if an earlier run of this script kept it."""
     if kept is not None and kept.is_file():
-        return pickle.loads(kept.read_bytes())  # our own files
+        return pickle.loads(kept.read_bytes())  # files that this script wrote
     solution = solve_trajectory(views, clip.body, clip.prior, clip.fps, TrajectoryOptions(fast=clip.fast))
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
@@ -164,14 +164,14 @@ class Score:
     """Errors of all methods in cameras that were left out."""
 
     errors_px: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    """Errors (n,) of each method, over the points that all methods give."""
+    """Errors (n,) of each method, pixels, over the points that all methods give."""
     is_inside: dict[str, list[np.ndarray]] = field(default_factory=dict)
     """Whether each detection is inside its 90 % region."""
     seconds: list[float] = field(default_factory=list)
-    """Durations of the fits."""
+    """Durations of the fits, seconds."""
 
     def median_px(self, method: str) -> float:
-        """Return the median error of a method, NaN if the method was not run."""
+        """Return the median error of a method, pixels, or NaN if the method was not run."""
         return float(np.median(np.concatenate(self.errors_px[method]))) if method in self.errors_px else np.nan
 
     def inside(self, method: str) -> float:
@@ -180,7 +180,7 @@ class Score:
 
     @property
     def ratio(self) -> float:
-        """Return the fit's median error relative to the best other method's, NaN if there is no other."""
+        """Return the ratio of the fit's median error to that of the best other method, NaN if there is none."""
         others = [self.median_px(method) for method in METHODS[1:] if method in self.errors_px]
         return self.median_px("fit") / min(others) if others else np.nan
 
@@ -318,18 +318,18 @@ def tasks_of(options: argparse.Namespace) -> list[Task]:
 
 
 def peer_clip(task: Task, out: int) -> PeerClip:
-    """Return what other programs get of a clip without one of its cameras."""
+    """Return the input of the other programs, which is a clip without one of its cameras."""
     views = [task.clip.views[c].mask_outside_image() for c in choices(task.clip, out, task.cameras)]
     return PeerClip(views, task.clip.fps, task.clip.body)
 
 
 def main() -> None:
-    """Print a table of clips, and one of the kinds of animals."""
+    """Print a table of the clips, and a table of the kinds of animals."""
     parser = parser_of(__doc__, "--quick", "--jobs", kind="cheetah-runs", only=("runs", "simulated", "rat"))
     parser.add_argument("--cameras", nargs="+", default=["all", "two", "one"])
     parser.add_argument("--detectors", nargs="+", default=["none"], help="none, others or acinoset")
     parser.add_argument("--outs", nargs="+", type=int, help="numbers of the cameras that are left out, from 0")
-    parser.add_argument("--solutions", type=Path, help="folder that keeps the fits, for a further run")
+    parser.add_argument("--solutions", type=Path, help="folder in which the fits are kept for later runs")
     parser.add_argument("--no-anipose", action="store_true")
     options = parser.parse_args()
     scores: dict[tuple[str, str], list[Score]] = {}

@@ -1,14 +1,14 @@
-"""Plant faults in real clips: count which are found, false findings in unchanged clips, and errors after correction.
+"""Plant faults in real clips, and count the faults found, false findings in unchanged clips, and remaining errors.
 
     python benchmarks/parts/left_right_swaps.py [FOLDER ...] [--views 1] [--csv TABLE.csv]
 
 Each run is a folder as in `cheetah_runs.py`, or with one calibration file for each camera. Every view is changed in its
 file or in the settings of `recon fit`, and fitted. Errors are means of the joints' distances, both poses centred. By
-default FOLDER is the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without any runs,
-nothing is measured. --views n: every n-th view only. --folds: the margin of swaps chosen on all runs but one, for each
-run. --others: findings in unchanged clips of other animals: dogs as in `dog.py`, with the prior of the other clips and
-with independent angles; and a horse's hand labels with a guessed camera; from the dog-mocap and the horse-side of
-$RECON_SHARED_DATA.
+default FOLDER is the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without runs, nothing
+is measured. --views n uses every n-th view only. --folds prints the margin of swaps that is chosen on all runs but one,
+for each run. --others lists the findings in unchanged clips of other animals: dogs as in `dog.py`, with the prior of
+the other clips and with independent angles, and a horse's hand labels with a guessed camera. These come from the
+dog-mocap and the horse-side of $RECON_SHARED_DATA.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ from recon.io.deeplabcut import write_csv
 
 SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
 TEN = 10
-"""Frames exchanged in the middle of a clip."""
+"""Number of frames that are exchanged in the middle of a clip."""
 END = 12
-"""Frames of gross outliers at an end of a clip."""
+"""Number of frames with gross outliers at an end of a clip."""
 FALSE = 0.02
 """Largest fraction of the frames of unchanged clips that may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
@@ -64,7 +64,7 @@ MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
 WORSE = 1.02
 """Largest factor by which a correction may increase the error of a clip."""
 SPARE = 1.2
-"""Factor on the smallest margin that these runs need, since other runs may need more."""
+"""Factor by which the smallest sufficient margin is multiplied, because other runs may need a larger one."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
@@ -99,7 +99,7 @@ def _opposites(names: tuple[str, ...], group: str | None) -> np.ndarray:
 
 
 def _exchanged(view: View, first: int, stop: int, group: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points, and which (T,) frames were changed."""
+    """Return the changed points, and a mask (T,) of the changed frames."""
     xy_px, frames = view.xy_px.copy(), np.zeros(len(view.xy_px), dtype=bool)
     xy_px[first:stop] = xy_px[first:stop][:, _opposites(view.file.names, group)]
     frames[first:stop] = True
@@ -181,7 +181,7 @@ def view_in_run(run: Path, camera: int) -> View:
 
 
 def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, np.ndarray]:
-    """Return the motion, and which frames were changed."""
+    """Fit the view of a case, and return the motion and a mask of the changed frames."""
     xy_px, changed = case.change(view)
     path = folder / f"cam{view.camera}.csv"
     write_csv(replace(view.file, xy_px=xy_px, fps=None), path)
@@ -197,7 +197,7 @@ def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, n
 
 
 def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
-    """Return the error over the given (T,) frames."""
+    """Return the error, mm, over the frames of a mask (T,)."""
     truth_m = view.truth_m[frames]
     if not np.isfinite(motion.joints_camera_m[frames]).any():
         return np.nan
@@ -243,9 +243,10 @@ def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
 def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
     """Return the results of a case on a view.
 
-    kind_right: a finding of the right kind names the right keypoints. frames_right: its frames overlap the changed
-    frames by at least half. other_flags: fraction of the other frames with a finding about frames. real_flags: fraction
-    with such a finding that the reconstruction confirms.
+    - kind_right: a finding of the right kind names the right keypoints
+    - frames_right: the frames of this finding overlap the changed frames by at least half
+    - other_flags: fraction of the other frames that have a finding about frames
+    - real_flags: fraction of the other frames that have a finding which the reconstruction confirms
     """
     began = time.process_time()
     motion, changed = fitted(view, case, folder)
@@ -293,8 +294,8 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
 
 def print_tables(table: pd.DataFrame) -> None:
     """Print the tables. "Worst" is the largest error of a view after the correction relative to that before."""
-    head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of these real"]
-    print_header([*head, "error / untouched", "mended / untouched", "worst: mended / not"])
+    head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of which real"]
+    print_header([*head, "error / untouched", "corrected / untouched", "worst: corrected / not"])
     for name, of_case in table.groupby("case", sort=False):
 
         def ratio(column: str, of_case: pd.DataFrame = of_case) -> str:
@@ -328,7 +329,7 @@ def print_tables(table: pd.DataFrame) -> None:
 
 
 def print_by_run(table: pd.DataFrame) -> None:
-    print_header(["run", "views", "untouched frames named wrongly", "of all cases", "worst: mended / not"])
+    print_header(["run", "views", "untouched frames named wrongly", "of all cases", "worst: corrected / not"])
     for run, rows in table.groupby("run"):
         untouched = rows[rows["case"] == "untouched"]
         worst = (rows["mended_mm"] / rows["mm"]).max()
@@ -337,7 +338,7 @@ def print_by_run(table: pd.DataFrame) -> None:
 
 @contextmanager
 def least_margin() -> Iterator[None]:
-    """Let all swaps pass that exceed the smallest of `MARGINS`."""
+    """Report all swaps that exceed the smallest of `MARGINS`, within a `with` block."""
     given, likelihood.MARGIN = likelihood.MARGIN, MARGINS[0]
     try:
         yield
@@ -348,8 +349,8 @@ def least_margin() -> Iterator[None]:
 def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:
     """Return the results of a case for each of `MARGINS`.
 
-    The results are whether the planted exchange is found, the fraction of the frames that are named wrongly, and the
-    error of the corrected clip relative to the uncorrected one.
+    The results are whether the planted exchange is found, the fraction of frames that are named wrongly, and the error
+    of the corrected clip relative to that of the uncorrected clip.
     """
     motion, changed = fitted(view, case, folder)
     solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)
@@ -405,7 +406,7 @@ def print_folds(table: pd.DataFrame) -> None:
     and the correction increases the error of no clip, unchanged or with a planted exchange, by more than the factor
     `WORSE`. It is multiplied by `SPARE`. The last row is for all runs.
     """
-    head = ["left out", "margin", "named wrongly", "with exchanges", "worst mended / not", "ten frames", "fore legs"]
+    head = ["left out", "margin", "named wrongly", "with exchanges", "worst corrected / not", "ten frames", "fore legs"]
     print_header([*head, "hind legs", "whole clip", "one or other"])
     for run in [*table["run"].unique(), "none"]:
         rest = table[table["run"] != run]

@@ -1,10 +1,10 @@
-"""Fit long clips, each by a whole process of `recon fit`: processor time, peak memory and sizes of the output.
+"""Measure processor time, peak memory and output sizes of `recon fit` on long clips.
 
 python benchmarks/parts/long_clips.py [CASE ...] [--against CHECKOUT]
 
-A case is frames x cameras, such as 4000x6, or the number of frames of which 120 are seen, in three segments, such as
-216000/120; by default a list of cases. A simulated animal runs in circles in front of still cameras. --against: each
-case is also fitted by another checkout, before this one.
+Each fit is a process of its own. A case is frames x cameras, such as 4000x6, or a number of frames of which 120 are
+seen, in three segments, such as 216000/120; by default, a list of cases is measured. A simulated animal runs in circles
+in front of still cameras. With --against, another checkout also fits each case, before this one.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--against", type=Path)
     options = parser.parse_args()
     here = Path(__file__).resolve().parents[2]
-    header = ["case", "checkout", "processor s", "ms a frame seen", "peak of memory MB"]
+    header = ["case", "checkout", "processor s", "ms per seen frame", "peak memory MB"]
     print_header([*header, "written MB", "motion.npz MB", "motion.rrd MB", "tables MB"])
     for case in options.cases:
         with tempfile.TemporaryDirectory() as temporary:

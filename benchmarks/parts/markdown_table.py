@@ -14,17 +14,17 @@ def print_table(header: Sequence[object], rows: Iterable[Iterable[object]]) -> N
 
 
 def print_header(header: Sequence[object]) -> None:
-    """Begin a table whose rows are printed later, one at a time, by `print_row`."""
+    """Print the header of a table whose rows are printed later, one by one, by `print_row`."""
     print_row(header)
     print_row(["---"] * len(header))
 
 
 def print_row(cells: Iterable[object]) -> None:
-    """Print one row, with a blank between each number and its per cent sign."""
+    """Print one row, with a space between each number and its per cent sign."""
     texts = [re.sub(r"(?<=\d)%", " %", str(cell)) for cell in cells]
     print("| " + " | ".join(texts) + " |", flush=True)
 
 
 def percent(share: float, digits: int = 0) -> str:
-    """Return a share as text, such as "12 %"."""
+    """Return a fraction as a percentage in text, such as "12 %"."""
     return f"{100 * share:.{digits}f} %"

@@ -3,14 +3,17 @@
     python benchmarks/parts/mismatch.py [--only dog|cheetah|segments]
 
 Each clip is fitted with a prior from other motions and, for comparison, with independent angles as the skeleton's file
-expects them (`--prior none`). Weight: the weight that the prior kept. Named: whether the summary reports a misfit.
+expects them (`--prior none`). "weight" is the weight that the prior kept, and "named" is whether the summary reports a
+misfit.
 
-dog: the side views of `dog.py`; the prior of the walking clips on clips with running and turning, and vice versa.
-cheetah: the real views of `trajectory.py` with the subject's lengths and the detector acinoset; a prior from the
-segments that `running-cheetah` leaves out as too slow, and `running-cheetah` itself. segments: the segments of
-`running-cheetah`, seen from the side with 2 px of noise, with the prior from the slow segments and with a prior from
-the other ten segments, each left out in turn; findings with the latter are false alarms. Without the recordings of
-$RECON_SHARED_DATA nothing is measured. The script runs in one thread.
+- dog: the side views of `dog.py`, with the prior of the walking clips on clips with running and turning, and vice versa
+- cheetah: the real views of `trajectory.py` with the subject's lengths and the detector acinoset, with a prior from the
+  segments that `running-cheetah` leaves out as too slow, and with `running-cheetah` itself
+- segments: the segments of `running-cheetah`, seen from the side with 2 px of noise, with the prior from the slow
+  segments and with a prior from the other ten segments, each left out in turn; findings with the latter are false
+  alarms
+
+Without the recordings of $RECON_SHARED_DATA nothing is measured. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -95,8 +98,8 @@ def table(title: str, rows: Rows) -> None:
     trajectory.print_table(title, rows)
     times, noticed = np.array([r["times"] for r in rows]), sum(r["named"] for r in rows)
     print(
-        f"\nnoticed in {noticed} of {len(rows)}; MPJPE mean {np.mean([r['mpjpe_mm'] for r in rows]):.1f} mm, with each "
-        f"angle on its own {np.mean([r['alone mpjpe_mm'] for r in rows]):.1f} mm; more than 1.1 times that in "
+        f"\nreported in {noticed} of {len(rows)}; mean MPJPE {np.mean([r['mpjpe_mm'] for r in rows]):.1f} mm, with "
+        f"independent angles {np.mean([r['alone mpjpe_mm'] for r in rows]):.1f} mm; more than 1.1 times that in "
         f"{np.sum(times > 1.1)}, worst {times.max():.2f}"
     )
 

@@ -2,12 +2,17 @@
 
     python benchmarks/parts/moving.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`. Pan: the detections of every view as seen by a camera that turns about its
-centre and an upright axis, so that the animal stays in the middle of its picture. The rays are turned back and
-projected through the same lens. Points outside the lens model's range are left out of both views. With errors: the same
-with camera poses that have white and drifting errors of a stated size. Driven: the truth projected into the named
-camera without noise, once still and once driven at 10 m/s along the animal's path. Errors are over all 24 joints.
-FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
+Each run is a folder as in `cheetah_runs.py`. There are three tests:
+
+- pan: the detections of every view are converted to those of a camera that turns about its centre and an upright axis,
+  so that the animal stays in the middle of the picture. The rays are turned back and projected through the same lens.
+  Points outside the lens model's range are left out of both views
+- with errors: the same, with camera poses that have white and drifting errors of a stated size
+- driven: the truth is projected into the named camera without noise, once still and once driven at 10 m/s along the
+  animal's path
+
+Errors are over all 24 joints. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The
+script runs in one thread.
 """
 
 from __future__ import annotations
@@ -37,15 +42,15 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1
-"""Time over which the pan is smooth: people do not follow faster."""
+"""Time over which the pan is smooth, because people do not follow an animal faster."""
 WHITE_DEG, DRIFT_DEG_S = 0.05, 0.05
 SPEED_M_S = 10.0
 FAR_M = 10.0
-"""Distance of the points on the rays. It does not matter to a camera that turns about its centre."""
+"""Distance of the points on the rays, which has no effect for a camera that turns about its centre."""
 
 
 def panned(view: View, fps: float) -> tuple[View, View, int]:
-    """Return a view, the same view of a panning camera, and how many points both have lost."""
+    """Return a view, the same view of a panning camera, and the number of points that were left out of both."""
     rays, R, centre = view.rays(), view.T_camera_world[:3, :3], view.centre_m[0]
     middle = fill_from_nearest(_median(rays))
     azimuth = np.unwrap(np.arctan2(middle[:, 0], middle[:, 1])) - np.arctan2(R[2, 0], R[2, 1])
@@ -71,7 +76,7 @@ def _median(rays: np.ndarray) -> np.ndarray:
 
 
 def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
-    """Return the standard deviations of joints relative to the pose and of their position, RMS over all."""
+    """Return the standard deviations of the joints within the pose and of their position, metres, RMS over all."""
     return np.array(
         [
             np.sqrt(np.nanmean(np.trace(covariance, axis1=2, axis2=3)))
@@ -110,8 +115,8 @@ def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:
             "points": int(still.present.sum()),
             "left out": lost,
             "still MPJPE mm": f"{a['mpjpe_mm']:.1f}",
-            "pan less still": b["mpjpe_mm"] - a["mpjpe_mm"],
-            "MPE, pan less still": b["mpe_mm"] - a["mpe_mm"],
+            "pan minus still": b["mpjpe_mm"] - a["mpjpe_mm"],
+            "MPE, pan minus still": b["mpe_mm"] - a["mpe_mm"],
             "joints apart mm": 1000 * np.nanmean(apart),
             "pose sigma": pose,
             "place sigma": place,
@@ -121,8 +126,8 @@ def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:
 
 
 PAN = {
-    "pan less still": "{:+.2f}",
-    "MPE, pan less still": "{:+.1f}",
+    "pan minus still": "{:+.2f}",
+    "MPE, pan minus still": "{:+.1f}",
     "joints apart mm": "{:.1f}",
     "pose sigma": "{:+.1%}",
     "place sigma": "{:+.1%}",
@@ -192,7 +197,7 @@ def size_rows(run: Run) -> Iterator[dict]:
 
 
 def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
-    """Return the size at which the feet (T, F, 3) in a driven camera's picture stand best, by the solver's weights."""
+    """Return the size at which the feet (T, F, 3) in a driven camera's picture move least, by the solver's weights."""
     centres = driven(run)["driven"].centre_m[:, None]
     stance = StanceVelocity(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
     sizes = np.geomspace(0.5, 2.0, 201)
@@ -223,7 +228,7 @@ def print_summary(rows: Sequence[dict]) -> None:
     inside = ", ".join(f"{name} {np.mean([row[name] for row in rows]):+.3f}" for name in list(PAN)[-2:])
     print(
         f"{len(rows)} views: {lost} of {lost + points} points left out; MPJPE within 1 mm in "
-        f"{within('pan less still', 1.0)}, worst {worst('pan less still'):.2f} mm; sigma of the pose within 3 % in "
+        f"{within('pan minus still', 1.0)}, worst {worst('pan minus still'):.2f} mm; sigma of the pose within 3 % in "
         f"{within('pose sigma', 0.03)}, worst {percent(worst('pose sigma'), 1)}; of the place in "
         f"{within('place sigma', 0.03)}, worst {percent(worst('place sigma'), 1)}; "
         f"mean change of the fraction inside: {inside}\n",

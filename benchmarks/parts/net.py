@@ -8,9 +8,9 @@
 
 `labels` trains on 5, 10, 20 and 40 labelled pictures of the rendered sample, with the same number of steps. `circle`
 goes from labels of the rendered sample to its 3D motion. Tables are in Markdown, as in docs/net.md. `horse` needs
-horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains on the labelled frames 0-149 of the video, of which
-110-149 are used for validation at first, and tests on 150-199. With --random-half it trains on a random half of all
-labels, and compares with interpolation of the labels in time.
+horse-side in $RECON_SHARED_DATA, or in ../shared/data. It trains on the labelled frames 0 to 149 of the video, of which
+110 to 149 are used for validation at first, and tests on the frames 150 to 199. With --random-half, it trains on a
+random half of all labels, and compares with interpolation of the labels in time.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--model", type=Path)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--threads", type=int, help="on the CPU (default: all)")
-    parser.add_argument("--out", type=Path, help="where the networks go (default: a folder that is removed)")
+    parser.add_argument("--out", type=Path, help="folder for the networks (default: a temporary folder)")
     args = parser.parse_args()
     require_torch()
     with tempfile.TemporaryDirectory() as temporary:
@@ -90,7 +90,7 @@ def circle(args: argparse.Namespace, out: Path) -> None:
 
 
 def labels(args: argparse.Namespace, out: Path) -> None:
-    """Train on some labelled pictures of the rendered sample, evenly spaced, and test in its frames without labels."""
+    """Train on evenly spaced labelled pictures of the rendered sample, and test in the frames without labels."""
     film, label_file = samples_folder() / "rendered.mp4", samples_folder() / "rendered_labels.csv"
     truth, labelled = read_keypoints(samples_folder() / "rendered_points.csv"), read_label_file(label_file)[0]
     others, length_px = ~np.isin(truth.frames, labelled.frames), body_length_px(truth.xy_px)
@@ -119,7 +119,7 @@ def labels(args: argparse.Namespace, out: Path) -> None:
 
 
 def large(args: argparse.Namespace, out: Path) -> None:
-    """Train on the large animal. Processor times are those of the whole process: training and its report."""
+    """Train on the large animal, and measure the processor time of the whole process, which includes the report."""
     write_large_film(out)
     print_header(("seed", "steps", "s", "processor, s", "median, px", "PCK@2.5/5/10px", "ECE"))
     for seed in args.seeds:
@@ -147,7 +147,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
         predict_video(trained, _settings(video, args.threads))
         print_row((f"{size[0]}x{size[1]}", f"{frames / (time.perf_counter() - start):.0f}"))
     print()
-    print_header(("frames of 640x360", "most memory, MB"))
+    print_header(("frames of 640x360", "peak memory, MB"))
     for frames in (300, 3000):
         video = out / f"long{frames}.mp4"
         _noise_video(video, (640, 360), frames)

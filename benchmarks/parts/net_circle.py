@@ -22,12 +22,12 @@ from recon.keypoint_net.network import run_prediction
 from recon.keypoint_net.train import TrainSettings, run_training
 
 NOISE_PX = 2.0
-"""Standard deviation of the true points' noise, in the fit with which the fit of predicted points is compared."""
+"""Standard deviation of the noise on the true points, pixels, in the fit used for comparison."""
 
 
 @dataclass(frozen=True)
 class Circle:
-    """Results from the labels to the compared motion."""
+    """Results of all stages, from the labels to the motion that is compared with the truth."""
 
     training: dict[str, Any]
     """Report of the training."""
@@ -40,12 +40,12 @@ class Circle:
 
     @property
     def predicted_m(self) -> float:
-        """Return the MPJPE of the fit of predictions."""
+        """Return the MPJPE of the fit of predictions, metres."""
         return self.predicted.mpjpe_m.mean
 
     @property
     def noisy_m(self) -> float:
-        """Return the MPJPE of the fit of true points with noise."""
+        """Return the MPJPE of the fit of true points with noise, metres."""
         return self.noisy.mpjpe_m.mean
 
     @property
@@ -66,8 +66,8 @@ def run_circle(
 ) -> Circle:
     """Train a network, predict, fit twice, and write everything into the folder `out`.
 
-    samples: folder with the files of the film, by default the project's own. turns: the camera pans, and its rotation
-    is estimated from the film. fit: settings of both fits.
+    `samples` is the folder with the files of the film, by default the project's own. If `turns` is true, the camera
+    pans, and its rotation is estimated from the film. `fit` has the settings of both fits.
     """
     samples = samples or samples_folder()
     film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"

@@ -1,6 +1,6 @@
 """Render the animal in pictures that it nearly fills, with exactly known keypoints.
 
-The camera has a longer lens, and a window of its picture moves along with the animal, so that nothing in the window is
+The camera has a longer lens, and a window of its picture follows the animal, so that nothing in the window stands
 still.
 """
 
@@ -23,9 +23,9 @@ from recon.testing.film import FPS, film_clip, labelled_frames, render_frames
 
 SIZE_PX = (640, 480)
 LENS = 4.4
-"""Focal length relative to the film's. The animal is 403 to 474 px long."""
+"""Focal length relative to the film's; the animal is 403 to 474 px long."""
 ABOVE_PX = 40
-"""Distance of the camera's axis above the middle of the picture."""
+"""Distance of the camera's axis above the middle of the picture, pixels."""
 
 
 def write_large_film(folder: Path) -> Keypoints:
@@ -62,7 +62,7 @@ def run_large(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Train on the large film; return the training's report, and the scores in the frames without labels.
 
-    film: a folder written by `write_large_film`.
+    `film` is a folder written by `write_large_film`.
     """
     video, labels = film / "large.mp4", film / "large_labels.csv"
     report = run_training(

@@ -1,13 +1,13 @@
-"""The error of one camera against keypoints, noise, frame rate and distance, one at a time.
+"""Measure the error of one camera while keypoints, noise, frame rate and distance change one by one.
 
     python benchmarks/parts/one_camera.py [FOLDER] [--only WORD]
 
-The motions are those of the runs of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA; a simulated camera
-(60 degrees, 1920 x 1080) stands beside the middle of each run. All keypoints, 3 px of noise, the run's own frame rate
-and 12 m, but for what a row changes. The lengths are those of the expected animal, and the prior is the built-in one,
-which was learned from these runs; nothing else of the truth is known. MPJPE: mean distance of the joints, both poses
-centred; PA-MPJPE: after the best rotation and scale of each frame. Distance: error of the mean distance from the
-camera, as a share of it.
+The motions are those of the runs of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. A simulated camera
+(60 degrees, 1920 x 1080) stands at the side of the middle of each run. Except for the condition that a row changes,
+there are all keypoints, 3 px of noise, the run's own frame rate and a distance of 12 m. The lengths are those of the
+expected animal, and the prior is the built-in one, which was learned from these runs; nothing else about the truth is
+known. MPJPE is the mean distance of the joints, both poses centred, and PA-MPJPE the same after the best rotation and
+scale of each frame. "distance" is the relative error of the mean distance from the camera.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Condition:
 
     name: str
     keypoints: tuple[str, ...] | None = None
-    """The keypoints that are detected; None: all."""
+    """The keypoints that are detected; None for all."""
     noise_px: float = 3.0
     every: int = 1
     """Every n-th frame is kept."""
@@ -60,7 +60,7 @@ CONDITIONS = (
 
 
 def view_of_run(points_m: np.ndarray, condition: Condition) -> View:
-    """Return what a camera beside the middle of a run sees of it."""
+    """Return the view of a camera at the side of the middle of a run."""
     markers = body_of().markers
     middle_m, path_m = points_m.mean(axis=(0, 1)), points_m.mean(axis=1)
     along = path_m[-1, :2] - path_m[0, :2]
@@ -77,7 +77,7 @@ def view_of_run(points_m: np.ndarray, condition: Condition) -> View:
 
 
 def errors(run: Path, condition: Condition) -> tuple[float, float, float, float]:
-    """Return MPJPE and PA-MPJPE in mm, the error of the distance, and the share of frames with a pose."""
+    """Return MPJPE and PA-MPJPE in mm, the relative error of the distance, and the fraction of frames with a pose."""
     _, truth_m = truth_of(run)
     truth_m = truth_m[np.isfinite(truth_m).all(axis=(1, 2))][:: condition.every]
     view, fps = view_of_run(truth_m, condition), meta_of(run)["fps"] / condition.every
@@ -95,7 +95,7 @@ def errors(run: Path, condition: Condition) -> tuple[float, float, float, float]
 
 
 def main() -> None:
-    """Print the table, medians over the runs."""
+    """Print the table of medians over the runs."""
     parser = parser_of(__doc__, kind="cheetah-runs")
     parser.add_argument("--only", default="", help="only conditions whose names contain this text")
     options = parser.parse_args()

@@ -1,12 +1,12 @@
-"""Measure how far right and wrong clips are from the limits of the checks of stretch, halves, focal length and clocks.
+"""Compare correct and wrong clips with the limits of the checks of stretch, halves, focal length and clocks.
 
     python benchmarks/parts/one_step_limits.py [FOLDER] [--views 8]
 
-Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, with x scaled, with
-the hind half of a second animal, and with another focal length; every n-th pair as it is, and with a second camera that
-takes one picture per second fewer than its file says. Stretch: `recon.check.stretch.deviation`. Halves and drift:
-`recon.check.halves.offset_of`, and the largest of `recon.check.clocks.drifts_of`, in their standard deviations. Focal
-length: `recon.check.focal.FocalTest.deviation`.
+Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted unchanged, with x scaled,
+with the hind half of a second animal, and with another focal length. Every n-th pair is fitted unchanged, and with a
+second camera that takes one picture per second fewer than its file says. The deviations are those of
+`recon.check.stretch.deviation`, `recon.check.halves.offset_of`, `recon.check.focal.FocalTest.deviation`, and the
+largest of `recon.check.clocks.drifts_of`; halves and drift are in standard deviations.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ LIMIT_TEXTS = {
 
 
 def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
-    """Return the deviation that a check of a clip sees, in standard deviations; nothing if the check does not run."""
+    """Return the deviation that a check finds in a clip, or an empty list if the check does not run."""
     seen: list[float] = []
 
     def stretch(problem: ClipProblem, solution: TrajectorySolution) -> None:
@@ -132,7 +132,7 @@ def main() -> None:
         ends = [f"{value:.1f}" for value in np.quantile(sigmas, [0.0, 0.5, 1.0])] if sigmas else ["", "", ""]
         rows.append([check, name, len(sigmas), *ends, LIMIT_TEXTS[check], beyond_usual(deviations, untouched[check])])
         print(" ".join(map(str, rows[-1])), flush=True)
-    header = ["check", "case", "clips", "least deviation", "median", "largest", "not named"]
+    header = ["check", "case", "clips", "smallest deviation", "median", "largest", "not named"]
     print_table([*header, "beyond three quarters of the other runs"], rows)
 
 

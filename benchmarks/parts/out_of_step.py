@@ -1,4 +1,4 @@
-"""Shift the second of two cameras in time, and estimate the offset: `recon fit --set find-offsets=true`.
+"""Shift the second of two cameras in time, and estimate the offset with `recon fit --set find-offsets=true`.
 
     python benchmarks/parts/out_of_step.py [FOLDER]
 
@@ -34,7 +34,7 @@ OFFSETS = (0.0, 0.5, -0.5, 2.3, -2.3, 5.5, -5.5)
 
 
 def taken_later(source: Source, frames: float) -> Source:
-    """Return a source with the detections of a number of frames later, where they exist."""
+    """Return a source in which each frame has the detections of `frames` frames later, where they exist."""
     keypoints = source.keypoints
     T = len(keypoints.frames)
     a, b = (np.clip(np.arange(T) + int(f(frames)), 0, T - 1) for f in (np.floor, np.ceil))
@@ -49,7 +49,7 @@ def taken_later(source: Source, frames: float) -> Source:
 
 
 def remaining(T: int, frames: float) -> np.ndarray:
-    """Return a mask (T,) of the rows with detections a number of frames later."""
+    """Return a mask (T,) of the rows that have detections `frames` frames later."""
     at = np.arange(T) + frames
     return (at >= 0) & (at <= T - 1)
 
@@ -75,7 +75,7 @@ def rows(run: Run) -> Iterator[dict]:
         return solve_trajectory(views_of(sources), body, prior, fps, options)
 
     def found(other: Source) -> tuple[float, float, float]:
-        """Return the offset and its standard deviation in frames, and MPJPE."""
+        """Return the estimated offset and its standard deviation, frames, and the MPJPE, mm."""
         noise = (options.sigma_px, options.keypoint_noise_m(body))
         sources, solution = solve_time_offsets([first, other], [0.0, 0.0], solve, *noise)
         truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)

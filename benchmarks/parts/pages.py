@@ -6,15 +6,19 @@
     python benchmarks/parts/pages.py summary [--clips 500]
     python benchmarks/parts/pages.py run --model DIR
 
-`browser`: a page with the rendered film (90 frames), one of a simulated clip of 4,000 frames, and one of a batch of 100
-clips. Chromium opens each page; then the slider moves to another frame at each refresh of the screen for three seconds,
-and the refreshes are counted. The second figure is the processor time of all processes of the browser, which draws
-without a graphics card; 33 ms of one processor are 30 frames a second. `costs`: seconds of the processor of `recon
-report` and `recon analyse` with their default options on 40 frames, relative to those of the fit in the same run, by
-medians of RUNS runs. `pages`: the rendered film with the film behind the pictures, a sample of 60 frames, and twenty of
-these in a row, forwards and backwards. `summary`: the table of a batch of copies of one result. `run`: from the
-rendered film to the page with a network that `recon train` made on this film, compared with a command for each stage,
-and a second run. If a Chromium is on the path, it opens the pages, and the number of its console messages is printed.
+- `browser` opens three pages in Chromium: one with the rendered film (90 frames), one of a simulated clip of 4,000
+  frames, and one of a batch of 100 clips. The slider then moves to another frame at each refresh of the screen for
+  three seconds, and the refreshes are counted. The second number is the processor time of all processes of the browser,
+  which draws without a graphics card; 33 ms of one processor are 30 frames per second
+- `costs` measures the processor time of `recon report` and `recon analyse` with their default options on 40 frames,
+  relative to that of the fit in the same run, as medians of RUNS runs
+- `pages` writes the rendered film with the film behind the pictures, a sample of 60 frames, and twenty of these in a
+  row, forwards and backwards
+- `summary` writes the table of a batch of copies of one result
+- `run` goes from the rendered film to the page with a network that `recon train` made on this film, and is compared
+  with a command for each stage and with a second run
+
+If Chromium is on the path, it opens the pages, and the number of its console messages is printed.
 """
 
 from __future__ import annotations
@@ -52,9 +56,9 @@ CHROMIUM = next(
 
 
 SCRUBBED_S = 3.0
-"""Time for which the slider is moved."""
+"""Time for which the slider is moved, seconds."""
 SETTLED_MS = 3000.0
-"""Time before that, in which the page draws what is below the screen."""
+"""Time before the slider moves, seconds, in which the page draws the part below the screen."""
 SCRUB = """(seconds) => new Promise((done) => {
   const slider = document.querySelector(".player input[type=range]"), most = Number(slider.max);
   const began = performance.now();
@@ -92,14 +96,14 @@ def recon(folder: Path, *arguments: object) -> tuple[float, float]:
 
 
 def browser(args: argparse.Namespace, folder: Path) -> None:
-    """Measure how large pages are, how fast they open, and how often they are drawn while the slider moves."""
+    """Measure the size of pages, the time until they are open, and the refreshes while the slider moves."""
     from playwright.sync_api import sync_playwright
 
     if not CHROMIUM:
         raise SystemExit("no Chromium on the path")
     made = {f"{args.frames} frames": long_page(args.frames, folder), "90 frames with video": film_page(folder)}
     made[f"batch of {args.clips} clips"] = batch_of_copies(args.clips, folder)
-    print_header(("page", "MB", "opens, s", "frames/s while the slider moves", "ms of the processor for a frame"))
+    print_header(("page", "MB", "opens, s", "frames/s while the slider moves", "processor ms per frame"))
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"], timeout=300_000.0)
         for name, path in made.items():
@@ -136,7 +140,7 @@ def film_page(folder: Path) -> Path:
 
 
 def long_page(frames: int, folder: Path) -> Path:
-    """Write the page of a simulated run around one camera, and return its path."""
+    """Write the page of a simulated run around a camera, and return its path."""
     arguments, _ = written(folder, f"{frames}x1")
     recon(folder, "fit", *arguments, "--out", "long", "--quiet")
     recon(folder, "report", "long", "--quiet")
@@ -144,7 +148,7 @@ def long_page(frames: int, folder: Path) -> Path:
 
 
 def costs(args: argparse.Namespace, folder: Path) -> None:
-    """Measure what a page and an analysis of 40 frames cost, relative to the fit of the same run."""
+    """Measure the processor time of a page and an analysis of 40 frames, relative to the fit of the same run."""
     points = ("fit", SAMPLES / "rendered_points.csv", *FILM_FIT, "--fps", 120, "--frames", "0:40")
     commands = {
         "fit": (*points, "--out", "out", "--overwrite", "--quiet"),
@@ -156,7 +160,7 @@ def costs(args: argparse.Namespace, folder: Path) -> None:
     recon(folder, *commands["fit"])  # compiled modules and matplotlib's fonts are cached from now on
     recon(folder, *commands["analyse"])
     used = [{name: recon(folder, *command)[1] for name, command in commands.items()} for _ in range(args.runs)]
-    print_header(("40 frames", "s of the processor", "times the fit", "goal"))
+    print_header(("40 frames", "processor s", "times the fit", "goal"))
     for name in commands:
         times = median(seconds_used[name] / seconds_used["fit"] for seconds_used in used)
         middle_s = median(seconds_used[name] for seconds_used in used)
@@ -175,7 +179,7 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
         "sample": ((SAMPLES / "whole.csv", *of_sample), ()),
         "20 samples": ((folder / "long.csv", *of_sample), ()),
     }
-    print_header(("clip", "frames", "report.html, kB", "s of the processor", "fit, s", "errors in Chromium"))
+    print_header(("clip", "frames", "report.html, kB", "processor s", "fit, s", "errors in Chromium"))
     for name, (fit, page) in clips.items():
         out = folder / name.replace(" ", "_")
         _, fit_s = recon(folder, "fit", *fit, "--out", out, "--quiet")
@@ -191,7 +195,7 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
     began = time.process_time()
     file = write_summary_page(out)
     took = time.process_time() - began
-    print_header(("clips", "summary.html, kB", "s of the processor", "errors in Chromium"))
+    print_header(("clips", "summary.html, kB", "processor s", "errors in Chromium"))
     print_row((args.clips, f"{file.stat().st_size / 1000:.0f}", f"{took:.1f}", errors(file)))
 
 
@@ -234,13 +238,13 @@ def run(args: argparse.Namespace, folder: Path) -> None:
     whole = ("run", FILM, *settings, "--model", args.model.absolute(), "--out", "together")
     total = tuple(sum(column) for column in zip(*taken.values(), strict=True))
     taken |= {"sum": total, "`recon run`": recon(folder, *whole), "again": recon(folder, *whole)}
-    print_header(("what", "s", "s of the processor", "of the sum"))
+    print_header(("what", "s", "processor s", "of the sum"))
     for name, (clock_s, processor_s) in taken.items():
         print_row((name, f"{clock_s:.1f}", f"{processor_s:.1f}", f"{processor_s / total[1]:.2f}"))
 
 
 def errors(page: Path) -> str:
-    """Return the number of a browser's console messages on a desktop and a phone, in light and dark mode."""
+    """Return the number of the browser's console messages on a desktop and a phone, in light and dark mode."""
     if not CHROMIUM:
         return "no Chromium"
     count = 0

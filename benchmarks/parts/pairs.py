@@ -1,15 +1,16 @@
-"""Pairs of cameras as calibrated, and with one of them turned: errors, intervals and verdicts of `recon fit`.
+"""Measure errors, intervals and verdicts of `recon fit` for pairs of cameras as calibrated, and with one turned.
 
     python benchmarks/parts/pairs.py [--jobs 2] [--pairs 2] [--degrees 0 1 3 6] [--turned second] [--cameras two]
 
-The cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. Two: the named camera of each run with `--pairs` others,
-those with the most detections; by default with all others. One of the two is turned through its centre, about each of
-its axes (tilt, pan, roll) in a fit of its own. One: the named camera; all: all cameras of a run, both untouched. Fits
-are those of `recon fit --fast`, with other settings by --set.
+The fits use the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. "two" is the named camera of each run with
+each of the `--pairs` other cameras that have the most detections, by default with all others. One of the two is turned
+about its centre, in separate fits for each of its axes (tilt, pan, roll). "one" is the named camera, and "all" are all
+cameras of a run, both unchanged. Fits are those of `recon fit --fast`; --set changes their settings.
 
-Columns: how many fits refined a camera; means over the fits of the errors of pose and position; the share of the
-joints' coordinates in the world inside 90 % intervals, of all fits and of the worst; and the verdicts. Then, the fits
-of untouched cameras that are "do not use", with the findings that say why. One thread for each job.
+The columns are the number of fits that refined a camera; the errors of pose and position, as means over the fits; the
+fraction of the joints' world coordinates inside 90 % intervals, for all fits and for the worst; and the verdicts. The
+last table lists the fits of unchanged cameras that are "do not use", with the findings that explain this. Each job has
+one thread.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One fit: its cameras, and by how much one of two is turned."""
+    """One fit, with its cameras and the angle by which one of two is turned."""
 
     label: str
     clip: Clip
@@ -76,11 +77,11 @@ class Task:
 
 
 AXES = "tilt", "pan", "roll"
-"""Turns about a camera's x, y and z."""
+"""Names of the rotations about a camera's x, y and z axes."""
 
 
 def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]:
-    """Return the change that turns one camera of a pair, and gives every fit its settings."""
+    """Return the change of a clip that turns one camera of a pair and sets the settings of the fit."""
     turned_camera = task.clip.cameras[-1 if task.turned == "second" else 0]
 
     def change(clip: Clip, given: Given) -> Given:
@@ -115,7 +116,7 @@ def detections(run: Path, camera: str) -> int:
 
 
 def outcome(settings: dict[str, str], task: Task) -> Outcome | None:
-    """Fit a clip; None if it is refused or has no pose."""
+    """Fit a clip, and return the outcome, or None if the clip is refused or has no pose."""
     clip = task.clip
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -138,7 +139,7 @@ def outcome(settings: dict[str, str], task: Task) -> Outcome | None:
 
 
 def main() -> None:
-    """Print a row for each kind of cameras, and the fits that are not to be used."""
+    """Print a row for each kind of cameras, and the fits with the verdict "do not use"."""
     parser = parser_of(__doc__, "--jobs", "--set")
     parser.add_argument("--pairs", type=int, help="number of pairs of each run (default: all)")
     parser.add_argument(

@@ -7,7 +7,7 @@ camera turns to follow the animal, and shakes. The labels of each film, of the s
 which predicts the points of all frames. The camera's rotation is estimated from the film, as by `recon run
 --camera-motion turns`, with the tilt of the first picture given. The still camera's pose is that of its calibration.
 Errors are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the
-film is drawn and nothing else is done.
+script only draws the film.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Choose the numbers of the path that ties the frame method's frames, on all runs but one, and test them on that run.
+"""Choose the numbers of the path that ties the frame method's frames on all runs but one, and test them on that run.
 
     python benchmarks/parts/path_numbers.py [FOLDER]
 
@@ -134,8 +134,8 @@ def main() -> None:
     lines.append(["all, each left out", str(len(views)), "", f"{near:.0%}", f"{covered:.0%}", *cells(OWN, every)])
     best = max(CHOICES, key=lambda choice: score(peaks[choice], true_m_s)[2])
     lines.append(["none", str(len(views)), choice_text(best), *cells(best, every), *cells(OWN, every)])
-    heads = "run left out, views, chosen on the others (m/s2; s; s), near, 90 % hold"
-    print_table([*heads.split(", "), f"own ({choice_text(OWN)}): near", "90 % hold"], lines)
+    heads = "run left out, views, chosen on the others (m/s2; s; s), near, inside 90 %"
+    print_table([*heads.split(", "), f"own ({choice_text(OWN)}): near", "inside 90 %"], lines)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Choose how tightly the frame method's poses are tied to the path, on all runs but one, and test it on that run.
+"""Choose how tightly the frame method's poses are tied to the path on all runs but one, and test this on that run.
 
     python benchmarks/parts/path_ties.py [FOLDER] [--ties M ...]
 
@@ -25,11 +25,11 @@ FREE_M = 1000.0
 """A tie so loose that it has no effect."""
 TIES_M = (0.01, 0.1, 0.5, FREE_M)
 MORE_PX = 0.2
-"""Largest excess of the median error over that of frames without a tie."""
+"""Largest excess of the median error over that of frames without a tie, pixels."""
 
 
 class FirstSolutions:
-    """Solver that keeps the first solution of a view, from which the fit with every tie starts."""
+    """Solver that keeps the first solution of a view, from which the fits with all ties start."""
 
     def __init__(self) -> None:
         self.solve_all, self.kept = solver._solve_all, None
@@ -86,7 +86,7 @@ def main() -> None:
 def show(table: pd.DataFrame) -> None:
     """Print the results by tie, and the choices with each run left out."""
     tables = {tie_m: table[table.tie_m == tie_m].reset_index(drop=True) for tie_m in sorted(set(table.tie_m.tolist()))}
-    columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose 90 % hold"]
+    columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose inside 90 %"]
     print_table(["tie, m", *columns], [[words(tie), *summary(table)] for tie, table in tables.items()])
     print()
     free, lines = tables[FREE_M], []

@@ -38,11 +38,11 @@ PINNED = (
     "statsmodels==0.15.0",
 )
 PINNED_ALONE = ("pose2sim==0.10.49",)
-"""Installed without the packages that it needs only for videos, detection and OpenSim."""
+"""Program that is installed without the packages needed only for videos, detection and OpenSim."""
 PROGRAMS = "aniposelib", "pose2sim"
 
 Result = tuple[np.ndarray, float, str]
-"""Positions (T, J, 3), processor time in seconds, and recon's verdict."""
+"""Positions (T, J, 3), metres, processor time in seconds, and recon's verdict."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def works(python: Path) -> bool:
 
 
 def outside() -> dict[str, str]:
-    """Return an environment in which Python finds nothing of the project."""
+    """Return environment variables with which Python does not find the project."""
     return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 

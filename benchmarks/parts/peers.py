@@ -10,12 +10,12 @@ recon fits as `recon fit` does, with the built-in skeleton and without the keypo
 (`--set detector=none`).
 
 The truth is a trajectory estimate of a skeleton from all cameras. This favours programs that have a skeleton, and the
-joints are inside the body, where a detector's keypoint need not be. "Without offsets" is the MPJPE after each joint's
-mean offset over the run was subtracted, in a frame that turns with the trunk; "median" is that of all joints' centred
-errors, which a few gross errors do not change. "Delivered" is the share of the truth's joints with a position; errors
-are over these. Two cameras are the named one and the one from the most different direction. Times are of the processor,
-with all checks for recon, and without files, compilation and the search of subsets for the others. The script runs in
-one thread.
+joints are inside the body, where a detector's keypoints need not be. "without offsets" is the MPJPE after each joint's
+mean offset over the run is subtracted, in a frame that turns with the trunk. "median" is the median of all joints'
+centred errors, which a few gross errors do not change. "delivered" is the fraction of the truth's joints that have a
+position; errors are over these joints. "two" cameras are the named camera and the camera with the most different
+direction. Times are processor times, with all checks for recon, and without files, compilation and the search of
+subsets for the others. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ HIDDEN, WITHOUT_LIMB = "a fore leg hidden for 15 frames", ("knee", "ankle", "paw
 
 MEASURES = (
     *("MPE, mm", "MPJPE, mm", "PA-MPJPE, mm", "without offsets, mm", "median, mm"),
-    *("delivered, %", "verdict use", "ms a frame"),
+    *("delivered, %", "verdict use", "ms per frame"),
 )
-"""Columns of numbers; in the last table each has those of recon, aniposelib and Pose2Sim."""
+"""Columns of numbers; in the last table, each cell has those of recon, aniposelib and Pose2Sim."""
 
 Change = Callable[[Sequence[View]], list[View]]
 
@@ -113,7 +113,7 @@ def late(views: Sequence[View]) -> list[View]:
 
 
 def turned(views: Sequence[View]) -> list[View]:
-    """Turn the second camera about the vertical of its picture."""
+    """Turn the second camera about the vertical axis of its picture."""
     turn = np.array([0.0, np.radians(TURN_DEG), 0.0, 0.0, 0.0, 0.0])
     return [views[0], views[1].corrected(turn), *views[2:]]
 
@@ -167,7 +167,7 @@ def without_offsets(errors_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 
 def scored(points_m: np.ndarray, truth_m: np.ndarray) -> list[float]:
-    """Return MPE, MPJPE, PA-MPJPE, MPJPE without offsets, the median distance, in mm, and the share of joints given."""
+    """Return MPE, MPJPE, PA-MPJPE, MPJPE without offsets, the median, all in mm, and the fraction of joints given."""
     is_true = np.isfinite(truth_m[..., 0])
     centred_m = aligned(points_m, truth_m)
     offsets_removed = without_offsets(centred_m - truth_m, truth_m)
@@ -183,7 +183,7 @@ def scored(points_m: np.ndarray, truth_m: np.ndarray) -> list[float]:
 
 
 def hidden_error_mm(points_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
-    """Return the centred error of the joints that the case hides, in mm, and the share of them with a position."""
+    """Return the centred error of the joints that the case hides, mm, and the fraction of them with a position."""
     rows, joints = hidden_part(len(truth_m))
     error_m = joint_errors(aligned(points_m, truth_m), truth_m)[rows, joints]
     return 1000 * float(np.nanmean(error_m)), float(np.isfinite(error_m).mean())
@@ -217,7 +217,7 @@ def main() -> None:
     runs = runs_or_exit(parser, options.folder.resolve())[: 1 if options.quick else None]
     python = peer_python()
     if python is None:
-        print(f"aniposelib and Pose2Sim could not be installed into {ENVIRONMENT}: nothing was compared.")
+        print(f"aniposelib and Pose2Sim could not be installed into {ENVIRONMENT}, so nothing was compared.")
         return
     warnings.simplefilter("ignore", RuntimeWarning)  # means of joints that a program never delivers
     jobs = [(count, case, run) for count in options.cameras for case in options.cases for run in map(run_of, runs)]

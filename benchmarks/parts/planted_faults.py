@@ -64,7 +64,7 @@ def row(clip: SyntheticClip, seed: int) -> list[str]:
 
 
 def detections(clip: SyntheticClip, rng: np.random.Generator) -> tuple[Keypoints, Keypoints, set[tuple[int, int]]]:
-    """Return a clip's detections with noise, the same with faults too, and the cells of the faults."""
+    """Return a clip's detections with noise, the same detections with faults, and the cells of the faults."""
     exact = clip.keypoints
     noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
     xy_px, faults = noisy.xy_px.copy(), dict(planted(noisy, rng))
@@ -74,7 +74,7 @@ def detections(clip: SyntheticClip, rng: np.random.Generator) -> tuple[Keypoints
 
 
 def planted(keypoints: Keypoints, rng: np.random.Generator) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Yield the cells of faults, each once, and the positions of their detections."""
+    """Yield the cell of each fault, and the position of its wrong detection."""
     taken: set[tuple[int, int]] = set()
     free = {(int(t), int(k)) for t, k in np.argwhere(keypoints.present)}
     T, K = keypoints.present.shape
@@ -100,7 +100,7 @@ def displacement_px(rng: np.random.Generator, least_px: float) -> Array:
 
 
 class Fits:
-    """Fits of a clip's detections, which are compared with its truth."""
+    """Fits of a clip's detections, with their errors relative to the truth."""
 
     def __init__(self, folder: Path, clip: SyntheticClip) -> None:
         self.folder, self.clip, self.camera = folder, clip, folder / "camera.toml"

@@ -5,8 +5,8 @@
 The sample `whole.csv` is fitted with two corrections by hand, with one and two threads, and with the matrix kernels
 (OpenBLAS) of other processors, each in a separate process. The tables must be identical byte for byte. The digest is
 the beginning of the SHA-256 of all tables, by which two machines with the same version of recon can be compared. The
-table also has the largest difference of a joint's position in motion.npz. There is no fit for a kernel that this
-machine cannot run.
+table also has the largest difference of a joint's position in motion.npz. Kernels that this machine cannot run are
+skipped.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
 
 
 def row(name: str, folder: Path | None, first: Path) -> list[str]:
-    """Return how the tables of a fit differ from those of the first."""
+    """Return the row that compares the tables of a fit with those of the first fit."""
     if folder is None:
         return [name, "no fit", "", ""]
     tables = sorted(first.glob("*.csv"))
@@ -65,7 +65,7 @@ def main() -> None:
         }
         first = next(folder for folder in folders.values() if folder is not None)
         rows = [row(name, folder, first) for name, folder in folders.items()]
-        print_table(["fit with", "tables as of the first", "digest", "joints off, m"], rows)
+        print_table(["fit with", "tables equal to the first", "digest", "difference of joints, m"], rows)
 
 
 if __name__ == "__main__":

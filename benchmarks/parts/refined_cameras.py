@@ -1,10 +1,10 @@
-"""Refine the poses of displaced cameras: `--set refine-cameras=true`, in fits and calibrations.
+"""Refine the poses of displaced cameras (`--set refine-cameras=true`), in fits and calibrations.
 
     python benchmarks/parts/refined_cameras.py [FOLDER]
 
 Each run is a folder as in `cheetah_runs.py`, used with all cameras. All but the first camera, the named one, are turned
-by 2 degrees about a random axis, and moved by 5 cm in a random direction. The result is compared with the refined
-result from the original poses, since these are not exact either. Errors are over all 24 joints. The first table
+by 2 degrees about a random axis, and moved by 5 cm in a random direction. The result is compared with that of refining
+the original poses, because these are not exact either. Errors are over all 24 joints. The first table
 compares all runs of one camera file together with each run alone; the keypoint bias is measured in the other runs. The
 second table has means over the runs, each alone, with other detections: the truth's projections, without and with white
 noise of the size of the detector's deviations. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of
@@ -50,7 +50,7 @@ def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
 
 
 def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
-    """Return the differences (V - 1, 2) between the poses of all cameras but the first: degrees and metres."""
+    """Return the differences (V - 1, 2), in degrees and metres, between the poses of all cameras but the first."""
     found = []
     for a, b in zip(views[1:], others[1:], strict=True):
         turn = Rotation.from_matrix(a.T_camera_world[:3, :3] @ b.T_camera_world[:3, :3].T).magnitude()
@@ -87,15 +87,15 @@ def rows(run: Run) -> Iterator[dict]:
             "MPJPE mm": errors(run, found)["mpjpe_mm"],
             "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
             "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
-            "off / stated": off_in_sigmas(found.views, views, found.extrinsic_correction_sigma),
+            "error / stated": off_in_sigmas(found.views, views, found.extrinsic_correction_sigma),
         }
 
 
 def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body]) -> dict:
     """Refine a rig with all its clips, from the original and from displaced poses.
 
-    Returns, by column, differences between poses in degrees and metres, as means over the draws, and the errors of the
-    displaced cameras in stated standard deviations.
+    Returns the cells of a row: differences between poses in degrees and metres, as means over the draws, and the errors
+    of the displaced cameras in stated standard deviations.
     """
     own = views[0]
 
@@ -115,7 +115,7 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
         row[f"from {poses}: median"] = np.median(far, axis=1).mean(axis=0)
         row[f"from {poses}: worst"] = far.max(axis=1).mean(axis=0)
     row["stated, median"] = np.median(sigma[1:].reshape(-1, 2, 3), axis=(0, 2)) * [180 / np.pi, 1]
-    return row | {"off / stated": np.sqrt(np.mean([off_in_sigmas(at, own, stated) ** 2 for at, stated in found]))}
+    return row | {"error / stated": np.sqrt(np.mean([off_in_sigmas(at, own, stated) ** 2 for at, stated in found]))}
 
 
 def detected_row(clips: Sequence[Run], runs: Sequence[Run]) -> dict:

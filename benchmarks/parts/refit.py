@@ -3,8 +3,9 @@
     python benchmarks/parts/refit.py [FRAMES ...]
 
 A simulated run around one camera (`long_clips.py`) is fitted, one detection is moved by 40 px, and `refit_clip` fits
-again as `recon fix` does after each click. The second value is the processor time, which other programs on the machine
-do not lengthen. Difference: mean distance of the joints from those of a fit from scratch with the same correction.
+again as `recon fix` does after each click. The second value is the processor time, which does not depend on other
+programs on the machine. "difference" is the mean distance of the joints from those of a fit from scratch with the same
+correction.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ MOVED_PX = 40.0
 
 
 def settings_of(folder: Path, frames: int) -> FitSettings:
-    """Write a run's keypoints and camera, and return the settings of its fit."""
+    """Write the keypoints and the camera of a simulated run, and return the settings of its fit."""
     written(folder, f"{frames}x1")
     return FitSettings(keypoints=(folder / "run_cam0.csv",), camera=(folder / "cameras.toml",), fps=FPS)
 

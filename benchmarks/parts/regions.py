@@ -5,9 +5,10 @@
 The fits are those of all views of the runs in `cameras.py`, each alone, with known lengths and the keypoint bias
 measured in the other runs. The degrees of freedom of Student's t are fitted by maximum likelihood, with a view's mean
 over its joints as one error of the pose and one of the position. Each run is tested with the value of the other runs.
-Then errors are drawn as stated, for whole clips with everything their frames share, and with one scale per clip: the
-coverage of the worst of as many views, and the size of the errors, if they are as large as stated. Finally,
-positions are corrected for the expected bias of the joint minimum (`simulated_coverage.py`).
+Then errors are drawn from the stated covariances, for whole clips with all correlations between their frames, and with
+one scale per clip. They show the coverage of the worst of as many views, and the size of the errors, if the stated
+covariances are right. Finally, positions are corrected for the expected bias of the joint minimum
+(`simulated_coverage.py`).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from recon.fit.segment import SegmentFit
 from recon.fit.trajectory import solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
-"""Degrees of freedom to compare; the last are practically a Gaussian's."""
+"""Degrees of freedom to compare; the last value is practically a Gaussian."""
 KINDS, LEVELS = ("pose", "place"), (0.9, 0.5)
 DRAWS = 400
 WORST = 0.6
@@ -52,7 +53,7 @@ class Fit:
     mm: dict[str, float]
     """Mean errors in mm, by each of `KINDS`."""
     named: bool
-    """Whether the only camera is the one that the run's meta.json names."""
+    """Whether the only camera is the camera that the run's meta.json names."""
 
 
 def fits(runs: Sequence[Run]) -> list[Fit]:
@@ -80,7 +81,7 @@ def _mm(error_m: np.ndarray) -> np.ndarray:
 
 
 def likelihood(off: np.ndarray) -> np.ndarray:
-    """Return, for each of `NUMBERS`, the mean log density of errors in three dimensions relative to a Gaussian's."""
+    """Return the mean log density of 3D errors relative to that of a Gaussian, for each of `NUMBERS`."""
     nu, k = np.array(NUMBERS)[:, None], 3
     scale = gammaln((nu + k) / 2) - gammaln(nu / 2) - k / 2 * np.log(nu - 2)
     found = (scale - (nu + k) / 2 * np.log1p(off**2 / (nu - 2))).mean(axis=1)
@@ -88,7 +89,7 @@ def likelihood(off: np.ndarray) -> np.ndarray:
 
 
 def inside(some: Sequence[Fit], what: str, nu: float) -> str:
-    """Return the fractions inside regions of 90 and 50 %, means over clips."""
+    """Return the fractions inside 90 % and 50 % regions, as means over the clips, in text."""
     return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
 
 
@@ -123,9 +124,9 @@ def heaviness(found: Sequence[Fit]) -> None:
 def drawn(
     setting: ClipProblem, solved: SegmentFit, rng: np.random.Generator
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Draw joints' errors as stated.
+    """Draw the joints' errors from the stated covariances.
 
-    Returns (DRAWS, n) errors of pose and position in standard deviations, and (DRAWS,) mean errors in mm.
+    Returns errors (DRAWS, n) of pose and position in standard deviations, and mean errors (DRAWS,) in mm.
     """
     problem, states = solved.problem, solved.estimate.states
     problem = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
@@ -189,7 +190,7 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
 
 
 def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
-    """Print the sizes (V, DRAWS) of errors over all views if they are as large as stated, and the real ones."""
+    """Print the sizes of errors drawn as stated, (V, DRAWS) in mm, next to the real errors of the views."""
     named = [view.named for view in views]
     rows = []
     for what in KINDS:
@@ -199,7 +200,7 @@ def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
             between = [f" ({low:.0f} to {high:.0f})" for low, high in (np.quantile(of, (0.05, 0.95)) for of in each)]
             cells = [f"{of.mean():.0f}{b if len(of) > 1 else ''}" for of, b in zip(each, between, strict=True)]
             rows.append([f"{what}, {label}", *cells])
-    print("\nErrors as large as stated, mm, mean (90 % of the draws), and the real ones\n")
+    print("\nErrors drawn as stated, mm, mean (90 % of the draws), and the real errors\n")
     print_table(["", "median view", "mean of the views", "worst view", "named views"], rows)
 
 

@@ -1,4 +1,4 @@
-"""Retarget real runs and the samples to the built-in robots: scale, slip, limits, and how strides close.
+"""Retarget real runs and the samples to the built-in robots, and measure scale, slip, limits and closure of strides.
 
     python benchmarks/parts/retarget.py [FOLDER] [--robot a1 --robot aibo] [--picture OUT.rrd]
 

@@ -3,14 +3,16 @@
     python benchmarks/parts/rigs.py [--animals mouse-top dog-27 human-25] [--seeds 4] [--cameras 4 1] [--refine]
 
 Each clip draws lengths that differ from the skeleton's by 0, 10, 20 or 30 % (standard deviation; independent, left and
-right equal); a constant keypoint bias of half the skeleton's keypoint_sigma_m along each axis; and a motion in which
-every angle swings about its expected value and the animal follows a bent path at two thirds of its length per second.
-The cameras are five lengths away, around the animal. Detections have 2 px of noise, and one in twenty is missing. Fits
-use independent angles. 90 %: the fraction of coordinates within the stated 90 % intervals, for positions and poses;
-MPJPE and MPE. --refine: results of four refined cameras with the skeleton's lengths: from the true poses; with all but
-the first turned by 2 degrees; with one turned by 15 degrees; and with one that has the pose of another. The table has
-the MPE as given and refined, and whether the refined cameras are accepted, or the code of the finding. The script runs
-in one thread.
+right equal), and a constant keypoint bias of half the skeleton's keypoint_sigma_m along each axis. In its motion, every
+angle swings about its expected value, and the animal follows a curved path at two thirds of its length per second. The
+cameras stand around the animal, at five times its length. Detections have 2 px of noise, and one in twenty is missing.
+Fits use independent angles. The table has MPJPE, MPE, and the fraction of coordinates within the stated 90 % intervals,
+for positions and poses.
+
+--refine prints results of four refined cameras with the skeleton's lengths: from the true poses, with all but the first
+turned by 2 degrees, with one turned by 15 degrees, and with one that has the pose of another. The table has the MPE as
+given and refined, and whether the refined cameras are accepted, or the code of the finding. The script runs in one
+thread.
 """
 
 from __future__ import annotations

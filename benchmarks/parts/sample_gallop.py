@@ -1,4 +1,4 @@
-"""Test the frame method on the project's own gallop, with exact truth: clean at three headings, noisy, five seeds.
+"""Test the frame method on the project's gallop with exact truth, clean at three headings and noisy with five seeds.
 
 python benchmarks/parts/sample_gallop.py
 """
@@ -24,7 +24,7 @@ DEFAULT = FrameOptions()
 
 
 def fit(clip: SyntheticClip, keypoints, options: FrameOptions, outliers: np.ndarray | None = None) -> list[str]:
-    """Return the cells of a row: converged frames, worst and mean reprojection, MPJPE, its worst frame, MPE etc."""
+    """Return the cells of a row: converged frames, worst and mean reprojection, MPJPE, its worst frame and more."""
     columns = [keypoints.names.index(name) for name in SKELETON.body.keypoint_names(clip.side)]
     xy, confidence = keypoints.xy_px[:, columns], keypoints.confidence[:, columns]
     fps = clip.keypoints.fps or 30.0
@@ -54,7 +54,7 @@ def fit(clip: SyntheticClip, keypoints, options: FrameOptions, outliers: np.ndar
 
 def main() -> None:
     print("| clip | settings | converged | worst frame px | mean px | MPJPE mm | worst frame mm | MPE mm "
-          "| outliers > 20 px named | ms a frame |")  # fmt: skip
+          "| outliers > 20 px named | ms per frame |")  # fmt: skip
     print("|" + " --- |" * 10)
     for heading in (0.0, 0.35, 0.6):
         clip = gallop(heading_rad=heading)

@@ -1,11 +1,12 @@
-"""Measure the processor time of short work: a fit of 40 frames and its parts, help texts, and a clip of a batch.
+"""Measure the processor time of short tasks: a fit of 40 frames and its parts, help texts, and a clip of a batch.
 
     python benchmarks/parts/short.py [--runs 5] [--clips 20]
 
-Each command is timed as a whole process; the best of RUNS runs counts, because other load only adds time. The imports
-of a fit are a process that only imports the modules that the fit without a playback imports. The playback is what the
-fit takes in addition with it, including the import of rerun. A clip of a batch is the mean over CLIPS perturbed
-copies of a sample (60 frames), which one process fits one after the other, after a first one that does not count.
+Each command is timed as a whole process, and the fastest of RUNS runs counts, because other load only adds time. The
+time of a fit's imports is that of a process that only imports the modules of the fit without a playback. The time of
+the playback is the additional time of the fit with a playback, including the import of rerun. The time of a clip of a
+batch is the mean over CLIPS perturbed copies of a sample (60 frames), which one process fits one after the other, after
+a first clip that is not timed.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ collect_rarely()
 for name in {}:
     try:
         import_module(name)
-    except ImportError:  # what a library only looks for
+    except ImportError:  # optional modules that a library looks for
         pass
 """
 """Program that imports modules as the command line does."""
@@ -42,7 +43,7 @@ WITHOUT_PLAYBACK = (*FIT_40, "--set", "playback=false")
 
 
 def used_s(command: list[str], folder: str, runs: int) -> float:
-    """Return the smallest processor time of a command over some runs, after one that does not count."""
+    """Return the smallest processor time of a command, seconds, over some runs after a first that is not timed."""
     return min([seconds(command, folder)[1] for _ in range(runs + 1)][1:])
 
 
@@ -59,7 +60,7 @@ def modules_of(command: list[str], folder: str) -> list[str]:
 
 
 def clip_s(clips: int) -> float:
-    """Return the processor time of a clip in a process that fits many."""
+    """Return the processor time per clip, seconds, in a process that fits many clips."""
     with tempfile.TemporaryDirectory() as temporary:
         folder, out = Path(temporary) / "clips", Path(temporary) / "out"
         out.mkdir()
@@ -89,7 +90,7 @@ def rows(options: argparse.Namespace, folder: str) -> list[list[str]]:
         "`recon fit`, 40 frames": whole_s,
         "of which imports": imports_s,
         "of which the playback": whole_s - plain_s,
-        "of which all else": plain_s - imports_s,
+        "of which everything else": plain_s - imports_s,
         **dict(zip([*used][3:], help_s, strict=True)),
         "a clip of a batch, 60 frames": clip_s(options.clips),
     }
@@ -102,7 +103,7 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=20)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        print_table(["work", "s of the processor"], rows(options, folder))
+        print_table(["work", "processor s"], rows(options, folder))
 
 
 if __name__ == "__main__":

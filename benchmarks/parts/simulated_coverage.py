@@ -5,21 +5,27 @@
     python benchmarks/parts/simulated_coverage.py --recorded dog|cheetah [--clips 200] [--noise-s 0.16]
 
 Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted.
-Angles: the product of the Gaussians of the pose prior and the motion prior, widened so that `ERROR_TIME_S` of the clip
-carries the information that the stated uncertainty assumes. Path: straight, at 6 to 14 m/s, in all directions. Camera:
-40 to 100 degrees wide; the animal is 3 to 12 m away and up to 1.5 m below. Detections: noise with a correlation time,
-keypoint bias, the camera's time offset, 5 % of gross outliers, and randomly missing points. If the uncertainty is
-right, the truth is in the 50 and 90 % regions as often as they state, and its rank in the distribution of the distance
-is uniform (Kolmogorov-Smirnov, p > 0.05).
 
---recorded: the motions are those of real animals, turned about the vertical, and everything else is drawn. The
+- angles: from the product of the Gaussians of the pose prior and the motion prior, widened so that `ERROR_TIME_S` of
+  the clip carries the information that the stated uncertainty assumes
+- path: straight, at 6 to 14 m/s, in all directions
+- camera: 40 to 100 degrees wide; the animal is 3 to 12 m away and up to 1.5 m below
+- detections: noise with a correlation time, keypoint bias, the camera's time offset, 5 % of gross outliers, and
+randomly
+  missing points
+
+If the uncertainty is right, the 50 and 90 % regions contain the truth in 50 and 90 % of the cases, and the rank of the
+true distance in its distribution is uniform (Kolmogorov-Smirnov, p > 0.05).
+
+With --recorded, the motions are those of real animals, turned about the vertical, and everything else is drawn. The
 recordings are the motion capture of `dog.py`, without a learned prior, or the runs of `cameras.py`.
 
-The solution is the joint maximum of motion and distance. At smaller distances the same pixels need smaller angles,
+The solution is the joint maximum of motion and distance. At smaller distances, the same pixels need smaller angles,
 which the prior prefers, although fewer motions fit. The marginal distribution of the distance accounts for this by the
-determinant of the normal equations. "mode": the expected shift of the distance from this effect, and ranks without it.
-A motion drawn as widely as the uncertainty assumes (0.16 s) has four times the misfit of real motions, whose misfit
-needs --motion-s 0.04. The noise of real detections lasts for some frames: --noise-s 0.035.
+determinant of the normal equations. The column "mode" has the expected shift of the distance from this effect; ranks
+are also given without the shift. A motion drawn as widely as the uncertainty assumes (0.16 s) has four times the misfit
+of real motions, whose misfit needs --motion-s 0.04. The noise of real detections lasts for some frames, as with
+--noise-s 0.035.
 """
 
 from __future__ import annotations
@@ -62,7 +68,7 @@ FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
 END_ON_DEG = 30.0
 STEP = 0.02
-"""Step of the logarithm of the distance."""
+"""Step of a numerical derivative with respect to the logarithm of the distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +79,9 @@ class Motion:
     prior: MotionPrior
     fps: float
     points_m: np.ndarray
-    """Positions (n, J, 3) of the body's markers at nominal size, relative to the middle of the path."""
+    """Positions (n, J, 3) of the body's markers at nominal size, relative to the middle of the path, metres."""
     marked_m: np.ndarray
-    """Positions (n, J, 3) of the points that the detector marks."""
+    """Positions (n, J, 3) of the points that the detector marks, metres."""
 
 
 @cache
@@ -222,9 +228,9 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
 def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
     """Return the expected excess of the log distance at the joint maximum over its own distribution.
 
-    This distribution has the density exp(-cost / l) / sqrt(det H). The other unknowns follow the distance, H is their
-    normal matrix, and l the usual squared misfit of a prior that fits. Its maximum differs from that of the cost by the
-    slope times a variance.
+    This distribution has the density exp(-cost / l) / sqrt(det H). The other unknowns are optimal for each distance, H
+    is their normal matrix, and l is the usual squared misfit of a prior that fits. The maximum of the density differs
+    from the minimum of the cost by the slope of the log determinant times a variance.
     """
     problem, states = solved.problem, solved.estimate.states
 

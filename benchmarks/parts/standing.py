@@ -1,10 +1,10 @@
-"""Test animals that stand, step or turn on the spot: nothing is wrong with these clips of a dog.
+"""Test the verdict on correct clips of a dog that stands, steps or turns on the spot.
 
     python benchmarks/parts/standing.py [FOLDER]
 
 Parts of 100 frames of three clips of the dog-mocap of $RECON_SHARED_DATA, or of ../shared/data, are seen from the side
-as in `dog.py`, with the keypoint bias that the skeleton states, and are fitted as `recon fit` does it. A speed is the
-mean speed of the joints' middle.
+as in `dog.py`, with the keypoint bias that the skeleton states, and are fitted like `recon fit`. The speed is the mean
+speed of the centre of all joints.
 """
 
 from __future__ import annotations

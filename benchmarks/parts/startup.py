@@ -1,9 +1,9 @@
-"""Time commands as whole processes, compared with Python with only the imports that each command needs.
+"""Compare the time of whole commands with that of a Python process that only imports what each command needs.
 
     python benchmarks/parts/startup.py [RUNS]
 
-The two take turns, RUNS times (15 by default), after a first pair that does not count. The ratios are those of a pair,
-so that other load on the machine slows both down.
+The two take turns, RUNS times (15 by default), after a first pair that is not timed. The ratio is taken within each
+pair, so that other load on the machine slows both down.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
 def compared(
     arguments: Sequence[str], imports: str, runs: int, folder: str
 ) -> tuple[float, float, float, float, float]:
-    """Return medians over pairs.
+    """Time pairs of processes, and return medians over the pairs.
 
-    They are the wall-clock and processor seconds of `recon ARGUMENTS`, the wall-clock seconds of Python with the
-    imports, and the ratios of a pair's wall-clock and processor times.
+    The medians are those of the wall-clock and processor seconds of `recon ARGUMENTS`, the wall-clock seconds of Python
+    with the imports, and the ratios of wall-clock and of processor times.
     """
     pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
     taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]
@@ -67,7 +67,7 @@ def compared(
 
 def main() -> None:
     runs = int(sys.argv[1]) if sys.argv[1:] else 15
-    print_header(["command", "s", "of the processor", "beside", "s", "ratio", "of the processor", "at most"])
+    print_header(["command", "s", "processor s", "compared with", "s", "ratio", "processor ratio", "at most"])
     with tempfile.TemporaryDirectory() as folder:
         for name, arguments, imports, limit in COMMANDS:
             ours_s, ours_cpu_s, theirs_s, ratio, cpu_ratio = compared(arguments, imports, runs, folder)

@@ -1,10 +1,10 @@
-"""Compare the errors that a fit states with its true errors: one camera, every view of real runs.
+"""Compare the errors that a fit of one camera states with its true errors, for every view of real runs.
 
     python benchmarks/parts/stated_errors.py [FOLDER] [--quick] [--set path=free ...]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
-meta.json. Every view is fitted like `recon fit` without further options, so the animal's size is not known. --quick:
-only the camera that meta.json names.
+meta.json. Every view is fitted like `recon fit` without further options, so the animal's size is not known. --quick
+uses only the camera that meta.json names.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.fit.result import ExpectedError
 
 HEADER = (
-    *("run", "camera", "verdict", "pose off by, mm", "stated", "at least", "at most"),
-    *("position off by, m", "stated", "at least", "at most"),
+    *("run", "camera", "verdict", "pose error, mm", "stated", "at least", "at most"),
+    *("position error, m", "stated", "at least", "at most"),
 )
 
 

@@ -1,16 +1,16 @@
-"""Test stride quantities with their intervals: on force plates, and with an asymmetry planted in a dog's mocap.
+"""Test stride quantities and their intervals on force plates, and with an asymmetry planted in a dog's motion capture.
 
     python benchmarks/parts/strides.py [FOLDER] [--quick] [--only plates|asymmetry] [--fits FOLDER]
 
-Plates: single views of the two plate trials. No foot completes a stride there, so the period of the motion is used. The
-plates give the duration of stances; the multi-camera reconstruction gives speed and period.
+The plates test single views of the two plate trials. No foot completes a stride there, so the period of the motion is
+used. The plates give the duration of stances; the multi-camera reconstruction gives speed and period.
 
-Asymmetry: in the dog's walks and runs, the deviations of the left limbs' angles from their means are increased by 0, 2,
-5 and 10 %. One camera from the side sees the changed animal, and the same animal with left and right exchanged. The
-true asymmetry is that of the changed markers, which includes the dog's own asymmetry: one that is found at 0 % may be
-real. A false result: the 90 % interval excludes 0, but the markers have the other sign, or do not exclude 0 themselves
-by the scatter of their strides. FOLDER: a folder of the kind of the dog-mocap. --fits keeps the fits in a folder, and
-uses those that it already has.
+For the asymmetry, the deviations of the left limbs' angles from their means are increased by 0, 2, 5 and 10 % in the
+dog's walks and runs. One camera from the side sees the changed animal, and the same animal with left and right
+exchanged. The true asymmetry is that of the changed markers. It includes the dog's own asymmetry, so an asymmetry that
+is found at 0 % may be real. A result is false if the 90 % interval excludes 0, but the markers have the other sign, or
+do not exclude 0 themselves given the scatter of their strides. FOLDER is a folder like the dog-mocap. --fits keeps the
+fits in a folder, and reuses those that the folder already has.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ CHECKED = {
     "stride_frequency_hz": "stride frequency, Hz",
     "duty_factor": "duty factor",
 }
-"""Heading of each quantity that is compared with the plates."""
+"""Quantities that are compared with the plates, with their headings."""
 
 
 def plate_rows() -> list[dict]:
-    """Return each view's stride length, frequency and duty factor, with those from the plates and all cameras."""
+    """Return each view's stride length, frequency and duty factor, next to those from the plates and all cameras."""
     rows = []
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -80,7 +80,7 @@ def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
 
 
 def fit_changed(seen: Clip, seed: int, kept: Path) -> Motion:
-    """Return the fit of one camera's view, from a folder if it is already there."""
+    """Return the fit of one camera's view, loaded from a folder if the folder has it."""
     if (kept / "motion.npz").is_file():
         return Motion.load(kept)
     with tempfile.TemporaryDirectory() as folder:
@@ -114,7 +114,7 @@ def asymmetry_rows(clips: list[Clip], levels: tuple[float, ...], fits: Path) -> 
 
 
 def asymmetry_table(rows: list[dict]) -> list[dict]:
-    """Return, by kind and level, how often asymmetries are refused and found, and how often intervals are wrong."""
+    """Return how often asymmetries are refused and found, and how often intervals are wrong, by kind and level."""
     table = []
     for kind in ("stance", "excursion"):
         for level in sorted({row["level"] for row in rows}):

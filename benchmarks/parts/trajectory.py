@@ -53,7 +53,7 @@ from recon.testing.gallop import gallop
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
 VISIBLE = 0.8
-"""Smallest fraction of the truth inside the picture of the views among which the worst is sought."""
+"""Smallest fraction of the truth inside the picture for a view to count as a candidate for the worst view."""
 HOLE = 10
 GROUPS = {
     "head": ("nose", "l_eye", "r_eye"),
@@ -71,17 +71,17 @@ Rows = list[dict]
 
 @dataclass(frozen=True)
 class Job:
-    """One view and how it is fitted."""
+    """One view, with the settings of its fit."""
 
     run: Path
     camera: int
     subject: bool = True
     """Whether the lengths are the animal's own."""
     scale: float = 1.0
-    """Factor on all lengths."""
+    """Factor by which all lengths are scaled."""
     prior: str = PRIOR
     options: dict = field(default_factory=dict)
-    """Options of the fit and constants by name."""
+    """Options of the fit, and constants of the solver, by name."""
     change: str = "nothing"
     """Key of `CHANGES`, or "projected" for the truth's projections as detections."""
 
@@ -92,21 +92,21 @@ class Fit:
 
     job: Job
     centred_m: np.ndarray
-    """Errors (T, J) with both poses centred."""
+    """Errors (T, J) with both poses centred, metres."""
     off_m: np.ndarray
-    """Errors (T, J) in the camera's frame."""
+    """Errors (T, J) in the camera's frame, metres."""
     inside_relative: np.ndarray
     """1.0 (T, J) where the centred truth is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     inside_place: np.ndarray
     """1.0 (T, J) where the truth in the camera's frame is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     sigma_m: np.ndarray
-    """Relative standard deviation (T,), RMS over the joints."""
+    """Standard deviation (T,) of the joints within the pose, metres, RMS over the joints."""
     too_far_m: float
-    """Mean distance of the animal's middle from the camera minus the true one."""
+    """Mean distance of the animal's middle from the camera minus the true distance, metres."""
     visible: float
     """Fraction of the truth in the picture."""
     reference_px: float
-    """Median distance of the truth's projections from the detections."""
+    """Median distance of the truth's projections from the detections, pixels."""
     flags: tuple[tuple[str, ...], ...]
     status: str
     size: float
@@ -146,14 +146,14 @@ def prior_of(name: str) -> MotionPrior:
 
 @cache
 def truth_of(run: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return frame numbers (T,), and the truth (T, J, 3) in the world, in the order of the body's markers."""
+    """Return frame numbers (T,), and the true positions (T, J, 3) of the body's markers in the world, metres."""
     truth = read_pose3d(run / "truth.csv")
     return truth.frames, truth.xyz_m[:, [truth.names.index(m) for m in body_of().markers]]
 
 
 @cache
 def view_of(run: Path, camera: int) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
-    """Return camera, detections (T, J, 2), confidence (T, J) and truth (T, J, 3) in the camera frame, NaN if none."""
+    """Return camera, detections (T, J, 2), confidence (T, J) and truth (T, J, 3), camera frame, NaN if unknown."""
     keypoints, _ = clean(replace(read_keypoints(run / f"cam{camera}.csv"), fps=meta_of(run)["fps"]), 0.5)
     keypoints, scene = arrange(keypoints, body_of().markers), run / "scene.json"
     lens = read_camera(scene, f"cam{camera}") if scene.is_file() else read_camera(run / f"cam{camera}.toml")
@@ -245,7 +245,7 @@ def _distance_m(points_m: np.ndarray) -> np.ndarray:
 
 
 def _in_camera(solution: TrajectorySolution, covariance_m2: np.ndarray) -> np.ndarray:
-    """Return covariances (T, J, 3, 3) of the world frame in the camera frame."""
+    """Rotate covariances (T, J, 3, 3) from the world frame to the camera frame."""
     R = solution.views[0].rotation
     return R @ covariance_m2 @ R.T
 
@@ -282,7 +282,7 @@ def without_2019(found: Sequence[Fit]) -> list[Fit]:
 
 
 def summary(label: str, found: Sequence[Fit]) -> dict:
-    """Return the figures of one way to fit, for all views or for the named ones only."""
+    """Return the summary row of one way to fit, over all views or only the named views."""
     named = [f for f in found if f.named]
     row = {
         "method": label,
@@ -337,7 +337,7 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
-    """Return the figures of the frame method with the published settings, for the named views."""
+    """Return the summary row of the frame method with the published settings, for the named views."""
     frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
     return {
         "method": "frame, nine joints, published ratios",
@@ -349,7 +349,7 @@ def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
 
 
 def _published_methods(runs: Sequence[Path], metas: Sequence[dict]) -> Iterator[dict]:
-    """Yield the figures that were published for the named views, by method."""
+    """Yield the summary rows of the published methods, for the named views."""
     for name in metas[0].get("published", {}):
         published = [meta["published"][name] for meta in metas]
         earlier = [p for p, run in zip(published, runs, strict=True) if not run.name.startswith("2019")]
@@ -420,11 +420,14 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
                 "mpjpe_mm outside": float(np.nanmean(centred_mm[~hole])),
             }
         )
-    return {"uncertainty: share of the truth in the 90 % regions": rows, "uncertainty: a hole of ten frames": grown}
+    return {"uncertainty: fraction of the truth in the 90 % regions": rows, "uncertainty: a hole of ten frames": grown}
 
 
 def rates(runs: Sequence[Path]) -> dict[str, Rows]:
-    """Return errors of velocities and accelerations, and the standard deviations that `recon.gait.clip` states."""
+    """Return tables of the errors of velocities and accelerations, and of their standard deviations.
+
+    The standard deviations are those that `recon.gait.clip` states.
+    """
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
@@ -439,7 +442,7 @@ def rates(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def _rate_errors(job: Job) -> dict[str, np.ndarray]:
-    """Return, by part, rows of errors and standard deviations (all axes together): position, velocity, acceleration."""
+    """Return errors and standard deviations (all axes together) of position, velocity and acceleration, by part."""
     solution, truth_m = solution_of(job), view_of(job.run, job.camera)[3]
     time_s = np.arange(len(truth_m)) / meta_of(job.run)["fps"]
     found, middle = solution.joints_camera_m, solution.joints_camera_m.mean(axis=1, keepdims=True)
@@ -579,7 +582,7 @@ def times(runs: Sequence[Path]) -> dict[str, Rows]:
                 "method": label,
                 "median s": float(np.median(seconds)),
                 "worst s": float(seconds.max()),
-                "median ms a frame": 1000 * float(np.median(seconds / [len(f.flags) for f in found])),
+                "median ms per frame": 1000 * float(np.median(seconds / [len(f.flags) for f in found])),
                 "named mpjpe_mm": mean(f.mpjpe_mm for f in found if f.named),
             }
         )
@@ -590,8 +593,8 @@ def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np
     """Return views of an animal that runs in a circle, and its joints (T, J, 3), world frame.
 
     The circle has a radius of 6 m, 10 to 22 m away. Detections have 3 px of noise, and 5 % are missing. The animal
-    makes three strides per second along the prior's two widest directions. The second camera is equally far from the
-    middle, a quarter of the circle further.
+    makes three strides per second along the prior's two widest directions. The second camera is at the same distance
+    from the middle, a quarter of the circle further on.
     """
     body, prior, rng = body_of("phantom"), prior_of(PRIOR), np.random.default_rng(0)
     values, vectors = np.linalg.eigh(prior.covariance)
@@ -608,7 +611,7 @@ def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np
     joints_m = body.tree.pose(states).points_m
     views = []
     for turn in np.pi / 2 * np.arange(cameras):
-        # Turn the world about the circle's middle, at which the camera looks.
+        # Turn the world about the middle of the circle, at which the camera looks.
         about = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
         middle = np.array([0.0, 16.0, 0.0])
         pose = rigid(CAMERA_FROM_LEVEL, np.zeros(3)) @ rigid(about, middle - about @ middle)
@@ -637,7 +640,7 @@ def scaling_row(T: int, cameras: int) -> dict:
         "frames": T,
         "cameras": cameras,
         "seconds": seconds,
-        "ms a frame": 1000 * seconds / T,
+        "ms per frame": 1000 * seconds / T,
         "peak memory MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "before the fit MB": before,
         "mpjpe_mm": float(np.nanmean(errors_mm(solution, joints_m))),
@@ -650,7 +653,7 @@ def scaling_row(T: int, cameras: int) -> dict:
 def scaling() -> dict[str, Rows]:
     rows = []
     for cameras in (1, 2):
-        for T in (100, 1000, 10000):  # one process each, since the peak of memory is that of a process
+        for T in (100, 1000, 10000):  # one process each, because peak memory is measured per process
             with multiprocessing.get_context("spawn").Pool(1) as pool:
                 rows.append(pool.apply(scaling_row, (T, cameras)))
     return {"scaling: a simulated animal runs in circles": rows}

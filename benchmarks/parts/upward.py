@@ -1,12 +1,12 @@
-"""Estimate which way is up from the standing feet, and compare with the calibration, in real runs of several cameras.
+"""Estimate the upward direction from standing feet, and compare it with the calibration of several cameras.
 
     python benchmarks/parts/upward.py
 
 The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are used with all cameras of a run,
-and the cheetah-runs also with every pair. Off: the angle between the two directions, degrees. Stated: its standard
-deviation about the less certain axis, which has nearly all of the error. If the stated values are right, the median of
-off / stated is 0.67, and nine in ten ratios are below 1.64. Refused: the stated value is above 10 degrees, and the
-program does not turn the world. The script runs in one thread.
+and the cheetah-runs also with every pair. "error" is the angle between the two directions, degrees. "stated" is its
+standard deviation about the less certain axis, which has nearly all of the error. If the stated values are right, the
+median of error / stated is 0.67, and nine in ten ratios are below 1.64. A clip is "refused" if the stated value is
+above 10 degrees, and the program does not turn the world. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def main() -> None:
         "off, median",
         "off, worst",
         "stated, median",
-        "off / stated, median",
+        "error / stated, median",
         "90th percentile",
     )
     print_table(header, rows)

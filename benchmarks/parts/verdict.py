@@ -1,13 +1,14 @@
-"""Test the verdict's expected errors and levels on runs left out, and fit its constants.
+"""Fit the constants of the verdict, and test its expected errors and levels on runs that are left out.
 
     python benchmarks/parts/verdict.py [--jobs 2] [--csv TABLE.csv]
 
 The fits use the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, as `recon fit` does: every
 view alone, with the measured lengths of the animal if known; two cameras; all cameras; and every view with `WORSE`
 detections, which have a smaller weight (`WORSE_WEIGHT`). The constants of `recon.check.verdict` are fitted to all runs
-but one by least squares in logarithms, and tested on that run. The last row is for all runs, and is what the code uses.
-The effect of missing pixel information is fitted to the residuals, since unchanged clips have little of it; so is the
-spread. The code has a larger spread for full pixel information, for clips of 15 frames.
+but one by least squares in logarithms, and tested on that run. The last row is for all runs, and has the values that
+the code uses. The effect of missing pixel information and the spread are fitted to the residuals, because pixel
+information is hardly missing in unchanged clips. The code has a larger spread for full pixel information, because of
+clips of 15 frames.
 
 Wrong inputs that double an error, and the verdicts on them, are in `wrong_inputs.py` and `left_right_swaps.py`.
 """
@@ -43,7 +44,7 @@ from recon.check.verdict import Evidence, evidence_of
 WORSE_WEIGHT = 0.05
 """Weight of a view with worse detections relative to an unchanged view."""
 RIDGE = 1.0
-"""Strength of the ridge on powers, in standard scores."""
+"""Strength of the ridge penalty on the powers, in standard scores."""
 USE_BELOW_MM = 130
 """Error above which views should not be "use"."""
 NOT_ABOVE_MM = 90
@@ -92,7 +93,7 @@ WORSE = {
     "one side hidden": Case(hidden(lambda name: side_of(name) == "right")),
     "lower legs hidden": Case(hidden(lower_leg)),
 }
-"""Correct detections, but fewer of them or coarser."""
+"""Changes after which detections are still correct, but fewer or less precise."""
 
 
 def tasks() -> Iterator[tuple[Clip, str]]:
@@ -132,7 +133,7 @@ def evidence(of: pd.Series) -> Evidence:
 
 
 def fit(table: pd.DataFrame) -> dict[str, float]:
-    """Return the constants: "constant", and the powers by name, in logarithms of the error relative to the trunk."""
+    """Fit the constants: "constant", and the powers by name, in logarithms of the error relative to the trunk."""
     factors = pd.DataFrame([evidence(one).factors for _, one in table.iterrows()])
     unseen = factors.pop("unseen")
     error = np.log(table["pose_mm"].to_numpy() / 1000 / table["trunk_m"].to_numpy())
@@ -150,7 +151,7 @@ def fit(table: pd.DataFrame) -> dict[str, float]:
 
 
 def spreads(table: pd.DataFrame) -> list[float]:
-    """Return the residuals' spread, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
+    """Fit the spread of the residuals, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
     squares = np.log((table["pose_mm"] / table["expected mm"]).to_numpy(float)) ** 2
     known = np.stack([np.ones(len(table)), table["unseen"].to_numpy() ** 2], axis=1)
     return [float(np.sqrt(max(of, 0.0))) for of in np.linalg.lstsq(known, squares, rcond=None)[0]]

@@ -1,13 +1,16 @@
-"""Test which camera of a file a clip is from: every view with every camera of its run, chosen by name.
+"""Test whether a fit notices that a clip comes from another camera of its file, for every view of real runs.
 
     python benchmarks/parts/which_camera.py [--jobs 2] [--views 4]
 
 Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted with each camera
-of its run, from one file. --views n: every n-th view only. The right camera is fitted again with each of the correct
-inputs of wrong_inputs.py, such as half of the detections missing, and in a world whose ground rises by 3 %. Found: the
-finding another_camera_fits; by a limit without the run: twice the largest gain of the right camera in the other runs.
-"use" while beyond the bound: the error of pose or position is above the upper end of the stated interval; without the
-test: as if there were no such finding.
+of its run, which is chosen by name from one file. --views n uses every n-th view only. The right camera is fitted again
+with each of the correct inputs of wrong_inputs.py, such as half of the detections missing, and in a world whose ground
+rises by 3 %.
+
+- found: the fits with the finding another_camera_fits
+- with a limit from the other runs: the same, with a limit of twice the largest gain of the right camera in other runs
+- beyond the bound: the error of pose or position is above the upper end of the stated interval
+- without the test: the verdict if there were no such finding
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ from recon.fit.result import Finding
 CODE = "another_camera_fits"
 RIGHT, OTHER = "right camera", "another camera"
 BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
-"""Upper ends of the stated intervals, by the error that they bound."""
+"""Columns of the upper ends of the stated intervals, by the error that they bound."""
 SAME = Case(lambda clip, given: given)
 SLOPE = about("y", float(np.degrees(np.arctan(0.03))))
 
@@ -100,7 +103,7 @@ def rows_of(clip: Clip) -> list[dict[str, Any]]:
 
 
 def found_without_run(table: pd.DataFrame, part: pd.DataFrame) -> int:
-    """Return how many of some fits have gains above twice the largest of the right camera in the other runs."""
+    """Count the fits of `part` whose gain exceeds twice the largest gain of the right camera in the other runs."""
     right = table[table["camera"] == RIGHT]
     limits = {run: 2 * right[right["run"] != run]["gain"].max() for run in part["run"].unique()}
     return int((part["gain"] > part["run"].map(limits)).sum())
@@ -128,7 +131,7 @@ def main() -> None:
         figures[-1] += [found_without_run(table, part), part["true listed"].sum() if name == OTHER else ""]
         figures[-1] += [part["use without"].sum(), part["use"].sum()]
         figures[-1] += [beyond["use without"].sum(), beyond["use"].sum()]
-    header = ["camera", "fits", "largest gain", "found", "by a limit without the run", "true camera listed"]
+    header = ["camera", "fits", "largest gain", "found", "with a limit from the other runs", "true camera listed"]
     beyond_text = '"use" while beyond the bound'
     print_table([*header, '"use" without the test', '"use"', f"{beyond_text}, without the test", beyond_text], figures)
 

@@ -1,16 +1,21 @@
-"""Test wrong inputs that look right: their effect on the result, and the findings.
+"""Test wrong inputs that look correct, and measure their effect on the result and the findings.
 
     python benchmarks/parts/wrong_inputs.py [--jobs 2] [--cases mirrored,follows] [--views 4] [--csv TABLE.csv]
 
 Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted like `recon fit`
-with each of `CASES` put into its files or settings. Cases of two cameras use each pair of a run's cameras. --views n:
-every n-th view only. Errors are in the world of the camera file; those of the pose are centred. A row counts the clips
-whose error in pose or position is at least twice that of the same clip without the mistake. Named: a finding states the
-mistake, or something equally true of it. Called something else: a finding of `CAUSES` that is wrong, and that the clip
-without the mistake does not have. Of what was seen: errors in the frame of the camera, and relative to the clip, from
-which the keypoints really come, which is all that one camera can show. Beyond the bound: an error above the upper end
-of the stated interval. A case whose name begins with "right" has no mistake. --findings: which findings each case has,
-and those of a horse that is fitted as a cheetah (the horse-side of the same folder).
+with each of `CASES` put into its files or settings. Cases of two cameras use each pair of a run's cameras. --views n
+uses every n-th view only. Errors are in the world of the camera file; those of the pose are centred. A case whose name
+begins with "right" is a correct input. The columns are:
+
+- doubled: clips whose error in pose or position is at least twice that of the same clip with the correct input
+- named: clips in which a finding states the cause, or something equally true of the wrong input
+- wrong cause named: clips with a finding of `CAUSES` that is wrong, and that the clip with the correct input lacks
+- beyond the bound: an error is above the upper end of the stated interval
+- in the camera's frame: errors relative to the clip and the camera from which the keypoints really come, which is all
+  that one camera can show
+
+--findings prints the findings of each case, and those of a horse that is fitted as a cheetah (the horse-side of the
+same folder).
 """
 
 from __future__ import annotations
@@ -45,7 +50,7 @@ from recon.io.deeplabcut import write_csv
 from recon.testing.coverage import coverage
 
 EITHER = ("upside_down", "turned_either_way")
-"""Codes of contradictions that several causes explain."""
+"""Codes of findings on contradictions that several causes can explain."""
 CAUSES = {
     *(
         "frames_dropped",
@@ -79,7 +84,7 @@ CAUSES = {
         "pose_inverted",
     ),
 }
-"""Codes that state the cause of a wrong input."""
+"""Codes of findings that state the cause of a wrong input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
 OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "pair_disagrees")
 MISPLACED = (*OFF, "pair_refined")
@@ -96,15 +101,15 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """Content of a camera's files, and how the truth relates to it."""
+    """Content of a camera's files, and its relation to the truth."""
 
     keypoints: Keypoints
     camera: Camera
     frame: Callable[[np.ndarray], np.ndarray] = lambda frames: frames
-    """Function from frames of the clip to frames of the truth."""
+    """Function that converts frames of the clip to frames of the truth."""
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
     t: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """With R, the world of the camera file: x' = R x + t for a point x of the truth."""
+    """Translation to the world of the camera file, metres: x' = R x + t for a point x of the truth."""
     told: dict[str, Any] = field(default_factory=dict)
     """Settings of the fit that the change replaces."""
     really: Seen | None = None
@@ -119,14 +124,14 @@ class Given:
         return np.array(self.camera.image_size_px)
 
     def seen(self, xy_px: np.ndarray, frames: np.ndarray | None = None, **more: Any) -> Given:
-        """Return the same with other points, whose confidences are 1."""
+        """Return the content with other points, whose confidences are 1."""
         frames = self.keypoints.frames if frames is None else frames
         confidence = np.where(np.isfinite(xy_px[..., 0]), 1.0, 0.0)
         keypoints = replace(self.keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
         return replace(self, keypoints=keypoints, **more)
 
     def moved(self, R: np.ndarray | None = None, t: Sequence[float] | np.ndarray = (0, 0, 0)) -> Given:
-        """Return the same in another world."""
+        """Return the content in another world."""
         R, t_m = np.eye(3) if R is None else R, np.asarray(t, dtype=float)
         assert self.camera.rotation is not None
         assert self.camera.translation_m is not None
@@ -135,7 +140,7 @@ class Given:
         return replace(self, camera=camera, R=R, t=t_m)
 
     def turned(self, by: np.ndarray, shift_m: Sequence[float] = (0, 0, 0)) -> Given:
-        """Return the same with the camera displaced by a rotation and a shift in its own frame."""
+        """Return the content with the camera displaced by a rotation and a shift in its own frame."""
         assert self.camera.rotation is not None
         assert self.camera.translation_m is not None
         camera = replace(
@@ -187,13 +192,13 @@ class Case:
 
     change: Change
     codes: tuple[str, ...] = ()
-    """Codes of the findings that state it."""
+    """Codes of the findings that state this input."""
     two: bool = False
     """Whether clips have two cameras."""
     both: bool = False
-    """Whether the first of two cameras is changed, too."""
+    """Whether the first of two cameras is also changed."""
     whole_file: bool = False
-    """Whether the camera file has all cameras of the run, of which the given one is chosen by its name."""
+    """Whether the camera file has all cameras of the run, and the given camera is chosen by its name."""
 
 
 def about(axis: str, degrees: float) -> np.ndarray:
@@ -254,7 +259,7 @@ def labels_larger(clip: Clip, given: Given) -> Given:
 
 
 def half_of_second(*parts: str) -> Change:
-    """Return a change that takes half of an animal from one that runs a tenth of a second behind."""
+    """Return a change that takes half of the keypoints from an animal that runs a tenth of a second behind."""
 
     def change(clip: Clip, given: Given) -> Given:
         late = max(round(0.1 * clip.meta["fps"]), 1)
@@ -315,7 +320,7 @@ def pans(clip: Clip, given: Given) -> Given:
 
 
 def path_of(given: Given) -> np.ndarray:
-    """Return the smooth path (T, 2) of the animal in the picture."""
+    """Return the smooth path (T, 2) of the animal in the picture, pixels."""
     middle, t = np.nanmedian(given.xy_px, axis=1), np.arange(len(given.xy_px))
     known = np.isfinite(middle[:, 0])
     return np.stack([np.polyval(np.polyfit(t[known], middle[known, i], 3), t) for i in (0, 1)], axis=1)
@@ -326,7 +331,7 @@ def follows(clip: Clip, given: Given) -> Given:
 
 
 def belt_drifts(clip: Clip, given: Given) -> Given:
-    """Film the animal on a belt that keeps pace with it at first, and is a fifth slower at the end."""
+    """Film the animal on a belt that is as fast as the animal at first, and a fifth slower at the end."""
     path_px = path_of(given)
     slower = np.linspace(0, 0.2, len(path_px))[:, None]
     drift_px = np.cumsum(slower * np.gradient(path_px, axis=0), axis=0)
@@ -395,7 +400,7 @@ def in_unit(per_m: float) -> Change:
 
 
 def from_other_clip(clip: Clip, given: Given) -> Given:
-    """Take the next run of the same kind, by a camera with a picture of the same size, if there is one."""
+    """Take the keypoints of the next run of the same kind, from a camera with the same picture size, if any."""
     runs = sorted(path.parent for path in clip.run.parent.glob("*/meta.json"))
     for run in runs[runs.index(clip.run) + 1 :] + runs[: runs.index(clip.run)]:
         for name in cameras_of(run):
@@ -498,7 +503,7 @@ def middle(n: int) -> Change:
 def beyond_edge(comes: bool) -> Change:
     """Return a change that removes the points beyond an edge, as if the animal came into the picture or left it.
 
-    The edge is where the animal's middle is after a quarter of the clip if it comes, or after three quarters.
+    The edge is at the animal's middle after a quarter of the clip if it comes, or after three quarters if it leaves.
     """
 
     def change(clip: Clip, given: Given) -> Given:
@@ -630,7 +635,7 @@ CASES = {
 
 
 PLAIN = {"untouched": False, "two cameras": True}
-"""Cases without a change, and whether they are of two cameras."""
+"""Cases without a change, by whether they have two cameras."""
 
 
 def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
@@ -682,7 +687,7 @@ def errors(off_m: np.ndarray) -> tuple[float, float]:
 
 
 def errors_in_camera(seen: Seen, motion: Motion) -> dict[str, float]:
-    """Return errors in the frame of the camera that really saw the keypoints, since one camera cannot show more."""
+    """Return errors in the frame of the camera that really saw the keypoints, because one camera cannot show more."""
     assert seen.camera.rotation is not None
     assert seen.camera.translation_m is not None
     truth_m = truth_of(seen.run, motion, motion.frames + seen.later)
@@ -738,7 +743,7 @@ def clips(every: int) -> Iterator[Clip]:
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """Add whether each clip's error is doubled, and whether the findings are true."""
+    """Add columns that state whether each clip's error is doubled, and whether the findings are true."""
     plain = table[table["case"].isin([*PLAIN])].set_index(["run", "camera"])
     keys = pd.MultiIndex.from_frame(table[["run", "camera"]])
     times = [table[of].to_numpy() / plain[of].reindex(keys).to_numpy() for of in ("pose_mm", "position_m")]
@@ -769,15 +774,15 @@ def cells(of: pd.DataFrame) -> list[str]:
 
 
 def summary(table: pd.DataFrame) -> Iterator[str]:
-    """Yield sentences on all fits with a mistake, and on all fits without one."""
+    """Yield sentences on all fits with a wrong input, and on all fits with a correct input."""
     is_right = table["case"].isin([*PLAIN]) | table["case"].str.startswith("right")
     wrong, right = table[~is_right], table[is_right]
     if len(wrong):
         causes = wrong["named"] | wrong["else_named"]
         yield f'"use" while beyond the bound: {wrong["use_beyond"].sum()} of {len(wrong)} fits'
-        yield f"Named cause right: {wrong['named'].sum()} of {causes.sum()} fits with a named cause"
+        yield f"Right cause named: {wrong['named'].sum()} of {causes.sum()} fits with a named cause"
     levels = [(right["level"] == level).sum() for level in ("use", "do not use")]
-    yield f'Without a mistake: "use" {levels[0]}, "do not use" {levels[1]} of {len(right)} fits'
+    yield f'Correct inputs: "use" {levels[0]}, "do not use" {levels[1]} of {len(right)} fits'
 
 
 def horse_as_cheetah() -> str:
@@ -819,10 +824,10 @@ def main() -> None:
     table = pd.DataFrame(rows)
     table = judged(table.reindex(columns=[*dict.fromkeys([*table.columns, "seen pose_mm", "seen position_m"])]))
     use = ["use", "use of doubled", "use beyond the bound"]
-    header = ["case", "clips", "doubled", "pose mm", "position m", "named", "named of doubled", "called something else"]
+    header = ["case", "clips", "doubled", "pose mm", "position m", "named", "named of doubled", "wrong cause named"]
     grouped = [(name, table[table["case"] == name]) for name in wanted if (table["case"] == name).any()]
     print_table(
-        [*header, *use, "pose in 90 %", "position in 90 %", "of what was seen: mm; m"],
+        [*header, *use, "pose in 90 %", "position in 90 %", "in the camera's frame: mm; m"],
         [[name, len(of), of["doubled"].sum(), *cells(of)] for name, of in grouped],
     )
     for sentence in summary(table):
