@@ -211,12 +211,13 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
     """Fit a view and its mirrored version together, and return the projected markers (T, J, 2) and their noise (T, J).
 
     Markers in which the two versions differ, `is_exchanged` (J,), have half of their weight in each version. Both
-    results are in pixels, NaN in frames without states.
+    results are in pixels, NaN in frames without states. The motion is that at the times of the pictures, since no other
+    camera is involved.
     """
     clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
     views = [
-        replace(half_view, confidence=half_view.confidence * share)
+        replace(half_view, confidence=half_view.confidence * share, offset_frames=0.0)
         for half_view, share in zip((baseline.view, mirrored), shares, strict=True)
     ]
     projected, sigma_px = np.full(mirrored.xy_px.shape, np.nan), np.full(mirrored.confidence.shape, np.nan)
@@ -231,7 +232,7 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
         markers = part.markers(interpolate_states(states, kept_frames, len(part)))
         sigma_px[rows] = LOOSE * part.noise_px(markers, no_factor)[0]
-        projected[rows], _ = part.views[0].project(part.views[0].shift_to_exposure(part.in_world(markers)))
+        projected[rows], _ = part.views[0].project(part.in_world(markers))
     return projected, sigma_px
 
 
