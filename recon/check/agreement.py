@@ -86,6 +86,8 @@ _MEDIAN_OF_LINE = 0.4549
 """Median of the squared length of a normal error in one dimension, in units of its variance."""
 _MEDIAN_OF_POINT = 1.3863
 """Median of the squared length of a normal error in two dimensions, in units of its variance along an axis."""
+_KEPT_POINTS = 16
+"""Number of groups of cameras whose points are kept for further comparisons."""
 _PARALLEL = 1e-4
 """Smallest ratio of the precision of a point along its rays to that across them."""
 
@@ -127,8 +129,9 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     frames = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
     names = [view.camera.name for view in views]
     given_sights = _sights(views, sigma_px, keypoint_sigma_m)
-    sights, exchanged, limit = _without_exchange(views, given_sights, sigma_px, keypoint_sigma_m)
-    agreeing, comparisons = _compare_with_agreeing(sights, fps, limit)
+    points_of = lru_cache(maxsize=_KEPT_POINTS)(_points)
+    sights, exchanged, limit = _without_exchange(views, given_sights, sigma_px, keypoint_sigma_m, points_of)
+    agreeing, comparisons = _compare_with_agreeing(sights, fps, limit, points_of)
 
     findings = []
     for v in (v for v in range(len(views)) if agreeing and v not in agreeing):
@@ -143,7 +146,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             )
     for v in exchanged:  # as given, so that the levels show the exchange
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
-        comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
+        comparisons[v] = _compare(given_sights[v], partners, fps, points_of, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
     for code, members in (("cameras_exchanged", exchanged), ("cameras_disagree", disagreeing)):
         if members:
@@ -157,7 +160,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 
 
 def _without_exchange(
-    views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
+    views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float, points_of: _PointsOf
 ) -> tuple[list[_Sight], tuple[int, ...], float]:
     """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit for levels.
 
@@ -165,13 +168,13 @@ def _without_exchange(
     noisier than expected.
     """
     everyone = tuple(range(len(views)))
-    levels = _levels(sights, everyone)
+    levels = _levels(sights, everyone, points_of)
     if _are_within(levels, MAX_LEVEL):
         return sights, (), MAX_LEVEL
     pairs = [pair for pair in combinations(everyone, 2) if not _are_within(levels[[*pair]], MAX_LEVEL)]
     trials = {pair: _sights(_with_exchanged(views, *pair), sigma_px, keypoint_sigma_m) for pair in pairs}
-    trial_levels = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
-    rests = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
+    trial_levels = {pair: _levels(trial, everyone, points_of) for pair, trial in trials.items()}
+    rests = [_levels(sights, rest, points_of) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
     medians = [np.nanmedian(values) for values in (*rests, *trial_levels.values()) if np.isfinite(values).any()]
     max_factor = MAX_NOISE_FACTOR if len(views) > 2 else MAX_NOISE_FACTOR_OF_TWO
     limit = MAX_LEVEL * float(np.clip(min(medians, default=np.inf), 1.0, max_factor))
@@ -225,21 +228,21 @@ def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict
 
 
 def _compare_with_agreeing(
-    sights: Sequence[_Sight], fps: float, limit: float
+    sights: Sequence[_Sight], fps: float, limit: float, points_of: _PointsOf
 ) -> tuple[tuple[int, ...], list[Comparison]]:
     """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
 
     A camera can be turned by some degrees about its line of sight while its level is still low. Agreeing cameras that a
     rotation or a time offset clearly improves are therefore removed as well.
     """
-    agreeing = _largest_agreeing_group(sights, fps, limit)
-    comparisons = _compare_each(sights, agreeing or range(len(sights)), fps)
+    agreeing = _largest_agreeing_group(sights, fps, limit, points_of)
+    comparisons = _compare_each(sights, agreeing or range(len(sights)), fps, points_of)
     while len(agreeing) > 2:
         worst = max(agreeing, key=lambda v: _gain(comparisons[v]))
         if _gain(comparisons[worst]) < CLEAR_GAIN:
             break
         agreeing = tuple(v for v in agreeing if v != worst)
-        comparisons = _compare_each(sights, agreeing, fps)
+        comparisons = _compare_each(sights, agreeing, fps, points_of)
     return agreeing, comparisons
 
 
@@ -267,10 +270,12 @@ def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limi
     return min(explained, key=lambda pair: explained[pair], default=None)
 
 
-def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float) -> list[Comparison]:
+def _compare_each(
+    sights: Sequence[_Sight], agreeing: Sequence[int], fps: float, points_of: _PointsOf
+) -> list[Comparison]:
     """Compare each camera with all others that agree."""
     return [
-        _compare(sight, [sights[o] for o in agreeing if o != v], fps, wide=v not in agreeing)
+        _compare(sight, [sights[o] for o in agreeing if o != v], fps, points_of, wide=v not in agreeing)
         for v, sight in enumerate(sights)
     ]
 
@@ -308,7 +313,9 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     ]
 
 
-def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
+def _largest_agreeing_group(
+    sights: Sequence[_Sight], fps: float, limit: float, points_of: _PointsOf
+) -> tuple[int, ...]:
     """Return the cameras left after removing the least agreeing cameras one by one, or () if no two agree.
 
     The last two of three cameras can only be compared with each other, and a camera next to another one may pass in
@@ -316,11 +323,11 @@ def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) 
     into agreement with both.
     """
     agreeing = tuple(range(len(sights)))
-    while not _are_within(_levels(sights, agreeing), limit):
+    while not _are_within(_levels(sights, agreeing, points_of), limit):
         if len(agreeing) == 2:
             return ()
         rests = combinations(agreeing, len(agreeing) - 1)
-        agreeing = min(rests, key=lambda rest: _cost_of_removal(sights, agreeing, rest, fps, limit))
+        agreeing = min(rests, key=lambda rest: _cost_of_removal(sights, agreeing, rest, fps, limit, points_of))
     return agreeing
 
 
@@ -334,7 +341,12 @@ class _RemovalCost(NamedTuple):
 
 
 def _cost_of_removal(
-    sights: Sequence[_Sight], agreeing: Sequence[int], rest: Sequence[int], fps: float, limit: float
+    sights: Sequence[_Sight],
+    agreeing: Sequence[int],
+    rest: Sequence[int],
+    fps: float,
+    limit: float,
+    points_of: _PointsOf,
 ) -> _RemovalCost:
     """Return the cost of removing the camera that is missing from the rest.
 
@@ -342,11 +354,11 @@ def _cost_of_removal(
     """
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
-        return _RemovalCost(is_unexplained=False, level_sum=float(np.nansum(_levels(sights, rest))))
-    points = _points([sights[o] for o in rest])
+        return _RemovalCost(is_unexplained=False, level_sum=float(np.nansum(_levels(sights, rest, points_of))))
+    points = points_of(tuple(sights[o] for o in rest))
     turned, _ = _best_turned(sights[v], points)
     shifted, _ = _best_shifted(sights[v], points, fps, wide=True)
-    levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], agreeing) for sight in (turned, shifted)]
+    levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], agreeing, points_of) for sight in (turned, shifted)]
     best = min(levels, key=np.nansum)
     return _RemovalCost(is_unexplained=not _are_within(best, limit), level_sum=float(np.nansum(best)))
 
@@ -381,6 +393,8 @@ class _Sight:
 
 _Points = tuple[Array, Array]
 """Positions (T, J, 3) and their covariances (T, J, 3, 3); NaN if fewer than two rays meet."""
+_PointsOf = Callable[[tuple[_Sight, ...]], _Points]
+"""`_points`, which keeps its last results: several comparisons need the points of the same cameras."""
 
 
 def _shifted(values: Array, frames: float) -> Array:
@@ -419,12 +433,6 @@ def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: flo
         typical = np.nanmedian(distance, axis=1)
     typical = np.where(np.isnan(typical), np.nanmedian(distance), typical)
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
-
-
-@lru_cache(maxsize=16)
-def _points_of(*sights: _Sight) -> _Points:
-    """Return the result of `_points`, cached because several comparisons need the points of the same cameras."""
-    return _points(sights)
 
 
 def _points(sights: Sequence[_Sight]) -> _Points:
@@ -500,24 +508,24 @@ def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[floa
     return float(estimate[0]), float(scale * np.sqrt(covariance[0, 0]))
 
 
-def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
+def _levels(sights: Sequence[_Sight], agreeing: Sequence[int], points_of: _PointsOf) -> Array:
     """Return the level of each agreeing camera compared with the other agreeing ones, (V,); NaN for the rest."""
     levels = np.full(len(sights), np.nan)
     for v in agreeing:
-        partners = [sights[o] for o in agreeing if o != v]
+        partners = tuple(sights[o] for o in agreeing if o != v)
         levels[v] = (
-            _pair_level(sights[v], *partners)[0] if len(agreeing) == 2 else _level(sights[v], _points_of(*partners))
+            _pair_level(sights[v], *partners)[0] if len(agreeing) == 2 else _level(sights[v], points_of(partners))
         )
     return levels
 
 
-def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Comparison:
+def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, points_of: _PointsOf, wide: bool) -> Comparison:
     """Compare a camera with others; with `wide`, search a long range of time offsets."""
     corrected = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         level, error_rad, n = _pair_level(sight, partners[0])
         return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | corrected
-    points = _points_of(*partners)
+    points = points_of(tuple(partners))
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
     known = np.isfinite(squared)
