@@ -24,7 +24,6 @@ from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     LENGTHS,
     MARKER_TERMS,
-    SIZE,
     Linear,
     PointRows,
     PoseMixture,
@@ -34,8 +33,9 @@ from recon.fit.terms import (
     TermRows,
     keypoint_bias,
     size_of,
+    with_step,
 )
-from recon.geometry.kinematics import ROOT, Tree, TreePose
+from recon.geometry.kinematics import Tree, TreePose
 
 _ByShape = tuple[Array, Array]
 """Derivatives of markers with respect to the lengths (n, J, 3, L) and to each marker's own offset (n, J, 3, 3)."""
@@ -273,15 +273,15 @@ class LeastSquares:
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the point at a fraction of a step, with its cost.
 
-        Several cameras determine the animal's position in the world, which therefore changes linearly along the step.
-        The position is the size times the root, so the step of the root is divided by the growth of the size. The
-        picture of one camera depends more on the root than on the size, and the root itself changes linearly.
+        Several cameras determine the animal's position in the world, which therefore changes linearly along the step
+        (`with_step`). The picture of one camera depends more on the root than on the size, and the root itself changes
+        linearly.
         """
         shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
-        states = current.states + share * states_step
-        if SIZE in self.columns and sum(isinstance(term, Reprojection) for term in self.terms) > 1:
-            of_root = share * size_of(current.shared) / size_of(shared)
-            states[:, ROOT] = current.states[:, ROOT] + of_root * states_step[:, ROOT]
+        sizes = size_of(current.shared), size_of(shared)
+        if sum(isinstance(term, Reprojection) for term in self.terms) < 2:
+            sizes = 1.0, 1.0
+        states = with_step(current.states, share * states_step, *sizes)
         return replace(current, states=states, cost=self.cost(states, shared), shared=shared)
 
     def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:

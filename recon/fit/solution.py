@@ -32,6 +32,7 @@ from recon.fit.terms import (
     extrinsic_correction,
     focal_scale,
     time_offset,
+    with_step,
 )
 from recon.geometry.kinematics import ROOT, YAW
 
@@ -268,11 +269,9 @@ def states_at_size(states: Array, by_size: Array, size: float, other_size: float
     """Extrapolate states (T, D) at nominal size to another size of the animal, with their derivatives (T, D).
 
     `by_size` holds the derivatives with respect to the size, at `size`. The animal's position in the world changes
-    linearly with the size. The position is the size times the root, so the root itself does not.
+    linearly with the size (`with_step`).
     """
-    step = by_size * (other_size - size)
-    step[:, ROOT] *= size / other_size
-    return states + step
+    return with_step(states, by_size * (other_size - size), size, other_size)
 
 
 def _segment_arrays(

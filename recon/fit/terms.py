@@ -76,6 +76,17 @@ def size_of(shared: Mapping[str, Array]) -> float:
     return float(shared.get(SIZE, _ONE)[0])
 
 
+def with_step(states: Array, step: Array, size: float, next_size: float) -> Array:
+    """Return states (T, D) at nominal size moved by a step (T, D), while the animal's size changes to `next_size`.
+
+    The animal's position in the world changes linearly along the step. The position is the size times the root, so the
+    step of the root is divided by the growth of the size.
+    """
+    moved = states + step
+    moved[:, ROOT] = states[:, ROOT] + size / next_size * step[:, ROOT]
+    return moved
+
+
 REFERENCE_HZ = 90.0
 """Frame rate, frames per second, for which the weights of the priors hold."""
 OUT_OF_SIGHT = 50.0
