@@ -230,23 +230,29 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum reached from a start.
 
-        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1).
+        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps
+        it also stops if the next one is expected to do so: the decreases fall at least as fast as from the last but one
+        to the last.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
+        last_decrease = 0.0
         for iteration in range(1, max_iterations + 1):
             enough = tolerance * max(abs(current.cost), 1.0)
-            lower, damping = self._damped_step(current, damping, enough)
-            done = lower is None or current.cost - lower.cost < enough
+            lower, is_whole, damping = self._damped_step(current, damping, enough)
+            decrease = 0.0 if lower is None else current.cost - lower.cost
+            rate = decrease / last_decrease if is_whole and last_decrease else 1.0
+            done = min(rate, 1.0) * decrease < enough
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # also if no direction lowers the cost, which is a minimum to rounding
                 break
+            last_decrease = decrease if is_whole else 0.0
         return current
 
-    def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, float]:
-        """Return a point of lower cost along a damped step, or None if there is none, and the next damping.
+    def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, bool, float]:
+        """Return a point of lower cost along a damped step, whether it is the whole step or more, and the next damping.
 
-        Decreases below `enough` are not searched for.
+        The point is None if there is none. Decreases below `enough` are not searched for.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
@@ -257,18 +263,18 @@ class LeastSquares:
                     if trial.cost < current.cost:
                         next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
                         if share < 1.0:
-                            return trial, next_damping
+                            return trial, False, next_damping
                         # the loss curves less than its model: the cost fell by more than half of the slope
                         beyond = current.cost - trial.cost + 0.5 * slope
                         if _BEYOND * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
                             length = _best_length(current.cost - trial.cost, slope)
                             further = self._moved(current, states_step, shared_step, length)
                             trial = further if further.cost < trial.cost else trial
-                        return trial, next_damping
+                        return trial, True, next_damping
             except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
-        return None, damping
+        return None, False, damping
 
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the point at a fraction of a step, with its cost.

@@ -88,8 +88,11 @@ def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     return solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment)
 
 
-def solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Estimate noise, contacts and ground from a solution, and return the minimum reached from this solution."""
+def solve_round(clip: ClipProblem, segment: SegmentFit, roughly: bool = False) -> SegmentFit:
+    """Estimate noise, contacts and ground from a solution, and return the minimum reached from this solution.
+
+    `roughly` ends the search early, because another round follows.
+    """
     options, estimate, size = clip.options, segment.estimate, segment.size
     contact, ground, contact_terms = segment.contact, segment.ground, ()
     points = with_solved_shape(clip, segment).markers(estimate.states)
@@ -98,7 +101,7 @@ def solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
         contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
     problem = clip.problem(noise_px, 1.0, contact_terms, points, size)
-    tolerance = (10 if options.fast else 1) * constants.TOLERANCE
+    tolerance = constants.ROUGH_TOLERANCE if roughly else (10 if options.fast else 1) * constants.TOLERANCE
     shared = problem.expected() | dict(estimate.shared)
     estimate = problem.minimise(estimate.states, tolerance, constants.MAX_ITERATIONS, shared)
     segment = replace(segment, noise=noise, noise_px=noise_px, contact=contact, ground=ground)

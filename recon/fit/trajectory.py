@@ -256,7 +256,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     for i in range(rounds):
         is_last = i == rounds - 1
         keeps_shape = i == 0 and clip.detector_is_measured  # the solution is close to the expected shape
-        segment = solve_round(replace(clip, shape=None) if keeps_shape else clip, segment)
+        segment = solve_round(replace(clip, shape=None) if keeps_shape else clip, segment, roughly=not is_last)
         if LENGTHS in segment.estimate.shared:
             clip = clip.with_likely_shape_spread(segment.estimate.shared)
         if not is_last:

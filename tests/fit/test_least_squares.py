@@ -298,6 +298,26 @@ def test_reports_when_it_did_not_converge():
     assert found.iterations == 2
 
 
+@pytest.mark.parametrize(
+    ("whole_until", "iterations"),
+    [
+        (9, 3),  # decreases of 500, 50 and 5: the next one will be 0.5, less than 400 x 0.002
+        (0, 4),  # parts of steps say nothing about the next decrease
+    ],
+)
+def test_a_search_ends_when_the_next_step_will_gain_too_little(monkeypatch, whole_until, iterations):
+    decreases = iter((500.0, 50.0, 5.0, 0.5, 0.05))
+
+    def damped_step(problem, current, damping, enough):
+        return replace(current, cost=current.cost - next(decreases)), current.iterations < whole_until, damping
+
+    monkeypatch.setattr(LeastSquares, "_damped_step", damped_step)
+    monkeypatch.setattr(LeastSquares, "cost", lambda *_: 1000.0)
+    estimate = whole_problem().minimise(some_states(), 0.002, 10)
+    assert estimate.converged
+    assert estimate.iterations == iterations
+
+
 def test_costs_are_named():
     problem, states = whole_problem(), some_states()
     costs = problem.costs(states)
