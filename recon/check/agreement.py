@@ -67,7 +67,7 @@ WIDE_OFFSET_S = 0.5
 NARROW_OFFSET = 3
 """Largest time offset, in frames, that is tried for a camera that agrees."""
 FRAMES = 480
-"""Number of frames of a longer clip that are compared: the part with the most detections that cameras share."""
+"""Largest number of frames that are compared: those of a longer clip with the most detections in common."""
 OFFSET_S = 1.0
 """Largest time offset, in seconds, in the search for a camera that is out of step; at most half the clip."""
 MAX_OFFSET_RATIO = 0.9
@@ -75,7 +75,7 @@ MAX_OFFSET_RATIO = 0.9
 _OFFSET_ROWS = 200
 """Number of frames that are compared for an offset."""
 _COMPARED = 0.3
-"""Smallest fraction of the comparable points that a time offset has to leave."""
+"""Smallest fraction of the comparable points that must remain for a time offset."""
 _ROBUST = 3.0
 """Number of standard deviations at which the robust weight of a residual is 0.5."""
 _POINT_ROUNDS = 3
@@ -283,7 +283,7 @@ def _compare_each(
 def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
     """Return the camera's level after each possible cause is undone, by the cause's code.
 
-    A rotation or delay below `least_rad` or `least_frames` is no possible cause.
+    A rotation or delay below `least_rad` or `least_frames` is not a possible cause.
     """
     is_turned = least_rad <= comparison["turn_rad"] <= LARGEST_ROTATION_RAD
     is_late = abs(comparison["late_frames"]) >= least_frames
@@ -585,7 +585,7 @@ def _level(sight: _Sight, points: _Points) -> float:
 
 
 def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
-    """Return the directions after the rotation that brings a camera's rays nearest to the points, and its angle."""
+    """Return the directions after the rotation that brings a camera's rays nearest to the points, and its angle, rad."""
     towards, _ = _errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     is_known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
@@ -698,7 +698,7 @@ def solve_time_offsets(
     sources_apart
         Sources on their own frames.
     later_frames
-        Offset of each camera at which the search begins, (V,).
+        Offset of each camera, in frames, at which the search begins, (V,).
     solve
         Function that solves sources with the option `find_offsets`.
     sigma_px, keypoint_sigma_m
@@ -786,8 +786,8 @@ def pair_is_turned(refined: TrajectorySolution) -> bool:
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
     """Return the finding on two cameras whose poses were refined without a request by the user.
 
-    It names the camera that was turned more. It is a warning if one of the cameras is more likely turned or moved than
-    well calibrated.
+    The finding names the camera that was turned more. It is a warning if one of the cameras is more likely turned or
+    moved than well calibrated.
     """
     turns_rad, shifts_m = np.linalg.norm(refined.extrinsic_correction.reshape(-1, 2, 3), axis=-1).T
     most_turned = int(np.argmax(turns_rad))

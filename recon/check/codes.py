@@ -21,7 +21,7 @@ from recon.fit.result import Finding, Severity
 NAMED = 5
 """Largest number of names in a text."""
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
-"""Numbers of a finding that its text shows as lengths: height_m, with sigma_m if present, as height_length."""
+"""Numbers that a text shows as lengths: {height_length} shows height_m, with sigma_m if the finding has it."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
@@ -49,7 +49,7 @@ EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
 SPEEDS: tuple[str, str] = ("given_speed_m_s", "other_speed_m_s")
 """Numbers of findings on the frame rate: the mean speed at the given and at the other rate."""
 WITHOUT_FAULT = frozenset({"camera_agreement"})
-"""Codes of notes that say that something is in order."""
+"""Codes of notes that report agreement, not a fault."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 

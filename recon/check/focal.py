@@ -69,7 +69,7 @@ class FocalTest:
     effects_m: dict[str, float]
     """Effects on poses and positions (`EFFECTS`) of a focal length that was tried on the side of the estimate.
 
-    It is the farthest one inside the 90 % interval, or the nearest one if none is.
+    That focal length is the farthest one inside the 90 % interval, or the nearest one if none is inside.
     """
 
     @property
@@ -88,7 +88,7 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
     if test is None or abs(test.deviation) <= POSSIBLE:
         return None
     stated_sigma = baseline.clip.options.focal_sigma or 0.0
-    if abs(test.log_factor) < NORMAL_90 * stated_sigma:  # the intervals contain it
+    if abs(test.log_factor) < NORMAL_90 * stated_sigma:  # the intervals already contain this error
         return None
     factor = math.exp(test.log_factor - USUAL)
     item = finding("focal_length", None, None, factor=factor, sigmas=abs(test.deviation), **test.effects_m)
@@ -136,7 +136,7 @@ def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float)
     (view,) = clip.views
     scaled = replace(clip, views=(view.with_focal_scale(log_factor),))
     axis = view.T_camera_world.reshape(-1, 4, 4)[0, 2, :3]
-    start = states.copy()  # about the camera's centre
+    start = states.copy()  # relative to the camera's centre
     start[:, ROOT] += math.expm1(log_factor) * (start[:, ROOT] @ axis)[:, None] * axis
     return refit_scene(scaled, start, noise_px)
 

@@ -270,9 +270,9 @@ chosen on simulated cameras and noise (cheetahs, dogs).
 SHARE_ALONE = 0.4
 """Smallest fraction of the long steps that have this ratio if frames were left out."""
 AROUND = 7
-"""Number of steps of a keypoint that are compared."""
+"""Number of successive steps of a keypoint whose median is the usual step."""
 LEAST_STEP_PX = 5.0
-"""Smallest length of a step that is compared."""
+"""Smallest length of a usual step, in pixels, with which others are compared."""
 LEAST_STEPS = 20
 """Smallest number of steps from which the ratios are computed."""
 

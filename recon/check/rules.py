@@ -56,7 +56,7 @@ KEYPOINT_SHARE = 1 / 3
 KEYPOINT_LEAST = 10
 """Number of a keypoint's detections that are outliers, above which the keypoint is reported."""
 OUT_OF_STEP_SIGMAS = 3.0
-"""Difference between the time offsets of two cameras, in expected standard deviations, above which it is an error."""
+"""Difference between the time offsets of two cameras, in expected standard deviations, above which it is reported."""
 FARTHEST = 100.0
 """Distance between cameras, in animal sizes, above which the calibration must be in another unit."""
 FEW_FRAMES = 12
@@ -79,7 +79,7 @@ A motion that does not explain the detections is no evidence of a cause: frames 
 treadmill.
 """
 SUBJECT_SIGMAS = 3.0
-"""Deviation of an animal's lengths from those of its kind, in standard deviations of the existing sizes."""
+"""Deviation of an animal's lengths from its species, in standard deviations of size, above which it is reported."""
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
@@ -364,7 +364,7 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
 
 
 def _has_rough_lengths(motion: Motion) -> bool:
-    """Return whether the lengths are those of a generic skeleton such as `quadruped`, by its size uncertainty."""
+    """Return whether the lengths are those of a generic skeleton such as `quadruped`, whose size is very uncertain."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is not None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return False

@@ -56,13 +56,13 @@ GAP_FRAMES = 3
 CAP = 6.0
 """Largest log-likelihood gain of one pair of points at a swap."""
 SIDE_STEP = 0.02
-"""Smallest standard deviation of a side vector's change in a frame, relative to the animal's size."""
+"""Smallest standard deviation of a side vector's change per frame, relative to the animal's size."""
 LEAST_PAIRS = 2
 """Smallest number of point pairs that show a swap together."""
 PX_OF_EXTENT = 1000.0
 """Size in pixels to which 3D points are scaled for limits in pixels."""
 STEP_PX = 2.0
-"""Length of a step, in pixels, that shows a speed."""
+"""Length of a step, in pixels, from which its speed can be measured."""
 ONWARDS = 0.5
 """Smallest cosine of the angle between two such steps."""
 LEAST_CHANGES = 8

@@ -18,7 +18,7 @@ from recon.fit import constants
 from recon.fit.terms import StanceVelocity
 
 MAX_SIGMA_RAD = np.radians(10.0)
-"""Largest accepted standard deviation of the upward direction; a camera that is assumed to be level has as much."""
+"""Largest accepted standard deviation of the upward direction, that of a camera which is assumed to be level."""
 POSTURE_RAD = np.radians(15.0)
 """Standard deviation of the angle between up and the direction from the feet to the body, averaged over a clip."""
 FOOT_SHARE = 1 / 15
@@ -56,8 +56,8 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
         The animal.
     fps
         Frames per second.
-    sigma_px
-        Standard deviation of the detector's noise.
+        sigma_px
+        Standard deviation of the detector's noise, pixels.
     """
     positions_m = triangulated_m(views, sigma_px, body.keypoint_sigma_m)
     feet = np.array([body.markers.index(foot) for foot in body.feet])

@@ -64,7 +64,7 @@ _NOTHING_SPOILS = "No check{that_ran} found a fault that spoils the {what}"
 NOTHING_SERIOUS = _NOTHING_SPOILS.format(that_ran="", what="result")
 """Beginning of the reason for the verdict "use" with notes."""
 _UNCHECKED = "frame rate, swaps, lens and zoom were not checked"
-"""What is not checked without a learned prior."""
+"""Quantities that are not checked without a learned prior, in words."""
 NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
 """Reason for the verdict "use" without notes and without a learned prior."""
 _MEAN_OF_NORM = 0.92
@@ -206,7 +206,7 @@ def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
-    """Return the expected error of the animal's middle, averaged over frames; most of it is the same in all frames."""
+    """Return the expected error of the animal's position as a mean over frames; most of it is the same in all frames."""
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
@@ -244,7 +244,7 @@ def _verdict(motion: Motion) -> Verdict:
 def _nothing_against(motion: Motion, position: ExpectedError) -> str:
     """Return the reason for the verdict on a motion without errors and warnings: what was checked, and its notes.
 
-    A note that may put the animal elsewhere is named, because the verdict "use" is about the poses.
+    A note is named if the animal may be at another position, because the verdict "use" is about the poses.
     """
     solution = motion.solution
     are_all_checked = not (isinstance(solution, TrajectorySolution) and solution.prior == NONE)

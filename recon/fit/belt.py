@@ -29,9 +29,9 @@ def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
     solution
         T frames, metres, z up.
     time_s
-        Times, shape (T,).
+        Times, shape (T,), seconds.
     speed_m_s
-        Speed of the belt.
+        Speed of the belt, m/s.
     """
     rear, front = (solution.body.markers.index(marker) for marker in solution.body.forward)
     trunk_m = np.nanmean(solution.joints_m[:, front] - solution.joints_m[:, rear], axis=0) * [1.0, 1.0, 0.0]

@@ -239,7 +239,7 @@ class ClipProblem:
         return np.any([view.present for view in self.views], axis=0)
 
     def nominal(self, states: Array, size: float) -> Array:
-        """Return states (T, D) at nominal size about the origin, as `markers` takes them.
+        """Return states (T, D) at nominal size about the origin, as `markers` expects them.
 
         The given `states` (T, D) have the root in the world and belong to an animal of size `size`.
         """
@@ -520,7 +520,7 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
     them get more weight.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
-    # for an animal of the expected size
+    # the body's motion if the animal had the expected size
     body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera
     co_movement = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
     seen_velocity = (1.0 - co_movement) * np.where(slow[..., None] > 0.5, 0.0, camera) / size

@@ -92,7 +92,7 @@ SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of a size measured by two cameras."""
 
 LEAST_NOISE = 0.02
-"""Least variance of a joint's detections relative to the expected variance.
+"""Smallest variance of a joint's detections relative to the expected variance.
 
 It applies if several cameras solve for the body's shape and the detector was not measured.
 """
@@ -109,7 +109,7 @@ OFFSET_SHARE = 0.4
 It is increased if the solution shows that the animal's offsets vary more.
 """
 LENGTH_SIGMA = 0.1
-"""Least relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
+"""Smallest relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
 FIRST_SHAPE_SCALE = (3.0, 2.5)
 """Factors on the standard deviations of lengths and offsets in the first round, which shows how much they vary."""
 KNOWN_SHAPE_SCALE = (1 / 3, 1 / 2)
@@ -168,7 +168,7 @@ SLIP_M_S = 2.5
 SLIP_C = 2.0
 """Number of standard deviations at which the loss of a foot's velocity saturates."""
 GROUND_HEIGHT_M = 0.12
-"""Height of the ground about z = 0, if the ground is known to be near it."""
+"""Height of the ground above z = 0, if the ground is known to be near z = 0."""
 GROUND_SLOPE = 0.02
 """Slopes of the ground, if it is known to be near z = 0."""
 GROUND_FOOT_M = 0.04

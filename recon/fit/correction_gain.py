@@ -39,7 +39,7 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
 _MOST_WEIGHT = 0.99
-"""Largest weight w for which P is computed."""
+"""Largest weight w with which P is computed; larger weights are reduced to this value."""
 _FRAMES_AT_ONCE = 512
 """Number of frames whose derivatives are computed at once, which bounds the memory."""
 _RELATIVE_STEP = 1e-4
@@ -68,7 +68,7 @@ def correction_gain_m2(
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
     # One thread as in `solve_trajectory`, because the matrices are small. The squares of points from a damaged file may
-    # # overflow.
+    # overflow.
     with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
         for rows, segment_clip, problem, estimate in problems_at(clip, solution):
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)

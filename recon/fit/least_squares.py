@@ -476,7 +476,8 @@ def _add_keypoint_bias(
 ) -> None:
     """Add the curvature between the cameras' keypoint bias and states, lengths and common bias, in place.
 
-    A camera's bias of a joint moves that joint's own two coordinates only. A, L and R are those of `_add_detections`.
+    The keypoint bias of a joint in one camera moves only the two coordinates of that joint. A, L and R are those of
+    `_add_detections`.
     """
     N, J, _, D = A.shape
     across = np.concatenate(

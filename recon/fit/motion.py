@@ -168,7 +168,7 @@ class Motion:
         return table_of(self, wide)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return the joints as a dataset of poses of the package movement.
+        """Return the joints as a dataset of poses in the format of the package movement.
 
         The dataset has `position` and `position_sigma` (time, space, keypoint, individual) in metres, `confidence`,
         which is NaN, and the frame rate, the source and the verdict as attributes.
@@ -589,7 +589,7 @@ class Motion:
 
     @property
     def joint_sigma_m(self) -> Array:
-        """Return the standard deviations in the frame of reference, (T, J, 3), position and size included."""
+        """Return the joints' standard deviations in the frame of reference, (T, J, 3), m, position and size included."""
         return _sigmas(self._turned(self.solution.covariance_m2))
 
     def relative_covariance_m2(self, rows: slice = slice(None)) -> Array:
@@ -598,7 +598,7 @@ class Motion:
 
     @property
     def relative_sigma_m(self) -> Array:
-        """Return the standard deviations of the joints relative to their mean, (T, J, 3), along the axes."""
+        """Return the standard deviations of the joints relative to their mean, (T, J, 3), m, along the axes."""
         return _sigmas(self.relative_covariance_m2())
 
     @cached_property
@@ -610,7 +610,7 @@ class Motion:
     def place_sigma_m(self) -> Array:
         """Return the standard deviation of the mean of all joints along the first camera's line of sight, (T,), m."""
         # Each joint is the mean plus an offset. The offsets sum to zero, so the averages of the two covariances differ
-        # by # the covariance of the mean.
+        # by the covariance of the mean.
         mean_covariance = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
         ray = self.solution.joints_m.mean(axis=1) - self.solution.views[0].centre_m
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)

@@ -24,7 +24,7 @@ from recon.fit.least_squares import LeastSquares
 from recon.fit.terms import SIZE, extrinsic_correction
 
 _ROTATIONS = np.tile([True, True, True, False, False, False], 2)
-"""Which of the twelve errors of two poses are rotations."""
+"""Mask of the rotations among the twelve errors of two poses."""
 _TURNED = np.array([*product([False, True], repeat=6)]).reshape(-1, 2, 3)
 """All choices of the axes about which two cameras are turned, (64, 2, 3)."""
 _MOVED = np.array([[False, False], [True, False], [False, True]])
@@ -103,8 +103,8 @@ def pair_poses(
 ) -> WeighedPair | None:
     """Return the hypotheses about two cameras' poses with their posterior probabilities, or None without unknown poses.
 
-    The error of the animal's size is a single one for the whole clip. Like those of the poses, it counts once for any
-    number of frames.
+    The animal's size has one error for the whole clip. Like the errors of the poses, it counts once for any number of
+    frames.
 
     Parameters
     ----------

@@ -171,7 +171,7 @@ def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, s
 
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
-    """Minimise all frames of a block at once by Levenberg-Marquardt, each with its own damping."""
+    """Return the states of least cost, by Levenberg-Marquardt in blocks of frames, each frame with its own damping."""
     states, damping, diagonal = start.copy(), np.full(len(start), 1e-3), np.arange(start.shape[1])
     cost = _cost(body, targets, weight, size, pull, states)
     for active in np.array_split(np.arange(len(states)), range(_BLOCK, len(states), _BLOCK)):

@@ -17,8 +17,8 @@ and q minus their means over the joints.
 
 **3. Persistent errors.** The cost treats the errors of neighbouring frames as independent, but they are correlated. All
 variances are therefore multiplied by `variance_factor`, the correlation length in frames. A keypoint bias is constant
-over the whole clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened
-if the detections show more (`_bias_scale`). The noise of the detections is then estimated again
+over the whole clip. The bias is not an unknown of the solution but of the posterior; its expected variance is increased
+if the detections show a larger one (`_bias_scale`). The noise of the detections is then estimated again
 (`with_reestimated_noise`), because otherwise the bias would count twice.
 
 **4. Information fraction.** The variance of a joint or an angle is compared with its variance without the pixels, which
@@ -62,17 +62,17 @@ _NEARLY_FREE = 1e-3
 _FRAMES_AT_ONCE = 256
 """Number of frames whose covariances are computed at once if the lengths are known; it bounds the memory."""
 _FRAMES_OF_SHAPE = 32
-"""Number of frames at once if lengths and offsets are unknown, which have many more derivatives."""
+"""The same number if lengths and offsets are unknown, which needs many more derivatives."""
 _BIAS_ROUNDS = 10
-"""Rounds of expectation-maximisation for the spread of the keypoint bias."""
+"""Number of rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
 """Weight of the expected variance of the keypoint bias, as a number of unknowns."""
 _NOISE_ROUNDS = 2
 """Largest number of rounds that estimate the noise of detections about their keypoint bias."""
 _EXPLAINED = 0.05
-"""Fraction of the detections, or of their squared residuals, below which a second round of the noise is left out.
+"""Fraction of the detections, or of their squared residuals, below which the noise is estimated only once.
 
-The fraction is that explained by the shared unknowns. At this limit, the second round changes variances by 0.1 % (300
+It is the fraction that the shared unknowns explain. At this limit, the second round changes variances by 0.1 % (300
 simulated frames of six cameras).
 """
 _NOISE_FACTOR = (0.05, 4.0)
@@ -389,7 +389,7 @@ def posterior(
     problem
         The problem, with its nuisance unknowns.
     body
-        The body, with J joints and D unknowns a frame.
+        The body, with J joints and D unknowns per frame.
     estimate
         The minimum.
     variance_factor

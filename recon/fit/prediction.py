@@ -208,7 +208,7 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
 def _likeliest_process(
     solution: Solution, residuals: list[_Residuals], information: Array, pull: Array, fps: float
 ) -> tuple[Array, Array, Array]:
-    """Return the size of deviations in metres, their duration in frames, and the fraction of the noise, (J,) each."""
+    """Return the size of deviations, m, their duration in frames, and the factor on the noise's variance, (J,) each."""
     with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
         noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     shares, lasting_s = np.array([(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]).T

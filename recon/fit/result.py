@@ -1,4 +1,4 @@
-"""Define the data of a fit's result: findings, the verdict, a `Solution`, and that of the trajectory method."""
+"""Define the data of a fit's result: findings, the verdict, and solutions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Finding:
     """Evidence as plain numbers and names; the endings of the names give the units: rad, m, s, px."""
 
     def names(self, number: str) -> tuple[str, ...]:
-        """Return the names stored under a key; none if there are none."""
+        """Return the names stored under a key; an empty tuple without names."""
         value = self.numbers.get(number, ())
         return value if isinstance(value, tuple) else ()
 
@@ -54,7 +54,7 @@ class ExpectedError(Brief):
     low: float
     high: float
     widened_by: str = ""
-    """Code of the finding that makes up most of the upper end, whether it is right or not; empty without one."""
+    """Code of the finding whose possible effect makes up most of the upper end; empty if there is none."""
 
     def __repr__(self) -> str:
         return f"ExpectedError({self.expected:.3g}, 90 %: {self.low:.3g} to {self.high:.3g})"
@@ -87,7 +87,7 @@ class Verdict(Brief):
     pose_of_trunk: ExpectedError | None = None
     """The error of the pose relative to the length of the trunk."""
     position_m: ExpectedError | None = None
-    """Distance of the mean of all joints from its true position, mean over the frames."""
+    """Distance of the mean of all joints from its true position, as a mean over the frames."""
     warned: bool = False
     """Whether a warning says that errors may be larger than stated."""
 
@@ -237,7 +237,7 @@ class Solution(Brief):
     method: ClassVar[str]
     """Name of the method in the report."""
     record_tag: ClassVar[str]
-    """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""
+    """Tag of the class in motion files (`recon.fit.motion_forms.CLASSES`)."""
     jitters: ClassVar[bool] = False
     """Whether each frame was solved independently, so that paths jitter from frame to frame."""
 
@@ -335,7 +335,7 @@ class TrajectorySolution(Solution):
     data_share: Array
     """(J,): information fraction of the joints, the part of their precision from the pixels, 0 to 1."""
     alternative_cost: float
-    """Cost of the second best solution minus that of the best."""
+    """Cost of the second best solution minus that of the best solution."""
     prior: str
     status: Literal["converged", "not_converged"]
     cost_by_term: dict[str, float]

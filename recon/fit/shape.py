@@ -96,7 +96,7 @@ class ShapeFit:
         return length_m, sigma_m, max(1.0 - variance / float(lengths_m @ expected @ lengths_m), 0.0)
 
     def seen(self, body: Body) -> Body:
-        """Return a body with this shape and the detector's noise and bias, the right side equal to the left."""
+        """Return a body with this shape and the detector's noise and bias, which are the same on both sides."""
         spread_m, noise_m = (
             {name: by_leader[self.shape.leader(name)] for name in body.markers}
             for by_leader in (self.spread_m, self.noise_m)

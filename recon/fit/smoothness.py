@@ -28,11 +28,11 @@ from recon.fit.terms import ACCELERATION_TERMS
 from recon.geometry.kinematics import ROOT
 
 SCALES = 0.01, 3.0
-"""Least and largest factor on an expected standard deviation."""
+"""Smallest and largest factor on an expected standard deviation."""
 _DIFFERENCE = (1.0, -2.0, 1.0)
 """Coefficients of three frames in their second difference."""
 _ROUNDS = 20
-"""Largest number of rounds."""
+"""Largest number of rounds of the iteration."""
 _CLOSE = 0.03
 """Largest relative change of a factor at which the rounds end."""
 _LEAST_FRAMES = 10

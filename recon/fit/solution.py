@@ -106,7 +106,7 @@ def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Bod
 def _shared_fields(
     clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
 ) -> dict[str, Any]:
-    """Return the solution's fields of the shared unknowns other than the size; 0 if they are not estimated.
+    """Return the solution's fields for the shared unknowns other than the size; 0 if they are not estimated.
 
     Segments are weighted by the number of their frames that several cameras saw.
     """
@@ -139,7 +139,7 @@ def _shared_fields(
 
 
 def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Posterior:
-    """Return the posterior of a segment of the solved body; `unshaped` is the problem with the expected body."""
+    """Return the posterior of a segment for the solved body; `unshaped` is the problem with the expected body."""
     problem = _with_free_world(_with_expected_shape_spread(unshaped, segment.problem))
     return posterior_with_reestimated_noise(problem, body, segment.estimate, unshaped.correlation_frames)
 
@@ -291,7 +291,7 @@ def _segment_arrays(
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(segment_posterior.covariance_m2, by_size, size, size_sigma)
-    # the other cameras determine the rotation of each camera
+    # if there are several cameras, the other cameras determine the rotation of each
     if len(views) == 1 and views[0].rotation_sigma_rad is not None:
         covariance_m2 += views[0].rotation_covariance_m2(joints_m)
     yield "states", in_world

@@ -68,7 +68,7 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
 
 def _median_of_known(values: Array) -> Array:
     """Return the medians (...) of the values (..., N) that are not NaN; `numpy.nanmedian` is many times slower."""
-    ordered, counts = np.sort(values, axis=-1), np.isfinite(values).sum(axis=-1)[..., None]  # NaN come last
+    ordered, counts = np.sort(values, axis=-1), np.isfinite(values).sum(axis=-1)[..., None]  # NaN values come last
     middle = [np.take_along_axis(ordered, index, axis=-1) for index in ((counts - 1) // 2, counts // 2)]
     return (0.5 * (middle[0] + middle[1]))[..., 0]
 
@@ -205,7 +205,7 @@ _INTERMEDIATE_TOLERANCE = 0.2
 _RAYS = 16
 """Approximate number of frames, over all views, from whose rays the headings are chosen."""
 _MIN_RAYS = 2
-"""Smallest number of rays in a frame that determine the position of a shape."""
+"""Smallest number of rays in a frame from which the position of a shape is computed."""
 _WORSE = 0.2
 """Excess over the smallest misfit from which a start is not tried, for several cameras.
 

@@ -122,7 +122,7 @@ class Span:
 
 @dataclass(frozen=True)
 class TermRows:
-    """Cost, residual and derivatives of a term; without a Jacobian all but the cost are empty."""
+    """Cost, residual and derivatives of a term; without a Jacobian, all but the cost are empty."""
 
     cost: Array
     residual: Array = field(default_factory=lambda: _ZERO[:0])
@@ -436,7 +436,7 @@ class Reprojection:
         present = view.present
         seen = present & valid
         e = np.where(seen[..., None], projected - view.xy_px, 0.0) / scene.sigma_px[..., None]
-        q = (e[..., 0] ** 2 + e[..., 1] ** 2) / self.c**2  # a sum over two is many times slower
+        q = (e[..., 0] ** 2 + e[..., 1] ** 2) / self.c**2  # numpy's sum over two values is many times slower
         confidence = np.where(present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)

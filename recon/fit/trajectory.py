@@ -8,14 +8,15 @@ distance below the camera if they determine it. The steps to the minimum are:
 
 1. Starts. The prior's mean pose runs straight through about a second of the clip, in 18 headings, and is fitted to the
 viewing rays (`recon.fit.starts`). The best headings, and the best one mirrored in depth, start the clip.
-2. Approach, at a lower frame rate. Each start has one Gaussian of poses and wide noise that narrows; the two best
-starts go to the end.
+2. Approach, at a lower frame rate. Each start is solved with one Gaussian of poses and with noise that is large at
+first; only the two best starts are solved down to the final noise.
 3. The mixture of poses replaces the Gaussian, flattened at first, still at the lower frame rate.
-4. Rounds that estimate the noise of every joint in every view from its residuals (maximum likelihood under the robust
-loss), contacts and the ground from the feet, and solve for the minimum again. The size is free where several views show
-it. If the motion is unlikely under the prior in the first round, the prior loses weight for the rest
+4. Rounds. Each round estimates the noise of every joint in every view from its residuals (maximum likelihood under the
+robust loss), and contacts and the ground from the feet, and solves for the minimum again. The size is free where
+several views show it. If the motion is unlikely under the prior in the first round, the prior loses weight for the rest
 (`recon.fit.posterior`).
-5. The posterior covariance from the banded factor, and the result of all segments together (`recon.fit.solution`).
+5. Result. The posterior covariance is computed from the banded factor, and all segments are combined
+(`recon.fit.solution`).
 
 Steps 1 and 2 work on windows of about a second; the later steps solve each segment as a whole. A clip is split into
 segments where nothing is detected for longer than `BRIDGED_S`.

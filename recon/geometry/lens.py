@@ -82,7 +82,7 @@ class Lens:
         return 0.5 * (ahead - opposite), angles  # the tangential part is the same on both sides
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
-        """Return the ideal coordinates (N,), (N,) of distorted ones, and whether they exist."""
+        """Return the ideal coordinates of distorted coordinates, and whether they exist, (N,) each."""
         radius_d, (radii_d, angles) = np.hypot(xd, yd), self._radial
         scale = np.where(radius_d > 0, np.tan(np.interp(radius_d, radii_d, angles)) / radius_d, 1.0)
         # the tangential part can move pixels beyond the largest radius that the radial part reaches
