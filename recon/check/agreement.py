@@ -57,7 +57,7 @@ CLEAR_ROTATION_RAD = np.radians(3.0)
 CLEAR_OFFSET = 3.0
 """Time offset, in frames, from which a camera that agrees is still reported, if its level improves by `CLEAR_GAIN`."""
 CLEAR_GAIN = 1.5
-"""Smallest factor by which such a rotation or time offset reduces the camera's level."""
+"""Smallest factor by which a rotation or time offset reduces the level of a camera that agrees, to be reported."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
 """Largest best-fitting rotation that is attributed to the camera."""
 MIN_POINTS = 30
@@ -585,7 +585,7 @@ def _level(sight: _Sight, points: _Points) -> float:
 
 
 def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
-    """Return the directions after the rotation that brings a camera's rays nearest to the points, and its angle, rad."""
+    """Return the directions after the rotation that brings a camera's rays nearest to the points, and its angle."""
     towards, _ = _errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     is_known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
@@ -786,7 +786,7 @@ def pair_is_turned(refined: TrajectorySolution) -> bool:
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
     """Return the finding on two cameras whose poses were refined without a request by the user.
 
-    The finding names the camera that was turned more. It is a warning if one of the cameras is more likely turned or
+    The finding names the camera that was turned more, and is a warning if one of the cameras is more likely turned or
     moved than well calibrated.
     """
     turns_rad, shifts_m = np.linalg.norm(refined.extrinsic_correction.reshape(-1, 2, 3), axis=-1).T
@@ -804,7 +804,7 @@ def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:
     """Return the median distance between detections and reprojected markers, (V,), pixels.
 
-    It is infinite if most detections have no pose, and 1 without detections.
+    The distance is infinite if most detections have no pose, and 1 without detections.
     """
     medians = []
     for view in solution.views:

@@ -14,9 +14,9 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
 DRIFT_SIGMAS = 3.5
-"""Drift, in standard deviations, from which it is reported.
+"""Drift of a clock, in standard deviations, from which the drift is reported.
 
-It is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera takes one picture a second fewer
+The drift is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera takes one picture a second fewer
 (`benchmarks/wrong_inputs.py --only limits`).
 """
 
@@ -38,7 +38,7 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution) -> dict[int, Step
     def by_drift(detections: Detections) -> Array:
         return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
 
-    first = 1 if len(clip.views) == 2 else 0  # for two cameras only the difference of their clocks is known
+    first = 1 if len(clip.views) == 2 else 0  # for two cameras, only the difference of their clocks is known
     return one_steps(clip, solution, dict.fromkeys(range(first, len(clip.views)), by_drift))
 
 

@@ -75,9 +75,10 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_si
     """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
 
     The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. With a
-    smaller effect, the finding is at most a warning. It is a note if the effect is no larger than the fit's own error,
-    unless `is_gross` is true because the inputs contradict each other grossly. An effect on positions below the
-    standard deviation `position_sigma_m`, which the fit states for them, is no larger than the fit's own error either.
+    smaller effect, the finding is at most a warning. The finding is a note if the effect is no larger than the fit's
+    own error, unless `is_gross` is true because the inputs contradict each other grossly. An effect on positions below
+    the standard deviation `position_sigma_m`, which the fit states for them, is no larger than the fit's own error
+    either.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]

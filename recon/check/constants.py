@@ -9,7 +9,7 @@ is more likely than not. A finding with a smaller effect on poses and positions 
 EFFECT_OF_NOTE = 0.25
 """Fraction of `LIMIT_OF_TRUNK` up to which an effect is only a note.
 
-It is 3.5 cm for a cheetah, about the error of the fit itself.
+The effect is then 3.5 cm for a cheetah, about the error of the fit itself.
 """
 MANY_FRAMES = 1 / 3
 """Fraction of the frames, or of the detections, above which faulty ones are reported.

@@ -1,8 +1,8 @@
-"""Test one camera's focal length: the animal's perspective, its motion in depth and the ground depend on it.
+"""Test one camera's focal length, which affects the animal's perspective, its motion in depth, and the ground.
 
-Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks as large, but flatter, and moves 1.5
-times as far in depth. One second of the clip is solved again with other focal lengths, from the solution moved along
-the optical axis. The costs count as negative log-likelihoods of persistent errors, and the minimum of a parabola
+Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks equally large but flatter, and moves
+1.5 times as far in depth. One second of the clip is solved again with other focal lengths, from the solution moved
+along the optical axis. The costs count as negative log-likelihoods of persistent errors, and the minimum of a parabola
 through them estimates the focal length.
 """
 
@@ -34,7 +34,7 @@ LONGER = (0.2, 0.4)
 USUAL = -0.12
 """Mean of the logarithms of the estimated factors in correct views."""
 SPREAD = 0.15
-"""Smallest standard deviation of these logarithms."""
+"""Smallest standard deviation of the logarithms of the estimated factors."""
 POSSIBLE = 0.65
 """Deviation, in standard deviations, beyond which another focal length is possible.
 
@@ -98,8 +98,8 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
 def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
     """Return the test of the focal length on the one second of the clip with the most detections.
 
-    It is None if the camera moves, if a foot is seldom seen, or if this second has fewer than three frames or a frame
-    without a pose. `noise_px` (T, J) is the noise of the fit.
+    The result is None if the camera moves, if a foot is seldom seen, or if this second has fewer than three frames or a
+    frame without a pose. `noise_px` (T, J) is the noise of the fit.
     """
     rows = best_seen(baseline.view, baseline.clip.fps)
     clip, states = baseline.clip.part(rows), baseline.states[rows]

@@ -17,15 +17,15 @@ from recon.fit.result import Finding, TrajectorySolution
 LIMITS = -1.4, 3.3
 """Time offsets of the hind half, in standard deviations, below which it is late and above which it is early.
 
-They are 0.2 to 1.4 in correct views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a tenth
-of a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
+The offsets are 0.2 to 1.4 in correct views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a
+tenth of a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
 """
 LEAST_FRAMES = 3
 """Smallest number of frames of a segment whose motion is tested."""
 DISAGREES = 3.0
 """Distance from its marker, in standard deviations of the noise, beyond which a detection disagrees with the pose."""
 TIMES = 2.0
-"""Ratio of the halves' fractions of such detections, above which one half is named as another animal's.
+"""Ratio of the fractions of disagreeing detections in both halves, above which one half is another animal's.
 
 The ratio is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
 """
@@ -67,7 +67,7 @@ def foreign_half(clip: ClipProblem, solution: TrajectorySolution) -> str:
     """Return the half whose detections disagree with the pose far more often than the other's, or both halves."""
     view, is_hind = clip.views[0], hind_markers(clip)
     projected_px, _ = view.project(view.shift_to_exposure(solution.markers_m))
-    with np.errstate(invalid="ignore"):  # frames without a pose
+    with np.errstate(invalid="ignore"):  # NaN in frames without a pose
         distances = np.linalg.norm(projected_px - view.xy_px, axis=-1) / solution.noise_px[0]
     is_known = view.present & np.isfinite(distances)
     hind, fore = (

@@ -144,7 +144,7 @@ def _is_unlike_prior(solution: TrajectorySolution, fps: float) -> bool:
 
 
 def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | None]) -> dict[int, Finding]:
-    """Return findings on keypoints of another camera, or of another picture than the camera's, by the view's index."""
+    """Return findings on keypoints from another camera, or from another picture of the camera, by the view's index."""
     findings = {}
     for number, source in enumerate(motion.sources):
         camera, named_camera = source.camera.name, named[number]
@@ -243,7 +243,7 @@ STRAIGHT_PX = 0.01
 The fourth differences of points on a cubic are also below this limit.
 """
 STRAIGHT = 0.02
-"""Largest such deviation relative to the point's path."""
+"""Largest deviation of an interpolated point from the line between its neighbours, relative to the point's path."""
 _CUBIC_FRAMES = 5
 """Number of frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
@@ -425,7 +425,7 @@ cheetahs, `python benchmarks/wrong_inputs.py --only inputs`). If a dog stands, s
 SLIDE_SHARE = 0.25
 """Backward speed of standing feet, relative to the body's speed over them, above which they slide.
 
-It is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
+The relative speed is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
 """
 SLIDE_LEGS_S = 0.5
 """Smallest speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding."""
@@ -434,11 +434,12 @@ STAYS_SHARE = 0.3
 SLIDE_M_S = -2.5
 """Backward speed that standing feet do not reach; in 32 real views of running cheetahs the lowest is -0.7 m/s."""
 GLIDE_M_S = 8.0
-"""Forward speed that standing feet do not reach; in these views the highest is 4.1 m/s."""
+"""Forward speed that standing feet do not reach; in 32 real views of running cheetahs the highest is 4.1 m/s."""
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Costs per 1/90 s, in half squared standard deviations, above which the body's path is not that of an animal.
 
-They are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rendered film (benchmarks/wrong_inputs.py).
+The costs are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rendered film
+(benchmarks/wrong_inputs.py).
 """
 
 
@@ -492,7 +493,7 @@ def _sliding(motion: Motion, forward: Array, feet: Array) -> Finding | None:
     if abs(on_ground_m_s) < 0.5 * abs(slowest_m_s):  # the feet on the ground stand, and others step or shake
         return None
     if slowest_m_s < 0 and abs(body_m_s) < STAYS_SHARE * over_feet_m_s:
-        slide_m_s = -float(np.nanquantile(feet, SLOWEST / 2))  # the middle of the speeds of the standing feet
+        slide_m_s = -float(np.nanquantile(feet, SLOWEST / 2))  # the median speed of standing feet
         return finding("treadmill", slide_m_s=slide_m_s, speed_m_s=body_m_s)
     return finding("camera_moves", slide_m_s=slowest_m_s, speed_m_s=body_m_s)
 
@@ -519,8 +520,8 @@ MOST = 0.5
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
     """Return the log-likelihood gain of each frame's keypoints if they lie anywhere in the picture, (T,).
 
-    The gain is relative to keypoints at their markers (T, J, 3) with noise (T, J), pixels. It is NaN without keypoints
-    or a pose.
+    The gain is relative to keypoints at their markers (T, J, 3) with noise (T, J), pixels. The gain is NaN without
+    keypoints or a pose.
     """
     projected, valid = view.project(view.shift_to_exposure(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])

@@ -50,13 +50,13 @@ model.
 SURE = 30.0
 """Log-likelihood gain above which evidence is clear.
 
-It is required of a swap over a swap that contradicts it, of a whole clip with all swaps undone over the clip as given,
-and of another frame rate over the given one.
+A swap needs this gain over a swap that contradicts it, a whole clip with all swaps undone over the clip as given, and
+another frame rate over the given rate.
 """
 OWN_SHARE = 0.4
 """Fraction of the information of a limb's keypoints that is independent.
 
-It was chosen on real clips (docs/benchmarks.md).
+The value was chosen on real clips (docs/benchmarks.md).
 """
 TAILS = 3.0
 """Degrees of freedom of Student's t distribution of the errors."""
@@ -265,7 +265,8 @@ NEARLY_ALL = 99.0
 OPPOSITE_SHARE = 0.5
 """Gain of a turn to the opposite side, relative to the best gain, above which no turn is named.
 
-It is 0.8 if 70 % of the detections are gross outliers, and below 0 if the picture or the world is turned by 90 degrees.
+The gain is 0.8 if 70 % of the detections are gross outliers, and below 0 if the picture or the world is turned by 90
+degrees.
 """
 
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}

@@ -26,9 +26,9 @@ from recon.geometry.kinematics import ROOT, YAW
 GAIN = 3.0
 """Log-likelihood gain above which another camera is reported; errors within the correlation time count once.
 
-The gain is 0.5 at most in 32 correct views, 2.0 if they show less of the animal or the ground rises by 3 %, and 2.2 in
-a simulated run on such ground. It is higher than this limit in 70 of 136 fits with another camera of the file
-(`benchmarks/wrong_inputs.py --only which-camera`).
+The gain is 0.5 at most in 32 correct views, 2.0 if the views show less of the animal or the ground rises by 3 %, and
+2.2 in a simulated run on such ground. The gain is higher than this limit in 70 of 136 fits with another camera of the
+file (`benchmarks/wrong_inputs.py --only which-camera`).
 """
 
 

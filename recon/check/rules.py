@@ -122,7 +122,7 @@ def detections_not_explained(motion: Motion) -> Iterator[Finding]:
 def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
     """Return the median distance of the detections from the pose, in the standard deviations (T, J) of each camera.
 
-    It is 0 without detections.
+    The distance is 0 without detections.
     """
     deviations = np.concatenate(
         [
@@ -370,7 +370,7 @@ def _has_rough_lengths(motion: Motion) -> bool:
         return False
     try:
         return load_skeleton(skeleton).size_sigma > ROUGH_SIZE_SIGMA
-    except InputError:  # a file that no longer exists
+    except InputError:  # the skeleton's file no longer exists
         return False
 
 

@@ -36,7 +36,7 @@ STRAIGHT = 0.02
 MOVING = 0.0005
 """Smallest distance, relative to the animal's size, that the other points move while a point is frozen."""
 STANCE = 1.0
-"""Smallest such distance while a foot is frozen, if the resolution of the coordinates is coarser than `COARSE`.
+"""Smallest distance of the other points while a foot is frozen, in coordinates coarser than `COARSE`.
 
 Feet stand still, and such coordinates do not show small movements.
 """
@@ -64,13 +64,13 @@ PX_OF_EXTENT = 1000.0
 STEP_PX = 2.0
 """Length of a step, in pixels, from which its speed can be measured."""
 ONWARDS = 0.5
-"""Smallest cosine of the angle between two such steps."""
+"""Smallest cosine of the angle between two successive steps in about the same direction."""
 LEAST_CHANGES = 8
 """Smallest number of changes of the speed from which missing frames are tested."""
 CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 """Scales of the change of the logarithm of the speed from frame to frame that are tried."""
 FREEDOM = 3
-"""Degrees of freedom of the distribution of these changes."""
+"""Degrees of freedom of the distribution of the changes of the logarithm of the speed."""
 OUTLIERS = np.array([0.02, 0.1, 0.25])
 """Fractions of outliers that are tried."""
 OUTLIER_RANGE = 5.0

@@ -30,23 +30,26 @@ from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
 """Powers of `Evidence.factors`, fitted to recorded runs (`python benchmarks/uncertainty.py --only verdict`).
 
-In November 2026 these fits gave 0.68, 0.14, 0.76, 0.74 and 0.45. The power of the rate depends on the frame rates that
-are fitted. With one run left out, it is 0.34 to 0.52 for clips with all or half of their frames, and 0.29 to 0.36 for
-clips with half or a quarter of them, from which the value here comes.
+The fits of November 2026 gave 0.68, 0.14, 0.76, 0.74 and 0.45. The power of the rate depends on the frame rates that
+are fitted. With one run left out, that power is 0.34 to 0.52 for clips with all or half of their frames, and 0.29 to
+0.36 for clips with half or a quarter of them, from which the value here comes.
 """
 RATE_HZ = 60.0
 """Frame rate below which a pose is less certain than the posterior states, under a prior learned from motions."""
 SCALE = -1.30
-"""Constant of the logarithm of the pose's error relative to the trunk; -1.26 (-1.17 to -1.36) in these fits."""
-SPREAD = 0.23
-"""Standard deviation of this logarithm in runs left out, if the pixels show everything.
+"""Constant of the logarithm of the pose's error relative to the trunk.
 
-It is 0.14 to 0.18 in these fits. The larger value also holds for clips of 15 frames.
+The fits of November 2026 gave -1.26 (-1.17 to -1.36).
+"""
+SPREAD = 0.23
+"""Standard deviation of the logarithm of the pose's error in runs left out, if the pixels show everything.
+
+The fits of November 2026 gave 0.14 to 0.18. The larger value also holds for clips of 15 frames.
 """
 SPREAD_UNSEEN = 0.45
-"""Standard deviation that is added if the pixels show nothing; 0.34 to 0.51 in these fits.
+"""Standard deviation of the logarithm that is added if the pixels show nothing.
 
-The error of a pose from the prior alone is the same in all frames.
+The fits of November 2026 gave 0.34 to 0.51. The error of a pose from the prior alone is the same in all frames.
 """
 USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
 """`Evidence.factors` of a typical view."""
@@ -206,7 +209,7 @@ def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
-    """Return the expected error of the animal's position as a mean over frames; most of it is the same in all frames."""
+    """Return the expected error of the animal's position as a mean over frames; most of it is equal in all frames."""
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 

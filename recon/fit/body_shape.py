@@ -197,7 +197,7 @@ class FreeShape:
                         Derivatives with respect to each marker's own offset, which are the rotation of its segment.
         """
         body = self.applied(shared)
-        rotations = body.detected.orientations(states)  # the same as those of `body.tree`
+        rotations = body.detected.orientations(states)  # equal to the rotations of `body.tree`
         names = [segment.name for segment in body.tree.segments]
         by_offset = rotations[:, [names.index(marker.segment) for marker in body.tree.markers]]
         return self.lengths.jacobian(body, states, rotations), by_offset

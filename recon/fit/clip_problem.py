@@ -87,7 +87,7 @@ class ClipProblem:
     origin_m: Array
     """Fixed point about which the body's size scales the scene, shape (3,), world frame.
 
-    It is the (mean) centre of the first camera.
+    The point is the (mean) centre of the first camera.
     """
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
@@ -293,7 +293,7 @@ class ClipProblem:
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """Return the noise of detections (V, T, J) for markers (T, J, 3) at nominal size.
 
-        It combines the noise of the detector and of the keypoints, times sqrt(factor) (V, J), and that of a camera's
+        The noise combines that of the detector and of the keypoints, times sqrt(factor) (V, J), and that of a camera's
         rotation.
         """
         px_per_m = self.px_per_m(points_m, size)[..., None]
@@ -483,8 +483,8 @@ def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
     """Return contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms of both.
 
-    The ground is a plane through the standing feet, fitted by reweighted least squares. It is None if too few feet
-    stand.
+    The ground is a plane through the standing feet, fitted by reweighted least squares. The ground is None if too few
+    feet stand.
     """
     feet = clip.feet
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)

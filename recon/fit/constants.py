@@ -1,7 +1,7 @@
 """Define the numbers of the trajectory method that no user sets, each with its reason.
 
-They are standard deviations unless stated otherwise. Code reads them by name (`constants.ROBUST_C`), so that tests can
-set other values. docs/benchmarks.md shows their effect.
+The numbers are standard deviations unless stated otherwise. Code reads them by name (`constants.ROBUST_C`), so that
+tests can set other values. docs/benchmarks.md shows their effect.
 """
 
 # Detections
@@ -16,7 +16,8 @@ KEYPOINT_BIAS_SHARE = 0.6
 COMMON_BIAS_SHARE = 0.4
 """Fraction of the variance of the keypoint bias that several cameras share.
 
-It is the most likely value in the real runs; `python benchmarks/cameras.py --only several` also fits with 0.
+The value is the most likely one in the benchmark's real runs; `python benchmarks/cameras.py --only several` also fits
+with 0.
 """
 NOISE_ABOUT_BIAS = 1.2
 """Factor on the variance of detections about their keypoint bias, because real bias is not quite constant over a clip.
@@ -27,8 +28,8 @@ as noise (`python benchmarks/cameras.py --only several`).
 ERROR_TIME_S = 0.16
 """Correlation time of errors of detections, in seconds; detections within it count once in the uncertainty.
 
-It was chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints
-(`python benchmarks/uncertainty.py --only views`).
+The value was chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints (`python
+benchmarks/uncertainty.py --only views`).
 """
 
 # Cameras and their clocks
@@ -38,7 +39,7 @@ CALIBRATED_FOCAL = 0.02
 STATED_FOCAL = 0.1
 """Relative standard deviation of a single camera's focal length from a field of view.
 
-It is the usual error of a camera's data sheet for a video, which uses only a part of the sensor.
+The value is the usual error of a camera's data sheet for a video, which uses only a part of the sensor.
 """
 
 TIME_OFFSET_FRAMES = 12**-0.5
@@ -53,7 +54,7 @@ CAMERA_SHIFT_M = 0.05
 `CAMERA_SHIFT_SHARE` gives the shift for a close animal.
 """
 CAMERA_SHIFT_SHARE = 0.02
-"""Largest shift of such a camera as a fraction of its distance from the animal."""
+"""Largest shift of a camera pose that is to be refined, as a fraction of the distance from the animal."""
 CALIBRATED_RAD = 0.008726646259971648
 """Usual error of the rotation between two calibrated cameras, about each axis (half a degree)."""
 SHARE_OF_PAIR = 2**-0.5
@@ -67,8 +68,8 @@ inside 90 % intervals, and pairs with a turned camera have smaller errors (`benc
 MISPLACED_RAD = 0.05235987755982988
 """Rotation about an axis of one of two cameras that is roughly calibrated, or was turned after its calibration.
 
-It is 3 degrees. With 2 degrees, errors in the benchmark's real runs are larger if the second camera is turned by 3 or 6
-degrees.
+The rotation is 3 degrees. With 2 degrees, errors in the benchmark's real runs are larger if the second camera is turned
+by 3 or 6 degrees.
 """
 TURNED_SHARE = 0.3
 """Prior probability that the rotation of one of two cameras about one of its axes is as large as `MISPLACED_RAD`.
@@ -94,19 +95,19 @@ SIZE_OF_TWO_CAMERAS = 0.03
 LEAST_NOISE = 0.02
 """Smallest variance of a joint's detections relative to the expected variance.
 
-It applies if several cameras solve for the body's shape and the detector was not measured.
+The limit applies if several cameras solve for the body's shape and the detector was not measured.
 """
 NOISE_COUNT = 1.0
 """Weight of the expected variance in the estimate of a joint's noise, as a number of detections."""
 LENGTH_SHARE = 0.3
 """Standard deviation of a single length, relative to that of the size, if several cameras solve for the shape.
 
-It is increased if the solution shows that the animal's lengths vary more.
+The standard deviation is increased if the solution shows that the animal's lengths vary more.
 """
 OFFSET_SHARE = 0.4
 """Standard deviation of a keypoint offset, relative to that of the common bias, if several cameras solve for the shape.
 
-It is increased if the solution shows that the animal's offsets vary more.
+The standard deviation is increased if the solution shows that the animal's offsets vary more.
 """
 LENGTH_SIGMA = 0.1
 """Smallest relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
@@ -154,7 +155,7 @@ MISFIT_USUAL = 3.6
 """Mean squared residual of the prior at which the misfit is 1; it exceeds 1 because a prior's errors persist over many
 frames.
 
-It is 2.3 to 4.6 in 32 real views at 90 to 200 Hz, 2.0 to 4.4 with every second frame.
+The mean is 2.3 to 4.6 in 32 real views at 90 to 200 Hz, 2.0 to 4.4 with every second frame.
 """
 MISFIT_LEVEL = 2.0
 """Smallest misfit of a motion that is unlike those of the prior."""

@@ -89,7 +89,7 @@ class Rig:
     time_offset_frames: tuple[Array, ...]
     """Delay in frames of each camera's pictures beyond the stated offset, (V,) for each clip.
 
-    It is 0 for a camera without detections.
+    The delay is 0 for a camera without detections.
     """
     converged: bool
     """Whether the last step of the unknowns was below `CLOSE_ENOUGH`."""

@@ -121,7 +121,7 @@ class Motion:
     correction_gain_m2: Array | None = None
     """Expected decrease of the pose's mean squared error if a detection were corrected, m^2, shape (V, T, J).
 
-    See `recon.fit.correction_gain`. It is None if the method cannot compute it.
+    The array is None if the method cannot compute the decrease (`recon.fit.correction_gain`).
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
     """Seconds that parts of the fit took, by name; the solution has those of its own stages."""
@@ -589,7 +589,7 @@ class Motion:
 
     @property
     def joint_sigma_m(self) -> Array:
-        """Return the joints' standard deviations in the frame of reference, (T, J, 3), m, position and size included."""
+        """Return the joints' standard deviations in the frame of reference, (T, J, 3), m, with position and size."""
         return _sigmas(self._turned(self.solution.covariance_m2))
 
     def relative_covariance_m2(self, rows: slice = slice(None)) -> Array:

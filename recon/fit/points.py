@@ -187,8 +187,7 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
             better = new_cost < cost[active]
             states[active[better]], cost[active[better]] = tried[better], new_cost[better]
             damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), *_DAMPING)
-            # Near the minimum, rounding decides which step is better, so a step of this size ends the search either
-            # way.
+            # Near the minimum, rounding decides which step is better, so a step this small always ends the search.
             active = active[(np.abs(step).max(axis=1) >= _TOLERANCE) & (damping[active] < _DAMPING[1])]
     return states
 

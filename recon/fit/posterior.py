@@ -72,8 +72,8 @@ _NOISE_ROUNDS = 2
 _EXPLAINED = 0.05
 """Fraction of the detections, or of their squared residuals, below which the noise is estimated only once.
 
-It is the fraction that the shared unknowns explain. At this limit, the second round changes variances by 0.1 % (300
-simulated frames of six cameras).
+The fraction is the part that the shared unknowns explain. At this limit, the second round changes variances by 0.1 %
+(300 simulated frames of six cameras).
 """
 _NOISE_FACTOR = (0.05, 4.0)
 """Smallest and largest factor on the variance of the noise in one round."""
@@ -276,8 +276,8 @@ def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
 def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
     """Return the most likely factor on the expected variances of some shared unknowns, at least 1.
 
-    It is found by expectation-maximisation: the expected squares of the unknowns under their posterior give the factor,
-    which in turn gives their posterior.
+    The factor is found by expectation-maximisation: the expected squares of the unknowns under their posterior give the
+    factor, which in turn gives their posterior.
     """
     rest = np.delete(np.arange(len(g)), columns)
     by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, columns]).T
@@ -315,7 +315,7 @@ def _with_reestimated_noise(
         shared_curvature = _shared_curvature(freed, estimate, variance_factor, equations.normal(factor))
         covariance = np.linalg.inv(shared_curvature.precision)
         gradient, expected = shared_curvature.gradient, shared_curvature.expected_precision
-        step = covariance @ gradient  # of the shared unknowns, to the best bias
+        step = covariance @ gradient  # step of the shared unknowns to the best bias
         shared_squares = float(gradient @ step + expected @ step**2)
         squares = all_squares / factor - shared_squares
         shared_detections = variance_factor * (len(step) - float(expected @ np.diagonal(covariance)))
@@ -541,8 +541,9 @@ def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: f
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     """Return the information fraction of each joint, (J,), 0 to 1.
 
-    It is the median over frames of 1 - variance / variance without pixels, (T, J), of the joint relative to the mean of
-    the joints, with position and heading given. It is NaN for joints that cannot move relative to the mean.
+    The fraction is the median over frames of 1 - variance / variance without pixels, (T, J), of the joint relative to
+    the mean of the joints, with position and heading given. The fraction is NaN for joints that cannot move relative to
+    the mean.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
@@ -628,7 +629,7 @@ _ROUNDING_M2 = 1e-12
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
     """Return the radius, in standard deviations, of the region that holds the truth with probability `level`.
 
-    It is the square root of e' V^-1 e at the region's edge.
+    The radius is the square root of e' V^-1 e at the region's edge.
     """
     return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
 

@@ -62,7 +62,7 @@ class ShapeFit:
     spread_m: dict[str, float]
     """Standard deviation of the keypoint bias along each axis, m, which is constant within one clip and camera.
 
-    It is given for each marker of the left side and the middle.
+    The values are those of the markers of the left side and the middle.
     """
 
     @cached_property

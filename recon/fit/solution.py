@@ -278,7 +278,7 @@ def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
     """Yield the arrays of a segment one by one, because those of a long clip are large."""
-    # several cameras: the other shared unknowns stay as solved, so that the rays still meet
+    # for several cameras, the other shared unknowns stay as solved, so that the rays still meet
     state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
     states = states_at_size(segment.estimate.states, state_by_size, segment.size, size)
     points = clip.body.tree.pose(states).points_m
@@ -407,7 +407,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
     size = SharedUnknown(SIZE, np.ones(1), size_sigma)
     terms = [term for term in segment.problem.terms if not isinstance(term, OnGround)]
     unknowns = free | shared | free | {SIZE: size}  # the camera's errors come first
-    unknowns.pop(extrinsic_correction(0), None)  # a turn of the first camera counts as one of the second
+    unknowns.pop(extrinsic_correction(0), None)  # a turn of the first camera is treated as one of the second
     return replace(segment.problem, terms=terms, shared=[*unknowns.values()], nuisance=()), usual_sigma
 
 

@@ -149,7 +149,7 @@ def constant_velocity(
     scale = np.median(np.linalg.norm(positions, axis=2), axis=1)[:, None, None] / _MISFIT_M
     seen = np.isfinite(rays[..., 0])
     motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
-    # A wide, soft prior limits what short clips do not determine: m, m/s, m/s^2, m/s.
+    # A wide prior bounds the unknowns that a short clip does not determine; the units are m, m/s, m/s^2 and m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
     x = np.zeros((H, 6))
     x[:, :3] = np.median(positions + centres, axis=1)

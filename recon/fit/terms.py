@@ -34,12 +34,12 @@ SIZE = "size"
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
 """Name of the shared unknowns (3J,): the keypoint bias common to all cameras, in the frame of the marker's segment.
 
-It is solved for if the body's shape is unknown, and otherwise only adds to the uncertainty.
+The bias is solved for if the body's shape is unknown, and otherwise only adds to the uncertainty.
 """
 LENGTHS = "segment lengths"
 """Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers.
 
-They are equal on both sides.
+The factors are the same on both sides.
 """
 SIDESLIP = "sideslip"
 """Name of the shared unknown: the angle, to the left, between the animal's trunk and its direction of travel, rad."""
@@ -147,7 +147,7 @@ class PointRows:
     by_bias: Array | None = None
     """(N, J): derivatives of each coordinate with respect to the same coordinate of the joint's keypoint bias.
 
-    It is None if the bias is fixed.
+    The derivatives are None if the bias is fixed.
     """
 
 
@@ -299,7 +299,7 @@ class PoseMixture:
     def add_normal(self, span: Span, blocks: Array, gradient: Array) -> None:
         """Add the curvature to a span's blocks (N, D, D) and the gradient to its gradient (N, D), in place.
 
-        They equal J'J and J'r of the rows of `evaluate`, but need no Cholesky root.
+        The curvature and the gradient equal J'J and J'r of the rows of `evaluate`, but need no Cholesky root.
         """
         _, by_angles, precision = self._expanded(span, jacobian=True)
         gradient[:, ANGLES] += by_angles
@@ -632,7 +632,7 @@ class OnGround:
     at: float | None = None
     """Size at which the plane was fitted, if it is fixed in the world.
 
-    It is None if the plane scales with the size.
+    The size is None if the plane scales with the animal's size.
     """
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)

@@ -52,7 +52,7 @@ _SPLINE_ROUNDS = 3
 _MEDIAN_OF_CHI_SQUARE = 1.3863
 """Median of a detection's squared error over its variance for several rays: chi square with two degrees of freedom."""
 _MEDIAN_OF_TWO_RAYS = 0.9099
-"""Median of this squared error for two rays, whose errors have one degree of freedom."""
+"""Median of a detection's squared error over its variance for two rays, whose errors have one degree of freedom."""
 _LEAST_OF_KEYPOINT = 20
 """Smallest number of detections from which a keypoint's own noise is estimated."""
 _LEAST_KNOTS = 6

@@ -304,7 +304,7 @@ class Tree(Brief):
     def state_names(self) -> tuple[str, ...]:
         """Return the names of the state's unknowns, (D,).
 
-        They are x_m, y_m, z_m, then <segment>_yaw etc., and phi_6 and theta_6 for the summed joint of segment J6.
+        The names are x_m, y_m, z_m, then <segment>_yaw etc., and phi_6 and theta_6 for the summed joint of segment J6.
         """
         names = [
             f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{_NAMES[axis]}"

@@ -27,7 +27,7 @@ from recon.base.arrays import Array, Bools
 _ANGLES = 2048
 """Number of samples of the table from which Newton's method starts."""
 _LARGEST_RADIUS = 1e8
-"""Largest radius of this table."""
+"""Largest radius of the table from which Newton's method starts."""
 
 
 class Lens:
@@ -46,7 +46,7 @@ class Lens:
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
     """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.board_calibration`)."""
     calibrated: ClassVar[int] = 0
-    """Number of coefficients that these functions estimate."""
+    """Number of coefficients that OpenCV's functions estimate."""
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
