@@ -306,11 +306,12 @@ def leave_out(
         used, lost = counted["used"] - lost_points.get(name, 0), lost_points.get(name, 0)
         unknown = min(counted["likelihood_unknown"], used)
         counts[name] = {**counted, "used": used, "rejected": counted["rejected"] + lost, "likelihood_unknown": unknown}
-    frame, first = (int(i) for i in np.argwhere(points)[0])
+    count, (frame, first) = int(points.sum()), np.argwhere(points)[0].tolist()
     note = (
-        f"{points.sum()} points are {reason}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
+        f"{count} {'point is' if count == 1 else 'points are'} {reason}, and left out: {keypoints.names[first]} "
+        f"in frame {keypoints.frames[frame]}"
     )
-    note += ", ..." if points.sum() > 1 else ""
+    note += ", ..." if count > 1 else ""
     left_out = report.left_out.with_points(keypoints, points, reason, later_frames)
     report = replace(report, keypoints=counts, notes=(*report.notes, note), left_out=left_out)
     return _without_points(keypoints, points), report

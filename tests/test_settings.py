@@ -423,7 +423,7 @@ def test_a_setting_of_several_values_is_set_several_times(tmp_path):
     others = ["--set", "fast=true", "--no-fix-swaps"]
     refused(
         ["fit", *files, "--set", "offset-s=0", "--set", "offset_s=0.5", *others],
-        ("--set offset-s", "offset_s", "2: 0.0, 0.5", "one value for each keypoint file, that is 1"),
+        ("--set offset-s", "offset_s", "2: 0.0, 0.5", "1 value, one for each keypoint file"),
     )
 
 

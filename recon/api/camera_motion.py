@@ -16,7 +16,7 @@ from recon.api.settings import FIRST_FRAME, FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
-from recon.base.numbers import percent, quantity
+from recon.base.numbers import counted, percent, quantity
 from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
@@ -202,7 +202,8 @@ def _up(
         return None, "the mean of all frames is taken as level: its tilt and roll are 0"
     by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
     up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
-    return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
+    precision = f"known to {np.degrees(sigma):.1g} degrees if the marks are 2 px off"
+    return up, f"from {counted(len(marks), 'mark')} in {s.level_marks}, {precision}"
 
 
 def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:

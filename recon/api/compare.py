@@ -104,7 +104,7 @@ class CompareSettings(Settings):
         if self.table is not None and is_experiment:
             yield Problem("--table", "table", "another table of the clips", "one of --table, --design and --names")
         elif self.design is not None and self.names is not None:
-            yield Problem("--names", "pattern", "a design, too", "one of --design and --names")
+            yield Problem("--names", "pattern", "a design as well", "one of --design and --names")
         elif (self.table is None) != (self.by is None) and self.design is None:
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
         if self.covariate and not is_experiment:

@@ -71,7 +71,7 @@ def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Seque
     rows = [dict(zip(header, (cell.strip() for cell in cells), strict=False)) for cells in lines[1:]]
     required = ["animal", *([by] if by != "group" else []), *covariates]
     problems = [
-        Problem(path, "column", f"no {name!r} ({', '.join(header)})", "a column of this name, between commas")
+        Problem(path, "column", f"no {name!r} ({', '.join(header)})", "a column of this name, separated by commas")
         for name in required
         if name not in header
     ]

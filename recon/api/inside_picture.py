@@ -45,7 +45,7 @@ def _possible_causes(camera: Camera, points: Array, settings: FitSettings) -> st
         for camera_of_file in other_cameras(camera, settings)
         if _contains(camera_of_file.image_size_px, points)
     )
-    causes += [f"they are from {camera_of_file.name} of the file" for camera_of_file in fitting]
+    causes += [f"the keypoints are from {camera_of_file.name} of the file" for camera_of_file in fitting]
     larger = (n for n in (2, 3, 4) if _contains((n * camera.image_size_px[0], n * camera.image_size_px[1]), points))
-    causes = causes or [f"they were found in a video {n} times as large" for n in larger][:1]
+    causes = causes or [f"the keypoints were found in a video {n} times as large" for n in larger][:1]
     return f"; perhaps {', or '.join(causes)}" if causes else ""

@@ -36,7 +36,7 @@ BY_HAND, FROM_MODEL, DETECTED = "by hand", "accepted from the model", "detected,
 
 @dataclass(frozen=True)
 class CorrectedClip:
-    """One camera's corrections of a result, and the fit with them."""
+    """Corrections of the keypoints of one camera, and the fit of the clip with them."""
 
     settings: FitSettings
     motion: Motion

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from recon.base.errors import Problem
 from recon.base.file_names import to_encodable
+from recon.base.numbers import counted
 from recon.base.settings import Count, File, NameOrFile, NotNegative, Number, OneOrMore, Option, Positive, Settings
 from recon.clip import parse_frame_range
 
@@ -247,7 +248,7 @@ class FitSettings(Settings):
         for name in ("camera_name", "offset_s", "camera_fps"):
             values = getattr(self, name)
             if values is not None and len(values) != count:
-                expected = f"one value for each keypoint file, that is {count}"
+                expected = f"{counted(count, 'value')}, one for each keypoint file"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
         for name in ("find_offsets", "refine_cameras"):
             if getattr(self, name) and count == 1:

@@ -464,7 +464,10 @@ def _directions_ahead(
     if body_count == 1 or not any(ends):
         bodies = "1 rigid body" if body_count == 1 else f"{body_count} rigid bodies"
         actual = f"an animal of {length_m:.3g} m that moves by {path_m:.3g} m, with {bodies}"
-        expected = "two bodies or more; for the front a path of half its length, or points named after head or tail"
+        expected = (
+            "two rigid bodies or more; and to find the front, a path of half its length, or points named after head or "
+            "tail"
+        )
         raise InputError(Problem(source, "motion", actual, expected))
     rear_m, front_m = (mean_along(points_m[:, end], 1) if end else mean_along(points_m, 1) for end in ends)
     return (front_m - rear_m)[:, :2]

@@ -24,7 +24,7 @@ from recon.base.locks import is_locked_here, removed_if_empty
 
 MANIFEST = "manifest.json"
 SCHEMA = {"name": "recon.manifest", "version": 1}
-AGAIN = "the results of one run as they were written: run the command again, with --overwrite"
+AGAIN = "the unchanged results of one run: run the command again, with --overwrite"
 _PREFIX = ".recon-partial-"
 _LOCK, NEW, _OLD = "lock", "new", "old"
 """Names in a staging folder: the file that its process keeps locked, the new files, and the files that they replace."""

@@ -260,8 +260,8 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     batch = neighbours(folder, whole_batch)
     html = clip_page(motion, shown, None if video is None else video.name, files, number, strip, batch)
     output.write(PAGE, html)
-    changed_note = f"no link on the page, because missing or changed since the fit: {', '.join(changed)}"
-    stale_note = f"no link on the page, because possibly made from other results: {', '.join(stale)}"
+    changed_note = f"not linked on the page, because they are missing or changed since the fit: {', '.join(changed)}"
+    stale_note = f"not linked on the page, because they may come from other results: {', '.join(stale)}"
     video_notes = [first_frame_note(motion, settings), bars_note(video)]
     possible_notes = [*video_notes, changed_note if changed else None, stale_note if stale else None]
     notes = [*filter(None, possible_notes)]

@@ -45,7 +45,8 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
         samples = report["samples"]
         position_sigma, angle = (max(samples[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
         text = (
-            f"{samples['count']} motions drawn from the uncertainty are in {out / 'samples.npz'}: the base is known to"
+            f"{samples['count']} motions drawn from the uncertainty are in {out / 'samples.npz'}: the base is known to "
+            "within"
         )
         yield (
             f"{text} {quantity(position_sigma, 3, 'm')}, joint angles to {angle:.2f} rad (one standard "

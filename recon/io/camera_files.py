@@ -241,7 +241,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     for section, table in tables.items():
         coefficients = table.get("distortions")
         if isinstance(coefficients, list) and len(coefficients) == 1:
-            table = table | {"distortions": coefficients + [0.0] * 3}  # k1 alone; the others were not estimated
+            table = table | {"distortions": coefficients + [0.0] * 3}  # only k1 was estimated; the others are 0
         record = record_of(table.get("name", section), f"{section}.", table)
         require_separate_pose(path, table, record)
         records.append(record)
@@ -381,7 +381,7 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
     if size is not None:
         stated["image_size_px"] = size
     if key_in(document, ("R",)) is not None and key_in(document, ALIASES["translation_m"]) is None:
-        stated["rotation"] = None  # ROS: the rectification, not a pose
+        stated["rotation"] = None  # the R of ROS is a rectification, not a pose
     record = record_of(document.get("camera_name"), "", document, **stated)
     require_lens(path, document, record)
     require_separate_pose(path, document, record)

@@ -216,9 +216,13 @@ def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tupl
         )
     since_start, period_s = counted
     if fps is not None:
-        return since_start, fps, f"Times are uneven ({_steps_text(times_s)} apart): each belongs to the nearest frame."
+        return (
+            since_start,
+            fps,
+            f"Times are uneven ({_steps_text(times_s)} apart): each is assigned to the nearest frame.",
+        )
     fps = float(f"{1 / period_s:.6g}")
-    note = f"Times are uneven ({_steps_text(times_s)} apart): frames are numbered at {fps:g} per second (or by --fps)."
+    note = f"Times are uneven ({_steps_text(times_s)} apart): frames are numbered at {fps:g} per second (or at --fps)."
     return since_start + round(float(times_s[0]) * fps), fps, note
 
 

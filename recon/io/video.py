@@ -176,8 +176,8 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
         )
     if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:
         return (
-            f"{name} states {stated} frames, {decoded} can be decoded: it is cut short, or frames are missing "
-            f"in it and speeds are wrong there; its time stamps do not say where. {counted}; copy the video again"
+            f"{name} states {stated} frames, but {decoded} can be decoded: it is cut short, or it lacks frames and "
+            f"speeds are wrong there; its time stamps do not show where. {counted}; copy the video again"
         )
     return None
 

@@ -135,7 +135,7 @@ def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
     times = np.array([stamp_s for _, stamp_s, _ in timed_frames(video)])
     assert missing_frames(times) == {}
     assert len(times) < 40
-    assert f"states 40 frames, {len(times)} can be decoded" in (missing_note(video, times) or "")
+    assert f"states 40 frames, but {len(times)} can be decoded" in (missing_note(video, times) or "")
 
 
 @pytest.mark.parametrize(
