@@ -1,4 +1,4 @@
-"""Calibration from views of a board: rendered through a known camera and found again, and what is refused."""
+"""Test calibration from views of a board that is rendered through a known camera, and refused inputs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def pictures(camera: Camera, board_text: str, count: int, seed: int = 1, fill: f
 
 
 def exact_views(camera: Camera, board: Board, where: list, noise_px: float = 0.1, seed: int = 0) -> BoardViews:
-    """Views with white noise on projected corners, without any picture."""
+    """Return views with white noise on the projected corners, without any picture."""
     rng = np.random.default_rng(seed)
     views = []
     for number, (rotation, translation) in enumerate(where):
@@ -103,7 +103,7 @@ def test_every_fault_of_a_board_is_named(text, fields):
 
 @pytest.mark.parametrize("text", ["charuco:5x8:40mm:30mm:DICT_4X4_50", "charuco:5x8:40mm:30mm:DICT_4X4_50:legacy"])
 def test_rendered_charuco_is_the_board_that_opencv_prints(text):
-    """Seen squarely at one cell per 10 px, what is rendered is `CharucoBoard.generateImage`."""
+    """A rendered ChArUco board, seen squarely at 10 px per cell, is that of OpenCV's `CharucoBoard.generateImage`."""
     board = parse_board(text)
     printed = board.charuco.generateImage((5 * 60, 8 * 60), marginSize=0)
     camera = Camera("c", np.array([[1500.0, 0, -0.5], [0, 1500, -0.5], [0, 0, 1]]), np.zeros(0), "pinhole", (300, 480))
@@ -142,7 +142,7 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
     ],
 )
 def test_intrinsics_come_back(lens, text):
-    """Within 0.5 % of the truth, and the lens to a pixel wherever boards reach."""
+    """Intrinsics are found within 0.5 % of the truth, and the lens within a pixel wherever boards reach."""
     camera, board = BOARD_CAMERAS[lens], parse_board(text)
     count = 14 if text == CHESS else 24  # its corners are half as many and half as exact
     found = [board.detect(picture) for picture in pictures(camera, text, count)]
@@ -221,7 +221,7 @@ def test_a_good_calibration_is_not_refused(chess_views):
 
 
 def test_parallel_boards_are_refused():
-    """Focal length and distance are confounded: the numbers say how much is missing."""
+    """Parallel boards are refused, because focal length and distance are confounded; the message says by how much."""
     board, camera = Board(9, 6, 0.025), BOARD_CAMERAS["radtan"]
     centre = board.points_m.mean(axis=0)
     rng = np.random.default_rng(0)
@@ -266,7 +266,7 @@ def test_each_limit_is_measured(chess_views):
 
 
 def test_coverage_is_the_area_of_the_boards():
-    """One board that fills the middle ninth of the picture."""
+    """The coverage is the area of the boards: one board that fills the middle ninth of the picture."""
     board = Board(9, 6, 0.025)
     camera = Camera("c", BOARD_CAMERAS["pinhole"].matrix, np.zeros(0), "pinhole", SIZE_PX)
     xy = board.points_m[:, :2] / [0.2, 0.125] * [266.6, 200] + [266.7, 200]
@@ -288,7 +288,7 @@ def test_too_few_views_is_an_input_error(chess_views):
 
 
 def test_sharp_and_different_frames_are_chosen():
-    """Two blurred frames, three places, of which one is held for a second."""
+    """Sharp and different frames are chosen: two are blurred, and one of three positions is held for a second."""
     places = np.array([0.1] * 5 + [0.5, 0.9, 0.7, 0.3])
     outlines = np.zeros((9, 4, 2))
     outlines[..., 0] = places[:, None]
@@ -314,7 +314,7 @@ def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
 
 @pytest.mark.slow
 def test_a_video_gives_some_of_its_frames(tmp_path):
-    """The board glides over the picture for two seconds, then rests for one: the rest is one view."""
+    """A video gives some of its frames; while the board rests, all frames count as one view."""
     camera, board = BOARD_CAMERAS["pinhole"], parse_board(CHARUCO)
     glide = [np.array([-0.25 + 0.02 * n, -0.16 + 0.01 * n, 0.6 - 0.01 * n]) for n in range(12)]
     with video_writer(tmp_path / "board.avi", SIZE_PX, 5.0) as write:
@@ -388,7 +388,7 @@ def test_command_writes_a_camera_that_can_be_read(radtan_folder, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_command_refuses_and_can_be_forced(radtan_folder, tmp_path):
-    """A pinhole does not explain these pictures."""
+    """The command refuses pictures that a pinhole does not explain, unless `--force` is given."""
     pictures = sorted(map(str, radtan_folder.iterdir()))[:12]
     out = tmp_path / "camera.toml"
     args = ["calibrate", *pictures, "--board", CHARUCO, "--model", "pinhole", "--out", str(out)]

@@ -1,4 +1,4 @@
-"""Where to put a camera: what the posterior says at a motion that is known, by where the camera is."""
+"""Test camera advice: the posterior of a known motion for each camera position."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse()
 
 
 def test_without_noise_the_pixels_say_all(monkeypatch):
-    """Keypoints on their joints and a hundredth of a pixel: little is left to the prior, even of phi."""
+    """If keypoints lie on their joints with a noise of 0.01 px, hardly anything comes from the prior, even for phi."""
     exact = TrajectoryOptions(sigma_px=0.01, keypoint_sigma_m=0.0)
     for least, what in ((0.99, {"target": "theta_6"}), (0.9, {"target": "phi_6"}), (0.99, {"target": "J8"})):
         usual = seen_from((1.2, 0.5), **what)
@@ -100,7 +100,7 @@ def test_places_in_words():
 
 @pytest.mark.parametrize("directions", [2, pytest.param(12, marks=pytest.mark.slow)])
 def test_command(directions, tmp_path, monkeypatch):
-    """All directions, or the best one and the one ahead."""
+    """The command advises among all directions, or compares the best one with the one ahead."""
     out = tmp_path / "advice"
     if directions == 2:
         for module in ("recon.api.camera_advice", "recon.calibrate.camera_advice", "recon.show.plots.configurations"):

@@ -1,4 +1,4 @@
-"""`recon camera-motion`: films of a random texture all around, seen by a camera whose turns are known."""
+"""Test `recon camera-motion` on films of a random texture, seen by a camera with known rotations."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FISHEYE = Camera(
 
 @cache
 def texture(seed: int = 0) -> np.ndarray:
-    """1024x1024 grey levels that repeat, smooth over about 2 pixels."""
+    """Return a texture that repeats, 1024x1024 grey levels, smooth over about 2 pixels."""
     noise = np.random.default_rng(seed).normal(size=(1024, 1024))
     smooth = sum(cv2.GaussianBlur(np.tile(noise, (1, 1)), (0, 0), s) * s for s in (1.5, 4.0, 12.0))
     return np.clip(128 + 45 * smooth / np.std(smooth), 0, 255).astype(np.float32)
@@ -53,14 +53,14 @@ def directions(camera: Camera, zoom: float = 1.0) -> np.ndarray:
 
 
 def seen(rotation: np.ndarray, camera: Camera = PINHOLE, zoom: float = 1.0, px_rad: float = 300.0) -> np.ndarray:
-    """What a camera sees of the texture all around it."""
+    """Return what a camera sees of the texture all around it."""
     x, y, z = (directions(camera, zoom) @ rotation).T
     u, v = px_rad * np.arctan2(x, z), px_rad * np.arcsin(np.clip(y, -1, 1))
     return sampled(u.reshape(SIZE[::-1]), v.reshape(SIZE[::-1]))
 
 
 def pan(count: int, sweep_deg: float, shake_deg: float = 0.2) -> np.ndarray:
-    """(T, 3, 3): there and back."""
+    """Return rotations (T, 3, 3) of a pan there and back."""
     rng = np.random.default_rng(1)
     way = sweep_deg * (1 - np.abs(np.linspace(-1, 1, count)))
     angles = np.column_stack([0.2 * way, way, -0.1 * way]) + shake_deg * rng.normal(size=(count, 3))
@@ -82,7 +82,7 @@ def errors_deg(motion, rotations: np.ndarray) -> np.ndarray:
 
 
 def with_patch(pictures, share: float):
-    """Each with a subject that is followed: finely structured, in the middle, striding to and fro."""
+    """Yield pictures in which a finely structured subject strides to and fro in the middle, as if it were followed."""
     width, height = (int(n * np.sqrt(share)) for n in SIZE)
     x, y = np.meshgrid(np.arange(width), np.arange(height))
     for t, picture in enumerate(pictures):
@@ -95,7 +95,7 @@ def with_patch(pictures, share: float):
 
 @pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), pytest.param(FISHEYE, 0.9, marks=pytest.mark.slow)])
 def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
-    """Without drift with the true focal length; with another the stated deviations hold its error."""
+    """A pan is found together with the focal length, without drift or with an error within its standard deviation."""
     rotations = pan(12, 14.0)
     told = replace(camera, matrix=camera.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
     motion = tracked((seen(R, camera, px_rad=camera.matrix[0, 0]) for R in rotations), told)
@@ -125,7 +125,7 @@ def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background():
 
 @pytest.mark.slow
 def test_the_animal_is_masked_by_its_points():
-    """It covers more than half of the picture, which would be taken for the background."""
+    """The animal is masked by its points, although it covers more than half of the picture."""
     rotations = pan(7, 8.0)
     hull = np.array([[60.0, 40], [260, 40], [260, 140], [60, 140]])
     pictures = list(with_patch((seen(R) for R in rotations), 0.6))
@@ -160,7 +160,7 @@ def test_a_cut_is_seen():
 
 
 def driven(way_m: float, turned_rad: float) -> np.ndarray:
-    """From a camera 1.5 m above the ground, 8 m from a wall, carried along it."""
+    """Return pictures by a camera that is carried along a wall, 8 m away, 1.5 m above the ground."""
     dx, dy, dz = (directions(PINHOLE) @ Rotation.from_rotvec([0, turned_rad, 0]).as_matrix().T).T
     to_ground, to_wall = np.where(dy > 1e-3, 1.5 / np.maximum(dy, 1e-3), 1e9), 8 / dz
     far = np.minimum(to_ground, to_wall)
@@ -187,7 +187,7 @@ def test_level_is_the_first_frame_as_told_or_the_mean_frame():
 
 
 def marked(folder, lines: list[tuple[str, int, np.ndarray]]):
-    """A table of marks: of points (2, 3) of the world, in the pictures of a camera in the origin that pans."""
+    """Return a table of marks of the points (2, 3) of the world, in pictures of a camera that pans at the origin."""
     rows = []
     for kind, frame, points in lines:
         pixels, _ = FISHEYE.project(points @ pan(9, 10.0)[frame].T)
@@ -275,7 +275,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
 
 @pytest.mark.slow
 def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_is_missing(tmp_path):
-    """A detector numbers the frames that can be decoded, and so does the track: each has the pose of its picture."""
+    """A damaged video keeps the frame numbers of a detector, which numbers decodable frames, and gaps are reported."""
     frames = 14
     rotations, video = pan(frames, 6.0), tmp_path / "pan.mkv"
     writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)
@@ -358,7 +358,7 @@ def test_bad_input_is_one_clear_message(tmp_path):
 
 @pytest.mark.slow
 def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_path):
-    """Off by a tenth or more it is refused, with less it is noted."""
+    """A focal length that the rotations contradict by a tenth or more is refused, and a smaller difference is noted."""
     film(tmp_path / "pan.avi", (seen(R) for R in pan(10, 12.0)))
     (tmp_path / "off").mkdir()
     for by, code in ((0.8, 2), (1.05, 0)):

@@ -1,4 +1,4 @@
-"""A camera that does not agree with the others is named, with how much; simulated cameras around a run."""
+"""Test that a camera that disagrees with the others is named, with the amount; simulated cameras film a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from recon.testing.cameras import level_pose
 
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
-    """What the rules say of a motion that has what they read."""
+    """Return the findings on a motion that has only what the rules read."""
     late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)  # a lag that was found does not hide another
     leads = [view.offset_frames for view in views]
     sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
@@ -28,7 +28,7 @@ def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[F
 
 
 def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
-    """Codes but for notes, and the cameras that they are about, by their places."""
+    """Return the codes of findings other than notes, and the indices of their cameras."""
     return [
         (one.code, tuple(int(name[3:]) - 1 for name in one.names("cameras") or (str(one.camera),)))
         for one in found
@@ -37,12 +37,12 @@ def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
 
 
 def notes(found: Sequence[Finding]) -> list[SimpleNamespace]:
-    """What is said of each camera."""
+    """Return the notes on each camera."""
     return [SimpleNamespace(**one.numbers) for one in found if one.code == "camera_agreement"]
 
 
 def turned(view: View, axis: int) -> View:
-    """By five degrees about x, y or z of the camera."""
+    """Return a camera that is turned by five degrees about its x, y or z axis."""
     rotation = euler_rotation(np.radians(5.0) * np.eye(3)[axis])
     return replace(view, T_camera_world=rigid(rotation, np.zeros(3)) @ view.T_camera_world)
 
@@ -95,7 +95,7 @@ def test_a_camera_that_is_late_or_early(n, which, frames):
 
 
 def test_what_is_known_of_the_lag_is_taken_into_account():
-    """Half a frame is in the view; the other half is found."""
+    """A known lag is taken into account: half a frame is in the view, and the other half is found."""
     views, points = run_views(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, offset_frames=0.5)
@@ -111,7 +111,7 @@ def test_two_exchanged_files(n, pair):
 
 
 def test_a_camera_of_another_clip():
-    """Neither a turn nor a lag makes the detections of another run fit."""
+    """No turn and no lag makes the detections of another run fit."""
     views = run_views()
     points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
     views[3] = replace(view_of(points, POSES[3], seed=9), camera=views[3].camera)
@@ -170,7 +170,10 @@ def test_one_camera_has_nobody_to_agree_with():
 
 
 def test_refined_poses_that_fit_worse_are_used_only_where_they_may_unless_a_camera_is_an_outlier(two_cameras):
-    """As beside a fit that also solved for the lengths."""
+    """Refined poses that fit worse are used only if this is allowed and no camera becomes an outlier.
+
+    It is allowed for a fit that also solved for the lengths.
+    """
 
     def moved(shift_px: Sequence[float]) -> TrajectorySolution:
         solution = two_cameras.solution

@@ -1,4 +1,4 @@
-"""Audit of files of any origin: each planted fault is named with its frames, and right files have no finding."""
+"""Test the audit of files of any origin: each planted fault is found, and correct files have no finding."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ ROWS = slice(20, 30)
 
 @pytest.fixture(scope="module")
 def poses() -> AuditedPoints:
-    """The 3D poses of the bundled gallop, 60 frames a second."""
+    """Return the 3D poses of the bundled gallop, 60 frames per second."""
     return audit_file(SAMPLES / "whole_truth.csv", fps=60).points
 
 
 @pytest.fixture(scope="module")
 def sample() -> AuditedPoints:
-    """The keypoints of the bundled gallop, some of which are far off."""
+    """Return the keypoints of the bundled gallop, some of which are far off."""
     return audit_file(SAMPLES / "whole.csv", fps=60).points
 
 
 @pytest.fixture(scope="module")
 def keypoints(sample: AuditedPoints) -> AuditedPoints:
-    """The projections of the 3D poses, where the bundled gallop has keypoints."""
+    """Return the projections of the 3D poses for the keypoints that the bundled gallop has."""
     lens, truth = read_camera(SAMPLES / "camera.toml"), read_pose3d(SAMPLES / "whole_truth.csv")
     expected_px, _ = lens.project(lens.world_to_camera(truth.xyz_m[:, [truth.names.index(n) for n in sample.names]]))
     return replace(sample, positions=np.where(sample.known[..., None], expected_px, np.nan))
 
 
 def codes(points: AuditedPoints, **changes) -> dict[str, tuple[int, int] | None]:
-    """The codes of the findings on changed points, with their frames."""
+    """Return the codes of the findings on changed points, with their frames."""
     return {item.code: item.frames for item in audit(replace(points, **changes))}
 
 

@@ -1,4 +1,4 @@
-"""A camera whose clock runs slow beside another one's."""
+"""Test that a camera whose clock is slower than another camera's is found."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.example_run import BODY, FPS, PRIOR, two
 
 
 def _with_drift(views, drift_frames: float):
-    """The second of two views by a clock that is in step in the middle of the clip."""
+    """Return the second of two views with a clock that drifts and is in step in the middle of the clip."""
     T = len(views[1].xy_px)
     shown = np.arange(T) + drift_frames * (np.arange(T) - 0.5 * (T - 1)) / T
     xy_px = views[1].xy_px.reshape(T, -1)
@@ -39,7 +39,7 @@ def test_a_clock_that_drifts_is_named_with_its_rate(drift_frames):
 
 @pytest.mark.parametrize("drift_frames", [-4.0, 0.0])
 def test_a_drift_that_the_rays_do_not_show_is_not_a_clock(drift_frames, monkeypatch):
-    """Wrong lengths of a rough skeleton look like a drift, but the cameras' rays meet."""
+    """Wrong lengths of a rough skeleton look like a drift, but are not reported, because the cameras' rays meet."""
     solution = two()
     views = _with_drift(solution.views, drift_frames)
     value, sigma = drift_by_rays(views, solution.markers_m, 1)

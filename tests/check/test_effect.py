@@ -1,4 +1,4 @@
-"""A finding's severity follows what it does to the result."""
+"""Test that the severity of a finding follows its effect on the result."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_sentence_says_the_effect_where_it_is_known():
 
 
 def test_a_finding_on_the_frame_rate_says_the_speed(small_trajectory):
-    """Poses and positions hardly change with the rate: their effect would play the fault down."""
+    """A finding on the frame rate states the speed, because poses and positions hardly change with the rate."""
     body, solution = small_trajectory.body, small_trajectory.solution
     clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 30.0, TrajectoryOptions())
     (found,) = _rate_findings(clip, solution, 83.0, is_known=False)
@@ -137,7 +137,7 @@ def test_a_third_of_the_detections_left_out_is_named(small_trajectory, used, rej
 
 
 def without_frames(motion, rows, reason=GROSS):
-    """Leave out every detection of some rows, as gross outliers are."""
+    """Leave out all detections of some rows, as for gross outliers."""
     (source,) = motion.sources
     points = source.keypoints.present & np.isin(np.arange(len(motion.frames)), rows)[:, None]
     keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, reason)

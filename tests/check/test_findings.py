@@ -1,4 +1,4 @@
-"""Findings: each code has a severity, one sentence, and a line in docs/findings.md."""
+"""Test that each finding's code has a severity, one sentence, and a line in docs/findings.md."""
 
 from __future__ import annotations
 
@@ -323,7 +323,7 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
 
 
 def test_a_misfit_that_the_noise_hides_is_measured_against_detectors(small_trajectory):
-    """Every detection is 100 px off, and the noise that was found is as large."""
+    """A misfit is compared with usual detectors, not with the noise: all detections and the noise are 100 px off."""
     xy_px = small_trajectory.sources[0].keypoints.xy_px + 100.0
     keypoints = replace(small_trajectory.sources[0].keypoints, xy_px=xy_px)
     source, solution = replace(small_trajectory.sources[0], keypoints=keypoints), small_trajectory.solution

@@ -1,4 +1,4 @@
-"""Another focal length is told by the animal's perspective, its motion in depth and the ground."""
+"""Test that a wrong focal length shows in the animal's perspective, its motion in depth and the ground."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def number(item: Finding, name: str) -> float:
 
 
 def with_focal_scale(baseline: Baseline, log_factor: float, focal_sigma: float | None = None) -> Baseline:
-    """The same pictures by a lens that is said to be longer, and the animal as much farther away."""
+    """Return the same pictures with a longer stated focal length and the animal proportionally farther away."""
     (view,) = baseline.clip.views
     axis, states = view.T_camera_world[2, :3], baseline.states.copy()
     states[:, :3] += np.expm1(log_factor) * (states[:, :3] @ axis)[:, None] * axis

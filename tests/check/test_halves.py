@@ -1,4 +1,4 @@
-"""A hind half that is another animal's is told by its time offset."""
+"""Test that a hind half that belongs to another animal is found by its time offset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Input findings: put into a simulated run, each is found, and none where there is none."""
+"""Test that each fault that is put into a simulated run is found, and that correct runs have no finding."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def solved(changed: View) -> TrajectorySolution:
 
 
 def fitted(changed: View):
-    """As a fit to these keypoints finds it."""
+    """Return what a fit to these keypoints finds."""
     setting = ClipProblem.from_views([changed], BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
     return baseline_of(setting, 0, solved(changed).states, solved(changed).size)
 
@@ -95,7 +95,7 @@ def stretch(kind: str, first: int, stop: int) -> _Stretch:
 
 @cache
 def exchanged(kind: str, first: int, stop: int) -> View:
-    """What is seen with the sides exchanged in some frames: the same view for all tests, which fit it once."""
+    """Return the view with the sides exchanged in some frames; all tests share it, so that it is fitted once."""
     return with_exchanged(view(), stretch(kind, first, stop))
 
 
@@ -183,7 +183,10 @@ def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
 
 
 def test_other_cameras_refute_exchanged_sides_without_a_fit():
-    """Three cameras, of which the first has the sides of ten frames exchanged; with one other, nothing is refuted."""
+    """Other cameras refute exchanged sides without a fit.
+
+    The first of three cameras has the sides of ten frames exchanged; a single other camera refutes nothing.
+    """
     views = [view_of(truth_m(), pose, seed=i) for i, pose in enumerate(POSES[:3])]
     views[0] = with_exchanged(views[0], stretch("all", 15, 25))
     states = plain().states
@@ -318,7 +321,7 @@ def test_ten_frames_of_the_sample_are_found(tmp_path):
 
 
 def motion_of(solution) -> Motion:
-    """What was fitted to the view of a solution."""
+    """Return the motion of a solution with its view."""
     (one,) = solution.views
     keypoints = Keypoints(BODY.markers, one.xy_px, one.confidence, np.arange(100, 100 + T), FPS)
     source = Source(CAMERA, *clean(keypoints, 0.0), BODY.markers)
@@ -341,7 +344,7 @@ def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
 
 @pytest.mark.parametrize(("stop", "code"), [(14, "left_right_swap_mended"), (19, "clip_swapped_back")])
 def test_mending_swaps_back(small_trajectory: Motion, stop, code):
-    """What may as well be a mirrored video, as most of the clip, is still to be looked at."""
+    """Mending swaps the sides back; if most of the clip was swapped, it may be a mirrored video."""
     (source,) = small_trajectory.sources
     places = opposites(small_trajectory.body.markers)
     legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(places != np.arange(24)))
@@ -450,7 +453,7 @@ UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
     ],
 )
 def test_an_animal_that_runs_upside_down(code, axis, changed):
-    """A cause is named where it stands out: a level camera's picture that is turned over is as likely as others."""
+    """An upside-down animal has a named cause only if one stands out: a turned picture of a level camera does not."""
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     wrong = changed(replace(view(), camera=posed, T_camera_world=POSE))
     found = other_picture_finding(fitted(wrong.part(slice(10, 16))))
@@ -480,7 +483,10 @@ def test_an_animal_that_runs_upside_down(code, axis, changed):
     ],
 )
 def test_a_contradiction_with_several_causes(gains, code, causes):
-    """A cause is named if its likelihood stands out, otherwise all likely ones; none if opposite turns fit."""
+    """A cause of a contradiction is named if its likelihood stands out; otherwise all likely ones are named.
+
+    If opposite turns fit, none is named.
+    """
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     alternatives = [*likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))]
     ratios = [gains.get(n.get("axis", "270" if n.get("degrees") == 270 else c), -100.0) for c, n, _ in alternatives]
@@ -494,7 +500,7 @@ def test_a_contradiction_with_several_causes(gains, code, causes):
 
 @pytest.mark.parametrize(("axis", "up"), [("x", [1, 0, 0]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
 def test_worlds_with_another_axis_up(axis, up):
-    """Each alternative turns that axis of the file's world into z."""
+    """Each alternative turns one axis of the world of the camera file into z."""
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     alternatives = likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))
     (turned,) = (other for _, numbers, other in alternatives if numbers.get("axis") == axis)

@@ -1,4 +1,4 @@
-"""A clip from another camera of the camera file is recognised by gravity, the ground and the gait."""
+"""Test that a clip from another camera of the camera file is recognised by gravity, the ground and the gait."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recon.io.camera_files import write_cameras
 
 
 def rolled(camera: Camera, degrees: float, name: str) -> Camera:
-    """The camera at the same point, turned about its optical axis."""
+    """Return the camera at the same point, turned about its optical axis."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     assert camera.rotation is not None
@@ -33,7 +33,7 @@ def true_camera(baseline: Baseline) -> Camera:
 
 
 def seen_by(baseline: Baseline, camera: Camera) -> Baseline:
-    """The same pictures, said to be from another camera at the same point, with the animal moved in front of it."""
+    """Return the same pictures with another camera at the same point, and the animal moved in front of that camera."""
     pose, states = camera_poses([camera])[0], baseline.states.copy()
     states[:, :3] = states[:, :3] @ (pose[:3, :3].T @ baseline.view.rotation).T
     return Baseline(baseline.with_view(replace(baseline.view, camera=camera, T_camera_world=pose)), states)
@@ -61,7 +61,10 @@ def test_a_clip_of_another_camera_is_recognised_and_that_camera_named(sample_bas
 
 
 def test_a_camera_in_another_direction_explains_the_same_pictures_equally_well(sample_baseline):
-    """Its start is the solution turned in front of it, so that only gravity, the ground and the gait count."""
+    """A camera in another direction explains the same pictures equally well.
+
+    Its start is the solution moved in front of it, so that only gravity, the ground and the gait count.
+    """
     baseline, noise_px = sample_baseline
     true = true_camera(baseline)
     assert true.rotation is not None
@@ -81,7 +84,7 @@ def test_a_short_clip_and_one_without_a_pose_are_not_tested(sample_baseline):
 
 @pytest.fixture
 def files(tmp_path) -> Callable[..., FitSettings]:
-    """`files(name, camera)` are the settings of a keypoint file by that name, with a camera of a file of two."""
+    """Return settings by keypoint file name and camera, `files(name, camera)`, for a file of two cameras."""
     true = replace(read_camera(samples_folder() / "camera.toml"), name="cam1")
     write_cameras([true, rolled(true, 8, "cam2")], tmp_path / "cameras.toml")
 

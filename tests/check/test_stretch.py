@@ -1,4 +1,4 @@
-"""A picture whose pixels are not square is told by the animal's proportions."""
+"""Test that a picture whose pixels are not square is found by the animal's proportions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict on a clip: from findings and from what its error is expected to be."""
+"""Test the verdict on a clip, which follows from the findings and the expected error."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_a_low_frame_rate_expects_more(small_trajectory):
 
 
 def test_without_a_learned_prior_the_reason_names_what_was_not_checked(small_trajectory):
-    """A grossly wrong frame rate passes without the prior: the verdict must not say that it was checked."""
+    """If the prior was not learned, the reason says that the frame rate was not checked."""
     for prior, reason in (("none", NOT_ALL_CHECKED), ("running-cheetah", NOTHING_AGAINST)):
         solution = replace(small_trajectory.solution, prior=prior)
         assert _verdict(replace(small_trajectory, solution=solution, findings=())).reason == reason
@@ -186,7 +186,7 @@ def test_with_notes_the_reason_does_not_say_that_no_check_found_a_fault(small_tr
 
 @pytest.mark.parametrize(("prior", "some"), [("running-cheetah", ""), ("none", " that ran")])
 def test_a_note_that_may_put_the_animal_elsewhere_is_in_the_reason(small_trajectory, prior, some):
-    """The verdict "use" is about the poses; a user of the path must not read it as being about the path."""
+    """A note that positions may be off is in the reason, because "use" alone would be read as also meaning the path."""
     solution = replace(small_trajectory.solution, prior=prior)
     note = replace(finding("picture_zooms", way="out", pose_effect_m=0.001, position_effect_m=9.0), severity="note")
     verdict = _verdict(replace(small_trajectory, solution=solution, findings=(note,)))

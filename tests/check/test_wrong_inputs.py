@@ -1,4 +1,4 @@
-"""Wrong inputs that look right: each is named, and nothing where nothing is wrong."""
+"""Test that wrong inputs that look right are found, and that correct inputs have no finding."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_one_file_of_two_cameras_is_named_and_measured_points_are_not():
 
 
 def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
-    """In a fifth of the frames only those are seen that go twice as far."""
+    """Frames in which only fast keypoints are seen are not taken for dropped frames."""
     T, J = noisy().shape[:2]
     px_a_frame = np.where(np.arange(J) < 2 * J // 3, 10.0, 25.0)
     xy_px = np.stack([px_a_frame * np.arange(2 * T)[:, None], np.full((2 * T, J), 500.0)], axis=-1)
@@ -114,7 +114,7 @@ def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
 
 
 def test_legs_that_swing_and_a_camera_that_shakes_are_no_frames_left_out():
-    """Legs that are fast for three of twelve frames, seen by a camera that follows; and one that is shaken."""
+    """Swinging legs and a shaking camera are not taken for dropped frames."""
     T, J = 60, noisy().shape[1]
     noise, rng = np.random.default_rng(0).normal(0, 1, (T, J, 2)), np.random.default_rng(1)
     swings = np.cumsum(np.where(np.arange(T) % 12 < 3, 40.0, 10.0))[:, None, None] * [1.0, 0.0]
@@ -124,7 +124,7 @@ def test_legs_that_swing_and_a_camera_that_shakes_are_no_frames_left_out():
 
 
 def moved(states: np.ndarray) -> Motion:
-    """A motion whose body goes along these states."""
+    """Return a motion whose body moves along these states."""
     solution, body = plain(), plain().body
     joints_m = body.tree.pose(states, solution.size).points_m
     return Motion((source(noisy()),), None, "", replace(solution, states=states, joints_m=joints_m))
@@ -163,7 +163,7 @@ def test_standing_still_is_a_fault_only_under_a_learned_prior(prior, severity, t
 
 
 def test_an_animal_that_steps_on_the_spot_is_on_no_treadmill():
-    """The legs shake by 0.1 rad, and the feet move backwards as fast as on a belt."""
+    """An animal that steps on the spot is not on a treadmill, although its feet move backwards as fast as on a belt."""
     states = np.repeat(plain().states[:1], len(plain().states), axis=0)
     states[:, 6:] += np.random.default_rng(0).normal(0.0, 0.1, states[:, 6:].shape)
     assert "treadmill" not in [found.code for found in movement(moved(states))]
@@ -174,8 +174,11 @@ def test_an_animal_that_steps_on_the_spot_is_on_no_treadmill():
     [(1.0, 0.5, ["animal_still"]), (0.1, 0.5, []), (0.5, 0.5, ["animal_still"]), (0.5, 1.0, [])],
 )
 def test_an_animal_that_stands_still_stays_in_its_place(size, seconds, codes):
-    """All joints of one go by 0.2 m in a second: a third of its trunk's length, or three times it; and two thirds, by
-    which it leaves its place in the end."""
+    """An animal that stands still is recognised by how far it moves relative to its trunk.
+
+    All joints move by 0.2 m in a second: a third of the trunk's length, or three times it; and two thirds, by which the
+    animal leaves its position in the end.
+    """
     motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
     ahead_m = 0.2 * np.linspace(0, seconds, len(motion.frames))[:, None, None] * np.array([1.0, 0.0, 0.0])
     joints_m, (one,) = size * motion.solution.joints_m + ahead_m, motion.sources
@@ -199,7 +202,10 @@ def test_a_picture_that_zooms_is_named(times, ways):
 
 
 def test_a_zoom_moves_the_animal_by_as_much_as_its_moment_is_unknown():
-    """A picture that is a quarter larger at the end, calibrated at the start: distances are off by an eighth."""
+    """The effect of a zoom is that of its unknown moment.
+
+    A picture that is a quarter larger at the end, calibrated at the start: distances are off by an eighth.
+    """
     numbers = {"zoom": -float(np.log(1.25)), "distance_m": 8.0, "pose_effect_m": 0.1, "position_effect_m": 0.2}
     item = finding("picture_zooms", way="out", **numbers)
     assert with_calibration_at_either_end(item).numbers == item.numbers | {"position_effect_m": pytest.approx(1.0)}
@@ -232,7 +238,7 @@ def test_a_file_says_another_camera_by_its_number(name, other):
 
 
 def ground(near_zero: bool | None, height_m: float, camera_m: tuple[float, float, float]) -> Motion:
-    """A motion before a camera there, whose feet stand on a ground at that height."""
+    """Return a motion before a camera at this position, whose feet stand on a ground at that height."""
     solution = plain()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), (0, 0, 0)
@@ -265,7 +271,7 @@ def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, co
     [("mm", 0.0015, "camera_unit"), ("cm", 0.015, "camera_unit"), ("mm", 0.0, "ground_elsewhere")],
 )
 def test_a_camera_in_metres_that_was_said_to_be_in_another_unit_is_named(unit, camera_m, code):
-    """One in the world's origin says nothing of a unit."""
+    """A camera in metres with another stated unit is named; a camera in the origin of the world shows no unit."""
     motion = ground(False, camera_m - 1.5, (0.0, 0.0, camera_m))
     (found,) = ground_elsewhere(replace(motion, settings={**motion.settings, "camera_unit": unit}))
     assert found.code == code
@@ -285,7 +291,7 @@ def test_lengths_that_no_animal_of_its_kind_has_are_named():
 
 @pytest.mark.parametrize("height_m", [0.0, pytest.param(0.6, marks=pytest.mark.slow), 100.0])
 def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
-    """A camera 0.85 m above a ground at that height: the pose is as good, and the ground is found there."""
+    """A fit does not depend on the height of the ground, which is found 0.85 m below the camera."""
     camera = replace(CAMERA, rotation=CAMERA_FROM_LEVEL, translation_m=-CAMERA_FROM_LEVEL @ [0.0, 0.0, height_m + 0.85])
     solution = solve(seen(run()), camera=camera)
     assert errors_m(solution, run()).mean() < 0.03
@@ -305,7 +311,10 @@ def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
     ],
 )
 def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, shift_m, late):
-    """In the plane of both cameras and the animal, where rays still meet; and pictures that were taken later."""
+    """One of two cameras that is turned, moved or late is named.
+
+    It is turned or moved in the plane of both cameras and the animal, in which rays still meet.
+    """
     turn = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     views[1] = replace(views[1], T_camera_world=rigid(turn, np.array([shift_m, 0.0, 0.0])) @ ASIDE)
@@ -323,7 +332,7 @@ def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, sh
 
 @pytest.mark.parametrize("slower", [1, 4, 10])
 def test_a_treadmill_is_named_at_any_speed(slower):
-    """A running animal, and the same in slow motion, whose body stays while its feet slide."""
+    """A treadmill is named at any speed: the body stays while the feet slide, also in slow motion."""
     states = plain().states.copy()
     states[:, :2] -= np.linspace(0, 1, len(states))[:, None] * (states[-1, :2] - states[0, :2])
     motion = moved(states)

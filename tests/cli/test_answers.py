@@ -1,4 +1,4 @@
-"""What commands print on a terminal: lines, durations, and the time that is left."""
+"""Test what commands print on a terminal: lines, durations, and the time that is left."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from recon.cli.answers import RemainingTime, duration_text, say, terminal
 
 
 def test_the_time_left_is_right_within_a_factor_of_two_where_work_comes_in_pieces():
-    """Eight clips of 30 s, two at a time: the pace of the last seconds would be none, or endless."""
+    """The remaining time is right within a factor of two, although clips of 30 s finish two at a time."""
     now_s, shown = 0.0, {}
     remaining = RemainingTime(lambda: now_s)
     for tick in range(0, 121, 5):

@@ -1,4 +1,4 @@
-"""The command line from end to end: what it writes, what it says, and how it ends."""
+"""Test the command line from end to end: files, messages and exit codes."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ needs_sigkill = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POS
 def whole_args(
     out: Path, *more: object, keypoints: Path = CLIP, camera: Path | None = CAMERA, fps: object = 30
 ) -> list:
-    """With the default method."""
+    """Return the arguments of a fit with the default method."""
     return ["fit", keypoints, *(["--camera", camera] if camera else []), "--fps", fps, "--out", out, *more]
 
 
 def fit_args(out: Path, *more: object, **options) -> list:
-    """With the frame method."""
+    """Return the arguments of a fit with the frame method."""
     return whole_args(out, "--set", "method=frame", *more, **options)
 
 
@@ -62,7 +62,7 @@ def report_of(folder: Path) -> dict:
 
 
 def assert_same_reports(one: Path, other: Path) -> None:
-    """But for the times, and from where the same files are seen."""
+    """Check that two reports are the same, except for times and for the paths of the same files."""
     first, second = (without_timing(report_of(folder)) | {"settings": None} for folder in (one, other))
     assert first == second
     assert read_settings(one / "config.toml", {}) == read_settings(other / "config.toml", {})
@@ -78,7 +78,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def rewrite(path: Path, change: Callable[[list[list[str]]], object]) -> Path:
-    """The noisy sample with some cells changed, as another file."""
+    """Write the noisy sample with some cells changed as another file."""
     with CLIP.open(newline="") as file:
         rows = list(csv.reader(file))
     change(rows)
@@ -99,21 +99,21 @@ def keep_only(*names: str) -> Callable[[list[list[str]]], None]:
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory) -> tuple[Path, Ended]:
-    """The folder of `recon fit` on the noisy sample, and how it ended."""
+    """Return the folder and the outcome of `recon frame` on the noisy sample."""
     out = tmp_path_factory.mktemp("fit") / "results" / "clip"
     return out, run(*fit_args(out))
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> tuple[Path, Ended]:
-    """The same with the default method, which fits the whole animal over the whole clip."""
+    """Return the same with the default method, which fits the whole animal over the whole clip."""
     out = tmp_path_factory.mktemp("fit") / "whole"
     return out, run(*whole_args(out))
 
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory) -> Path:
-    """A folder of inputs, most of which cannot be used."""
+    """Return a folder of inputs, most of which cannot be used."""
     folder = tmp_path_factory.mktemp("inputs")
     (folder / "empty.csv").touch()
     (folder / "header.csv").write_text("frame,x,y\n0,1,2\n")
@@ -232,7 +232,7 @@ def test_options_overrule_the_config(fitted, tmp_path):
 
 @pytest.mark.usefixtures("no_playback", "undrawn")
 def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatch):
-    """And nobody reads in them where that lay."""
+    """Results can be moved together with their inputs, and no file in them contains the old path."""
     house, skeleton = (
         tmp_path / "home" / "me",
         Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "cheetah-24.toml",
@@ -655,7 +655,7 @@ def test_bad_input_makes_nothing(args, expected, tmp_path, monkeypatch):
 
 
 def test_bad_input_in_a_process_of_its_own_is_one_line(tmp_path, monkeypatch):
-    """The sentence that is made of a problem."""
+    """Bad input ends a process with one line: the sentence of the problem."""
     monkeypatch.chdir(tmp_path)
     ended = run_process("evaluate", "no.csv", TRUTH)
     assert ended == Ended(2, "", "error: no.csv: no such file\n")
@@ -865,7 +865,7 @@ def test_view_opens_the_recording(fitted, monkeypatch):
 
 
 def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypatch):
-    """With playback=false, a fit writes all files but motion.rrd, also in place of results that have one."""
+    """`recon view` makes a playback that `playback=false` left out, also if results with a playback were replaced."""
     out, opened = tmp_path / "clip", []
     monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.name, path.read_bytes()[:4])))
     settings, motion = read_config(fitted[0] / CONFIG, {}), Motion.load(fitted[0])
@@ -881,7 +881,7 @@ def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypat
 
 
 def test_only_short_clips_have_a_playback_by_default(tmp_path, fitted, monkeypatch):
-    """The playback of a longer clip is made when it is opened; an earlier one in its folder is gone."""
+    """Only short clips have a playback by default; for a longer clip an earlier playback is deleted."""
     out, opened = tmp_path / "clip", []
     monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.parent, path.name)))
     settings, motion = replace(read_config(fitted[0] / CONFIG, {}), playback="auto"), Motion.load(fitted[0])
@@ -918,7 +918,7 @@ def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitt
 
 @pytest.mark.slow
 def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
-    """The plots of an analysis, and nothing in the results' folder changes."""
+    """`recon view` shows the plots of an analysis, and changes nothing in the folder of results."""
     out, seen = tmp_path / "clip", []
     shutil.copytree(fitted[0], out)
     (out / "analysis").mkdir()
@@ -963,7 +963,7 @@ def test_help_has_an_example_and_units(command):
 
 
 def test_brackets_in_names_are_no_markup():
-    """Every console of the commands takes names as they are."""
+    """Square brackets in names are not read as markup by any console of the commands."""
     stream = io.StringIO()
     terminal(file=stream).print("x[/b] [red]y :smile:")
     assert stream.getvalue() == "x[/b] [red]y :smile:\n"

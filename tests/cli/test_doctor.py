@@ -1,4 +1,4 @@
-"""`recon doctor`, and what all commands have in common: JSON for every table, colours, shell completion."""
+"""Test `recon doctor`, and what all commands share: JSON for every table, colours, shell completion."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def statuses(checks) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def doctor() -> tuple[_Check, ...]:
-    """The checks of this machine, by the shortest way through all: the demo makes no page, as in `test_demo`."""
+    """Return the checks of this machine; the demo makes no page, as in `test_demo`."""
     without = "import recon.cli.demo as it; it.report = lambda *_: it.Answer({'page': None}); "
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_MODULE", without + module._MODULE)
@@ -60,7 +60,7 @@ def test_all_is_well_here(doctor, monkeypatch):
 
 
 def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(monkeypatch):
-    """What takes long is looked at in the slow test."""
+    """The command prints a table of 80 columns or JSON, and ends with 0 or 1; the slow test covers the slow checks."""
     doctor = (*versions(), *packages(), _Check("viewer", "ok", "rerun-cli 0.1"))
     monkeypatch.setattr("recon.cli.doctor.run_doctor", lambda progress: doctor)
     ended = run("doctor")
@@ -91,7 +91,7 @@ def test_versions_that_are_too_old_or_missing_are_broken():
 
 
 def test_a_module_of_another_distribution_counts(monkeypatch):
-    """opencv-python in place of opencv-python-headless."""
+    """A module of another distribution counts: opencv-python instead of opencv-python-headless."""
     real = metadata.version
 
     def version(name: str) -> str:
@@ -105,7 +105,7 @@ def test_a_module_of_another_distribution_counts(monkeypatch):
 
 
 def test_the_package_of_somebody_else_is_found(monkeypatch):
-    """It has files of the same names."""
+    """The package `recon` of somebody else is found, although it has files of the same names."""
     assert "another recon" not in {check.name for check in versions()}
     real = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "3.1" if name == "recon" else real(name))
@@ -215,7 +215,7 @@ def test_fit_and_demo_print_their_summary_as_json(tmp_path):
 
 
 def test_a_fit_without_a_pose_prints_json_too(tmp_path):
-    """Four joints are too few for any frame."""
+    """A fit without a pose also prints JSON: four joints are too few for any frame."""
     kept = ("l_hip", "r_hip", "nose", "spine")
     few = tmp_path / "few.csv"
     table = pd.read_csv(SAMPLES / "whole.csv", header=[0, 1, 2], index_col=0)
@@ -268,7 +268,7 @@ def test_no_color_is_respected_on_a_terminal(args, monkeypatch):
 
 
 def test_there_is_colour_without_it(monkeypatch):
-    """Or the test above would show nothing."""
+    """Colours appear without NO_COLOR, so that the test above can fail."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.delenv("NO_COLOR", raising=False)
@@ -290,7 +290,7 @@ NAMES = {name for panel in COMMANDS.values() for name in panel if name.split()[0
 
 
 def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> str:
-    """What `recon ARGS` prints with these variables."""
+    """Return what `recon ARGS` prints with these environment variables."""
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     out = io.StringIO()
@@ -318,7 +318,7 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
     ],
 )
 def test_completion_offers_commands_and_options(monkeypatch, words, offered):
-    """As bash asks: the words, and which of them is being typed."""
+    """Completion offers commands and options, given the words and the index of the word being typed, as bash does."""
     count = str(len(words.split(" ")) - 1)
     shown = called(monkeypatch, _RECON_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=count)
     assert set(shown.splitlines()) == offered
@@ -326,14 +326,14 @@ def test_completion_offers_commands_and_options(monkeypatch, words, offered):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_script(shell, monkeypatch):
-    """Typer asks for the shell where it is told not to look for it."""
+    """The completion script is printed for the stated shell."""
     script = called(monkeypatch, "--show-completion", shell, _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
     assert f"_RECON_COMPLETE=complete_{shell}" in script
 
 
 @pytest.mark.slow
 def test_completion_works_in_bash(tmp_path):
-    """The script in a shell, with the command on its path."""
+    """Completion works in bash, with the script in a shell and the command on its path."""
     bash = shutil.which("bash")
     if bash is None:
         pytest.skip("no bash")

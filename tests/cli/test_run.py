@@ -1,4 +1,4 @@
-"""`recon run`: from a video to a page, nothing twice."""
+"""Test `recon run`: from a video to a page, without repeating stages."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def write_film(path: Path, frames: int = 2, size_px: tuple[int, int] = (64, 48))
 
 @pytest.fixture(scope="module")
 def report(small_trajectory, tmp_path_factory) -> str:
-    """The report of eight frames with a pose."""
+    """Return the report of eight frames with a pose."""
     folder = tmp_path_factory.mktemp("fit")
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, folder, solve_s=0.1)
@@ -45,7 +45,7 @@ def report(small_trajectory, tmp_path_factory) -> str:
 
 @pytest.fixture
 def called(monkeypatch, report, small_trajectory) -> list[str]:
-    """The stages that are carried out; each only writes its files."""
+    """Return the list of stages that are carried out; each stage only writes its files."""
     names: list[str] = []
     numbers = count()
 
@@ -107,7 +107,7 @@ def job(film: Path, **more) -> _Job:
 
 
 def done(job: _Job, called: list[str]) -> list[str]:
-    """The stages that are carried out for it."""
+    """Return the stages that are carried out for these settings."""
     called.clear()
     stages, _ = run_video(job)
     assert [stage.stage for stage in stages if stage.status == "done"] == called
@@ -312,7 +312,7 @@ def test_a_video_of_another_size_is_refused_before_the_fit(film):
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
-    """All of it, with the beginning of the rendered film, but for figures, which take long."""
+    """The stages are those of the commands, on the beginning of the rendered film, without slow figures."""
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr(
         "recon.cli.look.clip_page", lambda _, stills, behind, files, camera, *more: f"{page} {behind} {files}"

@@ -1,4 +1,4 @@
-"""What is imported, and when: a command that does not need a library does not wait for it."""
+"""Test which libraries a command imports, so that none waits for a library that it does not need."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "torch", "matplot
 
 
 def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[str]:
-    """The modules that `recon ARGS`, or `python WHAT ARGS`, imports."""
+    """Return the modules that `recon ARGS`, or `python WHAT ARGS`, imports."""
     command = [sys.executable, "-X", "importtime", *what, *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -93,7 +93,10 @@ def test_the_process_that_fits_many_clips_imports_what_it_uses():
 
 
 def test_public_names_come_from_where_editors_look_for_them():
-    """The imports that type checkers see run on first use, and are what `from recon import *` gives."""
+    """Public names come from the modules in which editors look for them.
+
+    The imports that type checkers see run on first use, and define `from recon import *`.
+    """
     tree = ast.parse((ROOT / "recon" / "__init__.pyi").read_text(encoding="utf-8"))
     seen = {alias.name: node.module for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert sorted(seen) == recon.__all__

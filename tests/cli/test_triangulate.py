@@ -1,4 +1,4 @@
-"""`recon triangulate`: files in, points, covariances and a summary out, which other commands read."""
+"""Test `recon triangulate`: its points, covariances and summary, which other commands read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keypoints and their cleaning."""
+"""Test keypoints and their cleaning."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def keypoints(xy, confidence, frames=None, **more) -> Keypoints:
 
 
 def one_point(*rows, frames=None, **more) -> Keypoints:
-    """One keypoint; rows of (x, y, likelihood)."""
+    """Return one keypoint from rows of (x, y, likelihood)."""
     return keypoints([[row[:2]] for row in rows], [[row[2]] for row in rows], frames, **more)
 
 

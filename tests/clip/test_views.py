@@ -1,4 +1,4 @@
-"""Several cameras, and cameras that move: what a view projects, and motions solved from them."""
+"""Test several cameras and moving cameras: the projections of a view, and motions solved from views."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ def test_poses_of_cameras_keep_the_files_world_where_z_points_up():
 
 
 def test_without_a_known_upward_direction_the_world_is_level_under_the_first_camera():
-    """Its centre is the origin, up is z, and the other cameras keep their place beside it."""
+    """If the up direction is not known, the world is level at the first camera.
+
+    Its centre is the origin, z is up, and the other cameras keep their poses relative to it.
+    """
     first = replace(CAMERA, rotation=np.eye(3), translation_m=np.array([0.0, 0.0, 5.0]), world_z_up=False)
     second = replace(first, translation_m=np.array([2.0, 0.0, 5.0]))
     a, b = camera_poses([first, second])
@@ -68,8 +71,11 @@ def test_rays_of_a_moving_view_meet_the_points():
 
 
 def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
-    """The root mean square of how far the middle of the animal goes in the picture with a millimetre in any direction;
-    a fisheye that turns towards the animal shows it as large as before."""
+    """The noise of keypoints in pixels is a length in metres times the magnification of the lens.
+
+    The magnification is the root mean square of the shift in pixels per millimetre of the animal's middle, over all
+    directions; a fisheye that turns towards the animal shows it as large as before.
+    """
     lens, points = replace(CAMERA, model="fisheye", distortion=np.zeros(4)), truth_m()
     found = []
     for heading in (np.pi / 2, np.pi / 2 + 0.5):
@@ -87,7 +93,7 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
 
 
 def test_two_cameras_find_the_place_and_the_size():
-    """Ten times as close as one camera's place; the size within what is stated, though hardly anything was known."""
+    """Two cameras find the position ten times as closely as one, and the size within its stated uncertainty."""
     solution = two()
     error = np.linalg.norm(solution.joints_m - truth_m(), axis=-1)
     assert error.mean() < 0.02
@@ -98,7 +104,7 @@ def test_two_cameras_find_the_place_and_the_size():
 
 
 def test_a_wrong_size_of_the_body_is_found():
-    """All lengths are 10 % too long: the joints' place does not suffer, and the size says it."""
+    """A body that is 10 % too large is found: the positions of the joints are right, and the size states it."""
     long = replace(
         BODY,
         tree=replace(
@@ -128,7 +134,10 @@ def test_a_view_that_does_not_see_the_animal_for_a_while():
 
 @pytest.mark.slow
 def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
-    """Every frame turned by 0.2 rad about its middle: two cameras see it, and say so where it goes straight on."""
+    """Two cameras see an animal that runs obliquely to its heading, and report no angle if it runs straight.
+
+    Every frame is turned by 0.2 rad about its middle.
+    """
     points, turn = truth_m(), 0.2
     middle = points.mean(axis=1, keepdims=True)
     rotation = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
@@ -154,7 +163,7 @@ def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
 
 
 def test_a_camera_half_a_frame_late_is_no_worse_for_it():
-    """The second camera's pictures lie between the frames, and the view says so."""
+    """A camera whose pictures lie half a frame later gives as good a result if the view states it."""
     points = truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     late = view_of(between, ASIDE, seed=1)
@@ -167,7 +176,10 @@ def test_a_camera_half_a_frame_late_is_no_worse_for_it():
 
 @pytest.mark.slow
 def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
-    """Which nobody said: the place does not suffer, and with one camera it is as uncertain as that."""
+    """A lag of less than a frame that is not stated is found.
+
+    Positions are as good as without it, and with one camera their uncertainty includes it.
+    """
     points = truth_m()
     late = view_of(0.6 * points + 0.4 * np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]), AHEAD)
     third = view_of(points, level_pose([-6.0, 2.0, 0.5], 0.6), seed=2)
@@ -191,7 +203,7 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
 
 
 def test_a_camera_that_pans_is_as_good_as_a_still_one():
-    """The same rays, through a camera that turns about its centre to follow: the same motion, and the same doubt."""
+    """A camera that pans gives the same motion and uncertainty as a still camera, because the rays are the same."""
     points = truth_m()
     T = len(points)
     still = still_view(CAMERA, seen(run()), np.ones(points.shape[:2]))
@@ -216,7 +228,7 @@ def test_a_camera_that_pans_is_as_good_as_a_still_one():
 
 
 def test_a_camera_that_is_carried_about_shows_the_size():
-    """To and fro by a metre in half a second: its own path is known in metres, and the animal's is smoother."""
+    """A camera that is carried to and fro shows the size, because its own path is known in metres."""
     points = truth_m()
     T = len(points)
     poses = np.stack([level_pose([np.sin(14 * t / FPS), 0.0, 0.3 * np.cos(14 * t / FPS)], np.pi / 2) for t in range(T)])
@@ -229,7 +241,7 @@ def test_a_camera_that_is_carried_about_shows_the_size():
 
 
 def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
-    """At 10 m/s beside the animal: feet of another size would slip on the ground."""
+    """A camera driven along at 10 m/s shows the size, because feet of another size would slip on the ground."""
     points = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
     seconds = (np.arange(len(points)) - len(points) / 2) / 60
     poses = np.stack([level_pose([10.0 * t, -9.0, 0.6], np.pi / 2) for t in seconds])
@@ -241,7 +253,7 @@ def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
 
 
 def test_a_camera_beside_its_pose():
-    """A view and a camera lie beside their poses alike."""
+    """A view and a camera are displaced in the same way."""
     extrinsic_correction, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
     camera = replace(CAMERA, rotation=ASIDE[:3, :3], translation_m=ASIDE[:3, 3])
     turned, view = camera.corrected(extrinsic_correction), view_of(points, ASIDE).corrected(extrinsic_correction)
@@ -249,7 +261,7 @@ def test_a_camera_beside_its_pose():
 
 
 def test_cameras_beside_their_poses_come_back():
-    """The second of two is turned by a degree and a half, moved by 4 cm; the pose is as good as with true ones."""
+    """Displaced camera poses are found: the second of two is turned by 1.5 degrees and moved by 4 cm."""
     extrinsic_correction = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     wrong = [views[0], views[1].corrected(-extrinsic_correction)]
@@ -265,7 +277,7 @@ def test_cameras_beside_their_poses_come_back():
 
 
 def test_a_wrong_focal_length_is_found_by_two_cameras():
-    """The second's is taken for 8 % too short; one camera alone keeps its own."""
+    """Two cameras find a focal length that is 8 % too short; a single camera keeps its focal length."""
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     options = TrajectoryOptions(fast=True, focal_sigma=0.1)
     found = solve_trajectory([views[0], views[1].with_focal_scale(-0.08)], BODY, PRIOR, FPS, options)
@@ -283,7 +295,7 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
 
 
 def test_lengths_of_nobody_in_particular_add_to_the_uncertainty_of_one_camera():
-    """Where no motions of the kind were learned from; a measured animal's lengths are known."""
+    """Lengths that were not measured add to the uncertainty of one camera if the prior was not learned."""
     views = (view_of(truth_m(), AHEAD),)
     body = replace(BODY, subject=None)
     rough = ClipProblem.from_views(views, body, prior_from_body(body), FPS, TrajectoryOptions()).with_free_shape()

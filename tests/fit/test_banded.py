@@ -1,4 +1,4 @@
-"""Oracles: numpy's dense solve and inv, scipy's solveh_banded, a naive loop, and the AR(1) process."""
+"""Test banded equations against numpy's dense solve and inv, scipy's solveh_banded, a naive loop and AR(1)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def rng():
 
 
 def dense_system(rng, T, D, W):
-    """Random symmetric positive definite matrix (TD, TD) with the pattern, condition number below 1e5."""
+    """Return a random symmetric positive definite matrix (TD, TD) with the pattern, condition number below 1e5."""
     n = T * D
     frame = np.arange(n) // D
     L = np.tril(rng.normal(size=(n, n))) * (frame[:, None] - frame <= W) / np.sqrt((W + 1) * D)
@@ -44,7 +44,7 @@ def dense_system(rng, T, D, W):
 
 
 def blocks_of(dense, T, D, W, outside=0.0):
-    """(T, W + 1, D, D) of a dense matrix; outside: what stands in the blocks that it does not have."""
+    """Return the blocks (T, W + 1, D, D) of a dense matrix; outside: the value of blocks beyond its edges."""
     grid = dense.reshape(T, D, T, D)
     blocks = np.full((T, W + 1, D, D), outside)
     for t in range(T):
@@ -54,7 +54,7 @@ def blocks_of(dense, T, D, W, outside=0.0):
 
 
 def split(dense, T, D, W):
-    """What H ignores is filled with NaN."""
+    """Split a vector or matrix, and fill with NaN what H ignores."""
     return blocks_of(dense, T, D, W, np.nan)
 
 
@@ -63,7 +63,7 @@ def solved(factor, b: np.ndarray) -> np.ndarray:
 
 
 def assert_close(actual, expected, rtol=1e-9):
-    """Relative to the largest expected value: single entries may cancel to nothing."""
+    """Check that values are close relative to the largest expected value, because single entries may cancel."""
     np.testing.assert_allclose(actual, expected, rtol=0, atol=rtol * np.abs(expected).max(initial=0.0))
 
 
@@ -75,7 +75,7 @@ def test_matrix_is_the_dense_one(rng, T, D, W):
 
 @pytest.mark.parametrize(("T", "D", "W"), SIZES)
 def test_lower_band_is_lapacks(rng, T, D, W):
-    """Against the definition, band[i - j, j] = H[i, j], and scipy's solver where it takes so wide a band."""
+    """The lower band follows LAPACK's definition, band[i - j, j] = H[i, j], and scipy's solver accepts it."""
     H = split(dense_system(rng, T, D, W), T, D, W)
     dense, band = to_dense(H), lower_band(H)
     n = T * D
@@ -89,7 +89,7 @@ def test_lower_band_is_lapacks(rng, T, D, W):
 
 @pytest.mark.parametrize(("T", "D", "W"), SIZES)
 def test_solution_and_inverse_are_the_dense_ones(rng, T, D, W):
-    """Every block of the marginals is the dense inverse's, and those outside are zero."""
+    """Solution and inverse are the dense ones: every marginal block is that of the dense inverse, or zero outside."""
     dense = dense_system(rng, T, D, W)
     factor = factored(split(dense, T, D, W))
     b = rng.normal(size=(T, D))
@@ -109,7 +109,7 @@ def test_damping_is_added_to_the_diagonal_of_a_copy(rng):
 
 
 def test_unknowns_may_differ_in_scale(rng):
-    """With unknowns scaled by s, H becomes s H s and its inverse s^-1 Z s^-1: no digit is lost to scales."""
+    """Unknowns may differ in scale: if they are scaled by s, H becomes s H s and its inverse s^-1 Z s^-1."""
     T, D, W = 15, 4, 2
     dense = dense_system(rng, T, D, W)
     s = 10.0 ** rng.uniform(-3.0, 3.0, (T, D))
@@ -136,7 +136,7 @@ def test_not_positive_definite_raises(rng, where, value):
     ("stencil", "W"), [((0,), 0), ((0,), 2), ((-1, 0), 1), ((-1, 0, 1), 2), ((-2, 0), 3), ((1, -1, 0), 2)]
 )
 def test_normal_equations_are_those_of_the_dense_jacobian(rng, stencil, W):
-    """Against J'J and J'r of a Jacobian (NM, TD) written slot by slot. Two calls add up."""
+    """The normal equations are J'J and J'r of the dense Jacobian (NM, TD), and two calls add up."""
     T, D, M = 9, 3, 4
     frames = np.arange(max(0, -min(stencil)), T - max(0, *stencil))[:5]
     blocks, gradient = np.zeros((T, W + 1, D, D)), np.zeros((T, D))
@@ -172,10 +172,10 @@ def test_term_without_frames_adds_nothing():
 
 
 def test_long_clip_is_the_stationary_process_and_needs_linear_memory(rng):
-    """x_t+1 = φ x_t + noise of covariance Q, stationary at first: cov(x_t+k, x_t) = φ^k Q / (1 - φ²), exactly.
+    """A long clip is the stationary process x_t+1 = φ x_t + noise of covariance Q, and needs linear memory.
 
-    Its precision is Q^-1 times the tridiagonal matrix of 1 + φ² (1 at both ends) and -φ. A dense matrix would take
-    2.6 GB, the blocks take 3.5 MB.
+    Its covariances are cov(x_t+k, x_t) = φ^k Q / (1 - φ²), exactly. Its precision is Q^-1 times the tridiagonal matrix
+    of 1 + φ² (1 at both ends) and -φ. A dense matrix would take 2.6 GB, the blocks take 3.5 MB.
     """
     T, D, W, phi = 3000, 6, 3, 0.9
     mixing = rng.normal(size=(D, D)) + 3 * np.eye(D)
@@ -205,9 +205,11 @@ def test_long_clip_is_the_stationary_process_and_needs_linear_memory(rng):
 
 
 def test_marginals_of_a_stiff_smoother_are_columns_of_the_inverse(rng):
-    """Weak data and a strong prior on second differences, so that gain_t extrapolates: 2 x_t+1 - x_t+2.
+    """The marginals of a stiff smoother are columns of the inverse.
 
-    Against the solver for unit vectors. A rounding error that makes the window's blocks asymmetric grows without bound.
+    The data are weak, and the prior on second differences is strong, so that gain_t extrapolates: 2 x_t+1 - x_t+2. The
+    oracle is the solver for unit vectors. A rounding error that makes the window's blocks asymmetric would grow without
+    bound.
     """
     T, D, W = 400, 3, 2
     blocks, unused = np.zeros((T, W + 1, D, D)), np.zeros((T, D))
@@ -225,7 +227,7 @@ def test_marginals_of_a_stiff_smoother_are_columns_of_the_inverse(rng):
 
 
 def in_pieces(rng, dense, T, D, W, P, stops):
-    """A clip's normal equations with P shared unknowns as pieces that end at the stops; and dense, bordered."""
+    """Return a clip's normal equations with P shared unknowns, as pieces that end at the stops, and dense, bordered."""
     border, gradient = rng.normal(size=(T, D, P)), rng.normal(size=(T, D))
     flat = border.reshape(T * D, P)
     corner, of_shared = flat.T @ np.linalg.solve(dense, flat) + 2 * np.eye(P), rng.normal(size=P)
@@ -251,7 +253,7 @@ def test_a_step_in_two_pieces_that_see_each_other_is_exact(rng, D, W, P):
 
 
 def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
-    """The last piece's covariances and unknowns, and all that is left of the shared unknowns."""
+    """Frames before a piece are eliminated exactly: the last piece has the right covariances and shared unknowns."""
     T, D, W, P = 17, 3, 2, 2
     dense = dense_system(rng, T, D, W)
     pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [4, 8, 12, T])

@@ -1,5 +1,7 @@
-"""Bodies that are no quadrupeds: a person, and a mouse seen from above, before simulated rigs; what their detectors
-call their points; and that whatever is behind a fit takes them."""
+"""Test bodies that are not quadrupeds: a walking person and a mouse seen from above, before simulated rigs.
+
+The tests include the names of their detectors, and the commands that use a fit.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,7 @@ def settings_of(files: dict[str, Path], skeleton: str, fps: float) -> FitSetting
 
 
 def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str, float]]:
-    """And millimetres off,with the shares of coordinates within the intervals of 90 %."""
+    """Return a fit, its errors in millimetres, and the fractions of coordinates within the 90 % intervals."""
     run_clip(settings, folder / "out")
     write_trc(truth, folder / "truth.trc")
     found = evaluate_files(folder / "out", folder / "truth.trc")
@@ -86,8 +88,10 @@ def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str
 @pytest.mark.slow
 @pytest.mark.parametrize("cameras", [2, 4])
 def test_a_person_who_walks(cameras, tmp_path):
-    """1.79 m high, with keypoints 26 mm beside their markers all the time. Both feet are tracked with their stances;
-    no gait has a name."""
+    """A walking person of 1.79 m is fitted, with stances of both feet and without a name of the gait.
+
+    Its keypoints have a constant offset of 26 mm from the markers.
+    """
     centres_m = np.array(OBLIQUE_M[:cameras])
     files, truth = write_rig_clip(tmp_path, "human-25", walking_person(90, 30.0), 30.0, centres_m, 1.05, 0.9, 2.0)
     settings = settings_of(files, "human-25", 30.0)
@@ -109,7 +113,7 @@ def test_a_person_who_walks(cameras, tmp_path):
 
 @pytest.mark.slow
 def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
-    """100 mm from nose to tail base, with keypoints 3.5 mm beside their markers all the time."""
+    """A mouse of 100 mm from nose to tail base is fitted, with a constant keypoint offset of 3.5 mm."""
     states = running_mouse(60, 60.0)
     files, truth = write_rig_clip(tmp_path, "mouse-top", states, 60.0, np.array(ABOVE_M), 1.14, 0.02, 0.7)
     settings = settings_of(files, "mouse-top", 60.0)
@@ -126,10 +130,10 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
 
 @pytest.mark.slow
 def test_intervals_widen_where_lengths_are_others():
-    """A fifth beside the skeleton's: several cameras see keypoints further from the markers than expected.
+    """Intervals widen if lengths differ by a fifth from the skeleton's.
 
-    One clip has but one draw of lengths and offsets, so that intervals that are right hold more of one clip, and less
-    of another.
+    Several cameras then see keypoints further from the markers than expected. One clip has a single draw of lengths and
+    offsets, so correct intervals contain more of one clip and less of another.
     """
     shares = []
     for skeleton in ("mouse-top", "dog-27", "human-25"):
@@ -154,7 +158,7 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize(("skeleton", "frames", "size"), [("dog-27", 150, 1.1), ("mouse-top", 72, 1.2)])
 def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monkeypatch):
-    """One goes in a circle for longer than is judged; the small one is as large as one of ten."""
+    """Two cameras with correct poses get no finding, for a walk in a circle and for a small animal."""
     monkeypatch.setattr("recon.fit.solution.TESTED_S", 2.0)
     body, random = load_skeleton(skeleton), np.random.default_rng(0)
     states, ahead = rigs.random_motion(body, random, frames), 2 * np.pi * np.arange(frames) / 360
@@ -170,7 +174,10 @@ def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monke
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0.8, 1.1])
 def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
-    """A dog whose root is as high as that of one of usual size, so that its feet are off z = 0."""
+    """The ground does not change the size that two cameras find.
+
+    The root of the dog is as high as that of a dog of mean size, so that its feet are off z = 0.
+    """
     body, random = load_skeleton("dog-27"), np.random.default_rng(1)
     found = seen_by_two(body, body.tree.pose(rigs.random_motion(body, random), size).points_m, random)
     assert found.size == pytest.approx(size, abs=0.02)
@@ -181,8 +188,11 @@ def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
 
 @pytest.mark.parametrize("cameras", [2, 1])
 def test_keypoint_bias_is_no_noise(cameras):
-    """Detections have 2 px of noise, and lie 15 mm beside their markers all the time, 4 px. The posterior of two
-    cameras takes hardly more than the first for noise; of one, whose keypoints show no bias in common, all of it."""
+    """A keypoint bias is not taken for noise.
+
+    Detections have 2 px of noise and a constant offset of 15 mm, which is 4 px. The posterior of two cameras counts
+    hardly more than the noise. The posterior of one camera, whose keypoints show no common bias, counts all of it.
+    """
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, cameras, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
@@ -199,7 +209,10 @@ def test_keypoint_bias_is_no_noise(cameras):
 
 @pytest.mark.parametrize(("explained", "rounds"), [(0.0, 2), (1.0, 1)])
 def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, rounds, monkeypatch):
-    """In this short clip, it explains a quarter of the detections, and even so the first round is right to a tenth."""
+    """The noise is estimated twice only if the bias explains much.
+
+    In this short clip the bias explains a quarter of the detections, and even so the first round is right to a tenth.
+    """
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, 2, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
@@ -214,7 +227,7 @@ def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, 
 
 
 def test_several_cameras_try_only_headings_that_they_may_see(monkeypatch):
-    """The other headings lead to the same minimum or to costlier ones."""
+    """Several cameras try only headings that they may see; the others lead to the same minimum or to higher costs."""
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, 3, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions())
@@ -226,7 +239,7 @@ def test_several_cameras_try_only_headings_that_they_may_see(monkeypatch):
 
 
 def test_a_drone_that_hovers_does_not_tell_the_size():
-    """8 m above a person who walks, it drifts by half a metre: feet in swing do not make the person small."""
+    """A hovering drone that drifts by 0.5 m, 8 m above a person, does not determine the size."""
     body, random = load_skeleton("human-25"), np.random.default_rng(0)
     states, poses = walking_person(60, 30.0), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (60, 1, 1))
     centres_m = np.array([0.3, 0.2, 8.0]) + 0.3 * np.arange(-30, 30)[:, None] / 30 * [1.0, 0.0, 0.0]
@@ -252,7 +265,7 @@ def test_a_drone_that_hovers_does_not_tell_the_size():
     ],
 )
 def test_maps(skeleton, bundled, names, known):
-    """They keep the sides, and the fit finds its own map."""
+    """Maps of names keep the sides, and the fit finds its own map."""
     by, body = load_names(bundled), load_skeleton(skeleton)
     _, new, _ = new_names(names, by, "clip.csv")
     assert len({*new} & {*body.markers}) == known
@@ -266,7 +279,7 @@ def test_lists_that_need_no_map(points):
 
 
 def test_a_person_of_coco(tmp_path):
-    """In COCO's spelling the skeleton is named first, and then taken: no toe is seen."""
+    """A person in COCO's spelling is recognised: the skeleton is suggested, then fitted, without any toe."""
     states = walking_person(30, 30.0)
     files, _ = write_rig_clip(tmp_path, "human-25", states, 30.0, np.array(OBLIQUE_M[:2]), 1.0, 0.9, 2.0)
     settings = settings_of(files, "human-25", 30.0)
@@ -302,7 +315,7 @@ def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str
 
 @pytest.mark.parametrize(("skeleton", "alone"), [("mouse-top", 0), pytest.param("human-25", 2, marks=pytest.mark.slow)])
 def test_a_draft_from_geometry(skeleton, alone, tmp_path):
-    """Names tell nothing; points of one of the true segments come to one of the draft's, which then fits the clip."""
+    """A draft from geometry fits the clip, and none of its segments has points of two true segments."""
     true = load_skeleton(skeleton)
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
@@ -335,7 +348,7 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
 
 @pytest.mark.slow
 def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
-    """The unit is asked for where metres make no animal; a direction up has to be known, or the first camera level."""
+    """A draft from a calibration in millimetres asks for the unit, and for the up direction or a level first camera."""
     true = load_skeleton("mouse-top")
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
@@ -387,7 +400,7 @@ def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, expec
 
 @pytest.mark.parametrize("names", ["nose b c d e f g tail", "Ear_L b c d e f g h", "a b c d e f g rump"])
 def test_a_draft_of_an_animal_that_stands_still(names):
-    """The names of head and tail tell its front, which here is at negative x."""
+    """A draft of an animal that stands still finds the front, here at negative x, from the names of head and tail."""
     time = np.linspace(0, 1, 60)
     still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
     points = np.tile(still, (60, 1, 1))
@@ -403,8 +416,10 @@ def test_a_draft_of_an_animal_that_stands_still(names):
 
 @pytest.mark.slow
 def test_refined_cameras_of_a_small_rig_stay_near_their_places():
-    """A mouse with a wider trunk and a longer head than the skeleton's before cameras that are turned by a degree about
-    each axis: they are not moved by what is wrong with its lengths."""
+    """Refined cameras of a small rig stay near their poses, although the lengths of the skeleton are wrong.
+
+    A mouse with a wider trunk and a longer head is seen by cameras that are turned by a degree about each axis.
+    """
     body, rng = load_skeleton("mouse-top"), np.random.default_rng(0)
     states = running_mouse(60, 60.0)
     stretched = [
@@ -425,7 +440,7 @@ def test_refined_cameras_of_a_small_rig_stay_near_their_places():
     options, prior = TrajectoryOptions(fast=True), prior_from_body(body)
 
     def off(refine: bool) -> tuple[float, float]:
-        """Degrees of the camera that is turned most, and metres of the markers."""
+        """Return the angle of the camera that is turned most, degrees, and the error of the markers, m."""
         found = solve_trajectory(views, body, prior, 60.0, replace(options, refine_cameras=refine))
         turns = [
             Rotation.from_matrix(view.T_camera_world[:3, :3] @ T[:3, :3].T).magnitude()

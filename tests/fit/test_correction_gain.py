@@ -1,4 +1,4 @@
-"""What a correction gains, compared with what it gains when the equations are solved again."""
+"""Test the gain of a correction against solving the equations again."""
 
 from __future__ import annotations
 
@@ -66,7 +66,10 @@ def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: M
 
 
 def test_the_last_frame_of_cameras_out_of_step_is_seen_as_well_as_the_others():
-    """An estimated offset is a value of its unknown, as in the fit: interpolated pictures would need a next frame."""
+    """The last frame of cameras out of step is seen as well as the others.
+
+    An estimated offset is a value of its unknown, as in the fit; interpolated pictures would need a next frame.
+    """
     body = load_skeleton("human-25")
     prior, options = prior_from_body(body), TrajectoryOptions(fast=True)
     views, _ = rigs.random_clip(body, 0.0, 2, 0)
@@ -83,7 +86,7 @@ def test_the_last_frame_of_cameras_out_of_step_is_seen_as_well_as_the_others():
 
 
 def test_a_missing_detection_gains_more_than_one_that_is_used(solved: Motion):
-    """The same cell, with and without its detection, which agrees with the pose."""
+    """A missing detection gains more than one that is used and agrees with the pose, in the same cell."""
     solution, (view,) = solved.solution, solved.solution.views
     weight = np.nan_to_num(solution.weight[0])
     weight[:5], weight[-5:] = 0.0, 0.0
@@ -99,7 +102,7 @@ def test_a_missing_detection_gains_more_than_one_that_is_used(solved: Motion):
 
 
 def test_a_distant_detection_pulls_more_than_one_that_agrees(solved: Motion):
-    """A detection that is moved by two standard deviations, still with its weight."""
+    """A detection that is moved by two standard deviations, with the same weight, pulls more than one that agrees."""
     solution, (view,) = solved.solution, solved.solution.views
     t, j = 20, int(np.nanargmax(np.nan_to_num(solution.weight[0, 20])))
     xy_px = view.xy_px.copy()

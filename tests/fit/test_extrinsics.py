@@ -1,4 +1,4 @@
-"""Where cameras stand, from several clips of the animal."""
+"""Test the estimation of camera poses from several clips of the animal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BEHIND = level_pose([3.0, 17.0, 0.2], -np.pi / 2)
 
 
 def across() -> np.ndarray:
-    """(T, J, 3): the same run, another way through the field."""
+    """Return the joints (T, J, 3), m, of the same run in another direction through the field."""
     points = truth_m()
     middle = points.mean(axis=(0, 1)) * [1, 1, 0]
     return (points - middle) @ rigid(euler_rotation([0, 0, 1.2]), np.zeros(3))[:3, :3].T + middle
@@ -45,7 +45,7 @@ def with_frames_unseen(view: View, rows: Index) -> View:
 
 
 def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
-    """Degrees and metres."""
+    """Return the differences of two rigs, degrees and metres."""
     turn = found[:3, :3] @ true[:3, :3].T
     off_m = np.linalg.norm(inverse(found)[:3, 3] - inverse(true)[:3, 3])
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(off_m)
@@ -53,7 +53,7 @@ def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_two_clips_tell_what_one_does_not():
-    """The third camera did not film the first clip."""
+    """Two clips determine more than one: the third camera did not film the first clip."""
     first = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1), blind(view_of(truth_m(), BEHIND))]
     second = [view_of(across(), p, seed=2 + i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]
     one, both = solve_extrinsics([setting(first[:2])]), solve_extrinsics([setting(first), setting(second)])
@@ -80,7 +80,7 @@ def test_a_camera_that_was_touched_between_two_clips():
 
 
 def test_cameras_that_were_levelled_say_which_way_is_up():
-    """A slope of 5 degrees, which the cameras stand on as well: level to half a degree, they say so."""
+    """Levelled cameras determine the up direction, although the ground slopes by 5 degrees."""
     slope = rigid(euler_rotation([np.radians(5.0), 0, 0]), np.zeros(3))
     views = [view_of(moved(slope, truth_m()), p, seed=i) for i, p in enumerate((AHEAD, ASIDE))]
     rig = solve_extrinsics([setting(views)], level_rad=np.radians(0.5))
@@ -89,7 +89,7 @@ def test_cameras_that_were_levelled_say_which_way_is_up():
 
 
 def test_cameras_are_placed_beside_those_already_placed():
-    """The first and the third have no frame in common; the second has some with each."""
+    """Cameras are placed relative to those already placed, of which the second shares frames with the others."""
     poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]
     views = [with_frames_unseen(view_of(points, p, 0.5), rows) for p, rows in zip(poses, unseen, strict=True)]
     (placed,) = _initial_poses([setting(views)], silent)
@@ -119,7 +119,7 @@ def test_poses_that_are_roughly_known():
 
 
 def test_rough_poses_say_how_large_the_animal_is():
-    """A rig 5 % larger than true stays so; with the animal held at its own size, a camera would turn by 2 degrees."""
+    """Rough poses determine the size: a rig that is 5 % too large stays so, and no camera has to turn by 2 degrees."""
     larger = [rigid(p[:3, :3], 1.05 * p[:3, 3]) for p in (AHEAD, ASIDE)]
     views = [
         replace(view_of(truth_m(), p, seed=i), T_camera_world=q)
@@ -132,12 +132,12 @@ def test_rough_poses_say_how_large_the_animal_is():
 
 
 def test_deviations_beside_the_first_camera():
-    """As by differences, of a first camera that is in doubt, too."""
+    """Standard deviations relative to the first camera, which is uncertain itself, are those by finite differences."""
     rng, poses = np.random.default_rng(0), [AHEAD, ASIDE, BEHIND]
     root = rng.normal(size=(18, 18))
 
     def relative(by: np.ndarray) -> np.ndarray:
-        """(V, 6): where each lies beside its place in the first, in its own frame."""
+        """Return the poses (V, 6) relative to the first camera's, in their own frames."""
         places = [rigid(euler_rotation(own[:3]), own[3:]) for own in by.reshape(-1, 6)]
         moved_by = [
             place @ T @ inverse(places[0] @ poses[0]) @ poses[0] @ inverse(T)

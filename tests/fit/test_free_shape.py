@@ -1,4 +1,4 @@
-"""Lengths and keypoint offsets as unknowns of a fit of several cameras: of a simulated animal of other proportions."""
+"""Test lengths and keypoint offsets as unknowns of a fit of several cameras to an animal of other proportions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def solved(count: int, known: bool) -> TrajectorySolution:
 
 
 def left_out_px(xy_px: np.ndarray) -> float:
-    """Return the median distance of predicted keypoints from the detections of the last camera."""
+    """Return the median distance of predicted keypoints from the detections of the last camera, px."""
     return float(np.nanmedian(np.linalg.norm(xy_px - VIEWS[3].xy_px, axis=-1)))
 
 
@@ -85,7 +85,10 @@ def test_lengths_are_stated_with_intervals_that_hold():
 
 
 def test_rays_still_meet_after_the_size_has_been_combined_with_the_expected_one():
-    """The lengths and the second camera stay as they were solved, so the animal must not move along its distance."""
+    """Rays still meet after the size was combined with the expected size.
+
+    The lengths and the second camera stay as they were solved, so the animal must not move along its distance.
+    """
     body = load_skeleton("mouse-top")
     views, _ = random_clip(body, 0.1, 2, 0)
     solution = solve_trajectory(views, body, prior_from_body(body), FPS, TrajectoryOptions(fast=True))
@@ -108,7 +111,7 @@ def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
 
 
 def test_the_second_of_two_cameras_is_as_uncertain_as_calibrations_are():
-    """It counts in the uncertainty of a pair, unless its pose is known or an unknown of the fit."""
+    """The second of two cameras has the usual uncertainty of calibrations, unless its pose is known or an unknown."""
     known, refined = TrajectoryOptions(cameras_known=True), TrajectoryOptions(refine_cameras=True)
     for options, is_uncertain in ((TrajectoryOptions(), True), (known, False), (refined, False)):
         clip = ClipProblem.from_views(VIEWS[:2], BODY, prior_from_body(BODY), FPS, options)

@@ -1,4 +1,4 @@
-"""The clip's least-squares problem: the banded solution equals a dense one."""
+"""Test the clip's least-squares problem: the banded solution equals the dense one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def equations(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np
 
 
 def dense_rows(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The slow oracle: all rows of all terms, stacked with their Jacobian (M, TD)."""
+    """Return all rows of all terms, stacked, with their Jacobian (M, TD): the slow oracle."""
     residuals, jacobians = [], []
     D = states.shape[1]
 
@@ -79,7 +79,7 @@ def test_normal_equations_equal_dense_ones():
 
 
 def seen_late(shared: bool = True) -> LeastSquares:
-    """Two views with unknowns of their own, which all frames share, and the size."""
+    """Return two views with unknowns that all frames share, and the size."""
     rng, xy_px = np.random.default_rng(5), detections(some_states(1))
     sigma, J = np.full(xy_px.shape[:2], 8.0), xy_px.shape[1]
     seen = [
@@ -115,7 +115,7 @@ def some_shared(problem: LeastSquares) -> dict[str, np.ndarray]:
 
 
 def with_shape() -> LeastSquares:
-    """The same with the body's lengths and keypoint offsets among the shared unknowns."""
+    """Return the problem with the body's lengths and keypoint offsets among the shared unknowns."""
     problem, shape, J = seen_late(), FreeShape.of_body(BODY), len(BODY.markers)
     unknown = [
         SharedUnknown(LENGTHS, np.zeros(len(shape.lengths)), np.full(len(shape.lengths), 0.1)),
@@ -126,7 +126,7 @@ def with_shape() -> LeastSquares:
 
 @pytest.mark.parametrize("problem", [seen_late(), with_shape()], ids=["shared", "shape"])
 def test_shared_unknowns_have_the_gradient_of_the_cost(problem):
-    """Central differences along random directions of states and shared unknowns together."""
+    """Shared unknowns have the gradient of the cost, by central differences along random joint directions."""
     states = some_states()
     shared, rng, h = some_shared(problem), np.random.default_rng(2), 1e-5
     normal = problem.normal(states, shared)
@@ -142,7 +142,7 @@ def test_shared_unknowns_have_the_gradient_of_the_cost(problem):
 
 
 def of_three_cameras(*, free_shape: bool) -> LeastSquares:
-    """Cameras with unknowns of their own, two in step and one late, and one body whose shape or common bias is free."""
+    """Return two cameras in step and a late one with their own unknowns, and a body with free shape or common bias."""
     problem, J, rng = with_shape() if free_shape else seen_late(), len(BODY.markers), np.random.default_rng(5)
     late = next(term for term in problem.terms if isinstance(term, Reprojection))
     cameras = [replace(late, view=replace(late.view, offset_frames=0.0), number=number) for number in (1, 2)]
@@ -172,7 +172,7 @@ def test_summed_cameras_give_the_equations_of_each_cameras_rows(monkeypatch, fre
 
 
 def test_keypoints_that_all_cameras_see_displaced():
-    """How residuals follow, at zero, from bodies with keypoints beside their markers, between two frames too."""
+    """Residuals follow keypoints that all cameras see displaced, also between two frames."""
     problem, states, h = seen_late(shared=False), some_states(), 1e-6
     J = len(BODY.markers)
     shared = problem.expected() | {COMMON_KEYPOINT_BIAS: np.zeros(3 * J)}
@@ -192,7 +192,7 @@ def test_keypoints_that_all_cameras_see_displaced():
 
 
 def test_the_posterior_is_that_of_the_dense_equations():
-    """Joints' covariances, the size given, from the inverse of the bordered matrix; and what is said of the size."""
+    """The posterior is that of the dense equations: covariances of joints at a given size, and the size."""
     problem, states = seen_late(shared=False), some_states()
     shared, factor = some_shared(problem), 3.0
     found = posterior(problem, BODY, Estimate(states, 0.0, 1, True, shared), factor)
@@ -226,7 +226,7 @@ def test_a_step_equals_the_dense_one():
 
 
 def test_pieces_of_a_clip_add_up(monkeypatch):
-    """Cut into pieces of two frames, cost and equations are the same."""
+    """Cost and equations of pieces of two frames add up to those of the clip."""
     problem, states = whole_problem(), some_states()
     whole_cost, (H, g) = problem.cost(states), equations(problem, states)
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 2)
@@ -238,7 +238,7 @@ def test_pieces_of_a_clip_add_up(monkeypatch):
 
 @pytest.mark.parametrize("piece", [2, 3])
 def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
-    """One after the other they are those of the whole, with what all frames share."""
+    """The equations of a long clip come in pieces, which add up to the whole with its shared unknowns."""
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
     problem, states = seen_late(shared=True), some_states()
     shared = some_shared(problem)
@@ -255,7 +255,7 @@ def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
 
 
 def test_minimum_of_a_linear_problem_takes_one_step():
-    """All terms linear: least squares in closed form."""
+    """The minimum of a linear problem takes one step, and is the closed form of least squares."""
     D = BODY.n_state
     place = Linear("place", (0,), np.eye(D)[None, :4], np.array([1.0, 5.0, -0.3, 0.2]))
     linear = [
@@ -277,12 +277,12 @@ def dense_rows_of_linear(linear, states):
 
 
 class _Quiet(LeastSquares):
-    """Without nonlinear terms, no span is posed."""
+    """A problem without nonlinear terms, in which no span is posed."""
 
 
 @pytest.mark.slow
 def test_minimum_of_the_whole_problem_is_a_minimum():
-    """No direction leads down, and scipy's dense solver, started there, stays."""
+    """The minimum of the whole problem is one: no direction leads down, and scipy's dense solver stays there."""
     problem = whole_problem()
     found = problem.minimise(some_states(), 1e-10, 200)
     assert found.converged
@@ -333,8 +333,11 @@ def test_costs_are_named():
 
 
 def test_a_slow_shift_in_depth_is_found():
-    """A single marker on a moving root, seen by pixels only through its distance: the whole path is off by one metre,
-    every frame is stiff against its neighbours, and few steps bring it back (damping by the diagonal would not)."""
+    """A slow shift in depth is found in few steps.
+
+    A single marker on a moving root is seen by pixels only through its distance. The whole path is off by one metre,
+    and every frame is stiff against its neighbours. Damping by the diagonal would need many steps.
+    """
     tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
     D, frames = tree.n_state, 60
     stiff = np.array([np.eye(D), -2 * np.eye(D), np.eye(D)]) * 1e4
@@ -345,8 +348,11 @@ def test_a_slow_shift_in_depth_is_found():
 
 
 def test_a_step_of_the_size_keeps_the_animal_in_its_place():
-    """Two cameras see a marker 20 m from the origin, while the size has to grow by a third: the root shrinks by as
-    much. A step straight ahead in root and size would carry the marker off by a metre."""
+    """A step of the size keeps the animal in its position.
+
+    Two cameras see a marker 20 m from the origin, while the size has to grow by a third and the root shrinks by as
+    much. A straight step in root and size would carry the marker off by a metre.
+    """
     tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
     states = np.zeros((40, tree.n_state))
     states[:, :3] = [0.5, 20.0, 0.3] + np.arange(40)[:, None] * [0.1, 0.0, 0.0]
@@ -365,8 +371,11 @@ def test_a_step_of_the_size_keeps_the_animal_in_its_place():
 
 
 def test_a_step_of_the_size_keeps_the_animal_in_the_picture_of_one_camera():
-    """From the camera at the origin, a marker looks the same for each size. A root that moved by less because the size
-    grows would fall short of the detection."""
+    """A step of the size keeps the animal in the picture of one camera.
+
+    From the camera at the origin, a marker looks the same for each size. A root that moved by less because the size
+    grows would fall short of the detection.
+    """
     tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
     states = np.zeros((40, tree.n_state))
     states[:, :3] = [0.5, 20.0, 0.3]

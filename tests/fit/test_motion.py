@@ -1,4 +1,4 @@
-"""Motions of both methods: the same quantities in the same frames, whatever they were made from."""
+"""Test that motions of both methods have the same quantities in the same frames of reference."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def motion(request) -> Motion:
 
 
 def chain_trajectory(of: Motion, small_motion: Motion) -> Motion:
-    """A trajectory of the 8U chain's body, whose poses lie around its mean pose."""
+    """Return a trajectory of the body of the 8U chain, whose poses lie around its mean pose."""
     body, T = load_skeleton("cheetah-8u"), 6
     states = np.zeros((T, body.n_state))
     states[:, :3] = [-1.0, 9.0, 0.3] + 0.3 * np.arange(T)[:, None] * [1.0, 0.0, 0.0]
@@ -82,7 +82,7 @@ def test_keypoints_of_the_file_and_of_the_skeleton(small_trajectory):
 
 
 def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
-    """A skeleton whose shoulder keypoints lie beside the joints."""
+    """Reprojections lie where the detector sees the joints, for a skeleton with offset shoulder keypoints."""
     body = small_trajectory.body
     shifted = replace(body, keypoint_offset_m={"l_shoulder": (0.0, 0.0, 0.1)})
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, body=shifted))
@@ -155,7 +155,10 @@ def test_sigmas_are_along_the_axes_of_the_frame_of_reference(small_trajectory, w
 
 
 def test_place_sigma_is_that_of_the_mean_along_the_line_of_sight(small_trajectory):
-    """From joints that are drawn: a common place, and offsets that are taken relative to their mean."""
+    """`place_sigma` is the standard deviation of the mean of the joints along the line of sight.
+
+    The joints are drawn with a common position and with offsets relative to their mean.
+    """
     rng = np.random.default_rng(5)
     J, draws = 24, 4000
     mixing = rng.normal(0, 0.05, (3 * J, 3 * J)) / np.sqrt(J)

@@ -1,4 +1,4 @@
-"""Cameras that are out of step, or film at other rates: found, put together, refused."""
+"""Test cameras that are out of step or have other frame rates: found, combined, refused."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from recon.fit.trajectory import solve_trajectory
 
 
 def test_the_search_finds_whole_frames():
-    """One of three cameras films from 4 frames later on, one from 3 frames earlier."""
+    """The search finds whole frames: one of three cameras begins 4 frames later, one 3 frames earlier."""
     views = run_views(3)
     found = search_offsets([views[0], late(views[1], 4), late(views[2], -3)], FPS, 2.0, KEYPOINT_M)
     np.testing.assert_array_equal(found, [0, 4, -3])
@@ -34,7 +34,7 @@ def test_a_camera_that_sees_nothing_together_with_others_is_not_compared():
 
 
 def test_lags_are_found_with_their_uncertainty():
-    """By a solver that is told that they may be large, beside the first camera's."""
+    """A solver for large lags finds them relative to the first camera, with their uncertainty."""
     views = [replace(view, offset_frames=lead) for view, lead in zip(run_views(2), (0.0, 0.75), strict=True)]
     found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
     assert (found.time_offset_frames[0], found.time_offset_sigma_frames[0]) == (0, 0)
@@ -72,7 +72,7 @@ def test_a_motion_that_does_not_tell_is_refused():
 
 
 def test_a_clip_whose_cameras_are_out_of_step(runs):
-    """Both began together; --set offset-s says five frames later, where the search begins."""
+    """The offset of cameras is found although `--set offset-s` states five frames and both began together."""
     motion = fit_clip(settings(runs, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
     lag = motion.solution.views[1].offset_frames - motion.sources[1].offset_frames
     assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)
@@ -80,7 +80,11 @@ def test_a_clip_whose_cameras_are_out_of_step(runs):
 
 
 def test_points_at_another_frame_rate():
-    """Twice as slow: each second frame between two, and all count half. Faster: every second one."""
+    """Points are resampled to another frame rate.
+
+    At half the rate, every second frame is between two points, and each counts half. At twice the rate, every second
+    point is used.
+    """
     slow = keypoints_of(np.arange(4.0)[:, None, None] * np.full((4, len(BODY.markers), 2), 10.0), first=3)
     slow.xy_px[2] = np.nan
     clip = at_rate(replace(slow, fps=FPS / 2), FPS)
@@ -96,7 +100,7 @@ def test_points_at_another_frame_rate():
 
 
 def test_cameras_of_different_frame_rates(runs):
-    """The second file's 30 frames, from its frame 10 on, last twice as long."""
+    """Cameras of different frame rates are combined: 30 frames of the second file last twice as long."""
     first, second = prepare(settings(runs, 1, 2, fps=None, camera_fps=[FPS, FPS / 2], frames="0:60")).sources
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(59))
     assert np.flatnonzero(second.keypoints.present.any(axis=1)).tolist() == list(range(20, 59))

@@ -1,4 +1,4 @@
-"""Tests of the explanations of two cameras' poses."""
+"""Test the explanations of the poses of two cameras."""
 
 from __future__ import annotations
 
@@ -66,7 +66,10 @@ def test_a_shift_that_the_detections_show_is_that_of_its_camera():
 
 
 def test_a_turn_explains_what_a_turn_and_a_shift_would_show_alike():
-    """Only the sum of a pan and of a shift at 10 m is measured: a turn is more often the cause than a shift."""
+    """A turn explains an error that a shift could explain equally well, because turns are more common.
+
+    Only the sum of a pan and of a shift at 10 m is measured.
+    """
     both = np.zeros(12)
     both[[PAN, SHIFT]] = 1.0, 0.1
     precision = np.outer(both, both) * np.radians(0.1) ** -2
@@ -76,7 +79,7 @@ def test_a_turn_explains_what_a_turn_and_a_shift_would_show_alike():
 
 
 def test_if_it_is_open_which_camera_is_turned_each_is_turned_by_half_and_both_are_uncertain():
-    """Only the difference of the two pans is measured."""
+    """If only the difference of two pans is measured, each camera is turned by half of it, and both are uncertain."""
     difference = np.zeros(12)
     difference[[PAN, SECOND_PAN]] = -1.0, 1.0
     precision, angle_rad = np.outer(difference, difference) * np.radians(0.1) ** -2, np.radians(3.0)

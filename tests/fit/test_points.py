@@ -1,4 +1,4 @@
-"""States from known 3D markers, for every built-in skeleton."""
+"""Test states that are fitted to known 3D markers, for every built-in skeleton."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def cheetah() -> Body:
 
 
 def random_states(body: Body, n: int) -> np.ndarray:
-    """Around what is expected, half as widely, anywhere and with any heading."""
+    """Return states around the expected pose, with half the spread, anywhere and with any heading."""
     rng = np.random.default_rng(0)
     angles = rng.normal(body.mean_rad, 0.5 * body.sigma_rad, (n, body.n_state - 4))
     return np.concatenate([rng.uniform(-5, 5, (n, 3)), rng.uniform(-3, 3, (n, 1)), angles], axis=1)
@@ -91,7 +91,7 @@ def test_least_squares_of_noisy_markers(cheetah):
 
 
 def test_a_tail_that_points_up_does_not_turn_over(cheetah):
-    """Its yaw is free where it points up, and (yaw + pi, pi - pitch) is the same direction."""
+    """A tail that points up does not turn over, although (yaw + pi, pi - pitch) is the same direction."""
     T, names = 60, list(cheetah.state_names)
     truth = np.zeros((T, cheetah.n_state))
     truth[:, PITCH:] = cheetah.mean_rad

@@ -1,4 +1,4 @@
-"""Whether a motion that the prior does not know is noticed, and harms no more than without the prior."""
+"""Test that a motion unknown to the prior is noticed and does no more harm than having no prior."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CAMERA = Camera.from_hfov(60.0, (1920, 1080))
 
 @pytest.mark.parametrize("fps", [45.0, 200.0])
 def test_the_level_is_the_scale_of_the_variances(fps):
-    """Angles seen directly, whose prior's true standard deviation is s times the stated one, over all frames alike."""
+    """The misfit is the scale of the prior's variances, for angles that are seen directly in all frames."""
     rng = np.random.default_rng(0)
     prior = pose_term(NARROW, BODY.n_state, fps, 1.0)
     sigma = np.sqrt(np.diagonal(NARROW.covariance) * fps / 90.0)
@@ -77,7 +77,7 @@ def test_a_prior_loses_its_weight_little_by_little():
 
 
 def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySolution, float]:
-    """A clip in which the angles stay, and the error of the pose in m."""
+    """Return a solved clip in which the angles stay, and the error of the pose in m."""
     states = np.zeros((T, BODY.n_state))
     states[:, ANGLES] = at
     states[:, :3] = np.array([-0.5, 6.0, -0.3]) + np.outer(np.arange(T) / FPS, [5.0, 0.0, 0.0])
@@ -91,7 +91,7 @@ def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySol
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_prior_that_does_not_know_the_motion_gives_way(fast, monkeypatch):
-    """The angles are about where the skeleton expects them, and the prior expects others."""
+    """A prior that does not know the motion loses its weight, so that angles stay near the skeleton's expectation."""
     at = PLAIN.mean + 0.1 * np.random.default_rng(3).normal(size=len(PLAIN.mean))
     solution, error_m = solved(NARROW, at, fast=fast)
     (segment,) = solution.segments

@@ -1,4 +1,4 @@
-"""Whatever a fit writes, everything behind it reads: skeletons, cameras, offsets, tracks, files that lack markers."""
+"""Test that later commands read all that a fit writes, with any skeleton, camera, offset, track or missing marker."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SIX = [
 
 
 def keypoints_of(body: Body, camera: Camera, first: int = 0) -> Keypoints:
-    """The animal in its expected pose, which trots past; none of its first marker, and garbage in one frame."""
+    """Return keypoints of the animal trotting past, without its first marker and with one bad frame."""
     t = np.arange(FRAMES) + first
     states = np.zeros((FRAMES, body.n_state))
     states[:, 4:] = body.mean_rad + 0.05 * np.sin(t[:, None] / 5 + np.arange(body.n_state - 4))
@@ -66,7 +66,7 @@ def _pose(camera: Camera) -> np.ndarray:
 
 
 def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...]) -> FitSettings:
-    """The settings of a clip with files in a folder; later: by how many frames the cameras began after the first."""
+    """Write files of a clip and return its settings; later: frames by which the cameras began after the first."""
     body, files = load_skeleton(skeleton), []
     for camera, first in zip(cameras, later, strict=True):
         files.append(folder / f"run_{camera.name}.csv")
@@ -86,14 +86,14 @@ def one_began_earlier(folder: Path) -> FitSettings:
 
 
 def six_that_began_apart(folder: Path) -> FitSettings:
-    """With the skeleton that is drafted from the names of their keypoints."""
+    """Return six cameras that began apart, with the skeleton drafted from the names of their keypoints."""
     names = load_skeleton("quadruped").markers
     (folder / "drafted.toml").write_text(draft_skeleton(names, "drafted", folder)[2])
     return settings_of(folder, folder / "drafted.toml", SIX, (0, -3, 2, 0, 1, 0))
 
 
 def bare_root(folder: Path) -> FitSettings:
-    """No marker lies at the root's origin."""
+    """Return a skeleton without a marker at the root's origin."""
     text = (Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "quadruped.toml").read_text()
     moved = text.replace(
         'name = "spine"\nsegment = "rear_trunk"\n', 'name = "spine"\nsegment = "rear_trunk"\nat_m = [0.05, 0.0, 0.0]\n'
@@ -104,7 +104,7 @@ def bare_root(folder: Path) -> FitSettings:
 
 
 def followed(folder: Path) -> FitSettings:
-    """By a camera with a track."""
+    """Return a clip of a camera with a track."""
     found = settings_of(folder, "quadruped", CAMERAS[:1], (0,))
     write_camera(LENS, folder / "lens.toml")
     track = write_track(folder / "track.csv", np.arange(FRAMES), np.tile(_pose(CAMERAS[0]), (FRAMES, 1, 1)))
@@ -112,7 +112,7 @@ def followed(folder: Path) -> FitSettings:
 
 
 def away_for_a_minute(folder: Path) -> FitSettings:
-    """It leaves the picture and comes back; one camera sees it last when the other does not any more."""
+    """Return a clip in which the animal leaves and returns; one camera sees it longer than the other."""
     found = settings_of(folder, "quadruped", CAMERAS, (0, 0))
     for path in found.keypoints:
         clip = read_keypoints(path)

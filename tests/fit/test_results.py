@@ -1,4 +1,4 @@
-"""What a fit wrote, loaded: against the fit's own tables, forward kinematics of its states, and the upright frame."""
+"""Test loaded results against the fit's tables, forward kinematics of the states, and the upright frame."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_shares_and_deviations_belong_to_their_angles(whole_results):
 
 @pytest.mark.parametrize("results", ["whole_results", "level_results"])
 def test_states_and_size_give_the_joints(results, request):
-    """Also where the fit's frame of reference is the camera's: the states are upright."""
+    """States and size give the joints, also if the frame of reference is the camera's and the states are upright."""
     found = Motion.load(request.getfixturevalue(results))
     joints = found.body.tree.pose(found.states, found.size).points_m
     np.testing.assert_allclose(joints, found.upright.xyz_m, atol=1e-9)
@@ -110,7 +110,7 @@ def test_feet_of_a_whole_animal(whole_results):
 
 
 def test_spells_and_their_grounds(whole_results, frame_results):
-    """The ground is a plane in the upright frame; a fit that looks for no segments has one."""
+    """Segments have their grounds, planes in the upright frame; the frame method has a single segment."""
     found = Motion.load(whole_results)
     ((written,), (segment,)) = build_report(found)["segments"], found.segments
     assert segment.rows == slice(0, 60)
@@ -144,7 +144,7 @@ def test_results_of_a_batch(tmp_path, whole_results):
 
 @pytest.mark.parametrize("left", ["report.json", "config.toml", "angles.csv", "pose3d.csv", "quality.csv"])
 def test_without_a_manifest_they_are_no_results(left, whole_results, tmp_path):
-    """As after a run that was killed while it wrote, whichever files it had put in place."""
+    """A folder without a manifest is not a folder of results, as after a run that was killed while writing."""
     folder = copy(whole_results, tmp_path)
     for path in folder.iterdir():
         if path.name not in ("motion.npz", left):

@@ -1,4 +1,4 @@
-"""Draws of a motion, its figure, settings that explain themselves, and the documented residual of one's own."""
+"""Test draws of a motion, its figure, self-describing settings, and the documented residual of a user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The size of a solution is not always that of its minimum: the pictures stay as they were."""
+"""Test that the pictures stay the same if a solution gets another size than that of its minimum."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from recon.fit.solution import states_at_size
 
 @pytest.mark.parametrize("other_size", [0.8, 0.999, 1.3])
 def test_another_size_leaves_the_animal_before_a_camera_that_moves(other_size):
-    """A camera goes 7 m along with an animal that is 14 m away, as it does in the frame of a belt. From each place of
-    the camera the animal has to be seen as before, as much farther away as it is larger."""
+    """Another size leaves the animal in the same place of the pictures of a moving camera.
+
+    A camera goes 7 m along with an animal that is 14 m away, as in the frame of a belt. From each position of the
+    camera, the animal is farther away in proportion to its size.
+    """
     size, origin_m = 0.78, np.array([3.8, -14.0, 1.5])
     centres_m = origin_m + np.linspace(-3.5, 3.5, 30)[:, None] * [1.0, 0.1, 0.0]
     from_camera = np.random.default_rng(0).normal([0.0, 14.0, -1.0], 0.1, (30, 3))  # at nominal size

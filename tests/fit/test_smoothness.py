@@ -1,4 +1,4 @@
-"""Accelerations that the detections of several cameras make likely."""
+"""Test the accelerations that the detections of several cameras make likely."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FPS, T, NOISE_RAD = 60.0, 300, 0.02
 
 
 def solved_problem(acceleration_share: float) -> tuple[LeastSquares, np.ndarray]:
-    """Return a problem whose angles accelerate by a share of what the skeleton expects, and its noisy states."""
+    """Return a problem whose angles accelerate by a fraction of the skeleton's expectation, and its noisy states."""
     body, random = load_skeleton("mouse-top"), np.random.default_rng(0)
     D, prior = body.n_state, prior_from_body(body)
     per_frame = acceleration_share * body.acceleration_rad_s2 / FPS**2 * np.sqrt(FPS / 90.0)  # as in the term

@@ -1,4 +1,4 @@
-"""A few of the clips of `tests/fuzz/stress_fits.py`, both methods: each ends in a result that holds, or is refused."""
+"""Test that some clips of `tests/fuzz/stress_fits.py` end in a sound result, or are refused, by both methods."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every term's rows have the exact gradient of its cost, at random points.
+"""Test that every term's rows have the exact gradient of its cost, at random points.
 
 A new term is one line in `terms` of tests/term_cases.py.
 """
@@ -56,7 +56,7 @@ def test_every_term_of_a_fit_is_tried_here():
 
 @pytest.mark.parametrize("term", terms(), ids=lambda t: t.name)
 def test_rows_have_the_gradient_of_the_cost(term):
-    """Central differences along 20 random directions."""
+    """The rows of every term have the gradient of its cost, by central differences along 20 random directions."""
     states, rng = some_states(), np.random.default_rng(2)
     exact = gradient(term, states)
     for _ in range(20):
@@ -68,7 +68,7 @@ def test_rows_have_the_gradient_of_the_cost(term):
 
 @pytest.mark.parametrize("term", terms(), ids=lambda t: t.name)
 def test_says_which_frames_it_reads(term):
-    """A change of one frame changes the gradient within the stencil's reach only, and there somewhere."""
+    """A term states which frames it reads: a change of one frame changes the gradient in the stencil's reach only."""
     states, reach = some_states(), term.stencil[-1] - term.stencil[0]
     other = states.copy()
     other[2] += 0.01
@@ -78,14 +78,17 @@ def test_says_which_frames_it_reads(term):
 
 
 def test_priors_count_the_same_per_second_at_any_frame_rate():
-    """Twice the frames, half the weight each."""
+    """Priors count the same per second at any frame rate: twice the frames have half the weight each."""
     states = some_states()
     for make in (lambda fps: pose_term(PRIOR, BODY.n_state, fps, 1.0), lambda fps: PoseMixture(PRIOR, fps, 1.0)):
         assert cost(make(FPS), states) == pytest.approx(2 * cost(make(2 * FPS), states))
 
 
 def test_a_steady_gait_of_the_prior_costs_no_motion():
-    """The dynamics' own path: z'' = drift [z - mean, z'] stepped exactly as the term differences it."""
+    """A steady gait of the prior costs no motion.
+
+    It is z'' = drift [z - mean, z'], stepped as the term differences it.
+    """
     dt, A = 1 / FPS, len(PRIOR.mean)
     by_angle, by_rate = PRIOR.drift[:, :A], PRIOR.drift[:, A:]
     z = [PRIOR.mean + 0.1, PRIOR.mean + 0.102]
@@ -100,7 +103,7 @@ def test_a_steady_gait_of_the_prior_costs_no_motion():
 
 
 def test_a_component_on_its_own_is_a_gaussian():
-    """K = 1: the mixture's cost less its constant is the Gaussian's."""
+    """A mixture of one component is a Gaussian: its cost, minus the constant, is the Gaussian's."""
     from recon.animal.prior_fit import as_one_gaussian
 
     one = as_one_gaussian(PRIOR)
@@ -110,7 +113,7 @@ def test_a_component_on_its_own_is_a_gaussian():
 
 
 def test_a_detection_far_off_hardly_pulls():
-    """The pull of 1000 px is less than that of 20 px, and a missing point has none."""
+    """A detection that is 1000 px off pulls less than one 20 px off, and a missing point does not pull."""
     states = some_states()
     xy_px = pixels(states)
     pulls = []
@@ -134,14 +137,17 @@ def test_joints_behind_the_camera_cost_much_and_finitely():
 
 
 def test_spans_overlap_by_one_frame():
-    """Each row stands for a frame once, however the clip is cut."""
+    """Spans overlap by one frame, so that each row belongs to one frame for any division of the clip."""
     pose = BODY.tree.pose_with_jacobian(some_states())
     assert Span(0, some_states(), pose, is_last=True).own_rows == slice(0, T)
     assert Span(0, some_states(), pose, is_last=False).own_rows == slice(0, T - 1)
 
 
 def test_every_term_that_reads_markers_is_among_those_that_a_shape_changes():
-    """Otherwise fits of several cameras would lack its derivatives by lengths and offsets."""
+    """Every term that reads markers is in the list of terms whose derivatives a shape changes.
+
+    Otherwise fits of several cameras would lack its derivatives by lengths and offsets.
+    """
     states, poseless = some_states(), cast(TreePose, None)
     for term in terms():
         if not isinstance(term, (Linear, *MARKER_TERMS)):

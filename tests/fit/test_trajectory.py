@@ -1,4 +1,4 @@
-"""The trajectory method on a simulated animal: a smooth gait within the prior, seen by one camera."""
+"""Test the trajectory method on a simulated animal: a smooth gait within the prior, seen by one camera."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from recon.testing.gallop import gallop
 
 
 def test_finds_the_motion():
-    """Noise of 2 px, 9 m away: within 30 mm and the priors' pull; the path within 4 per cent of the distance."""
+    """The motion is found within 30 mm and the path within 4 per cent of the distance, at 2 px of noise and 9 m."""
     solution, truth = plain(), run()
     assert solution.status == "converged"
     assert errors_m(solution, truth).mean() < 0.03
@@ -46,7 +46,7 @@ def test_is_the_same_every_time():
 
 
 def test_result_is_consistent():
-    """The joints are those of the states, and covariances are covariances."""
+    """The result is consistent: joints are those of the states, and covariances are covariances."""
     solution = plain()
     posed = solution.body.tree.pose(solution.states, solution.size).points_m
     np.testing.assert_allclose(posed, solution.joints_m, atol=1e-9)
@@ -68,7 +68,7 @@ def test_depth_is_less_certain_than_the_picture():
 
 
 def test_a_side_view_shows_pitch_and_hardly_roll():
-    """The pixels' share of each angle, and what they leave of its deviation."""
+    """A side view shows pitch and hardly any roll: the pixels' share of each angle, and its remaining deviation."""
     solution = plain()
     share = dict(zip(BODY.state_names[3:], np.median(solution.angle_data_share, axis=0), strict=True))
     assert min(share[f"{side}_{part}_pitch"] for side in "lr" for part in ("fore_upper", "hind_thigh")) > 0.6
@@ -77,7 +77,7 @@ def test_a_side_view_shows_pitch_and_hardly_roll():
 
 
 def test_bridges_a_hole_with_growing_uncertainty():
-    """Ten frames of nothing: flagged, less certain in their middle, and the rest is as good as before."""
+    """A gap of ten frames is bridged with growing uncertainty, and the other frames are as good as before."""
     truth = run()
     xy_px = seen(truth)
     xy_px[15:25] = np.nan
@@ -96,7 +96,7 @@ SWAPPED = [BODY.markers.index(other_side(marker)) for marker in BODY.markers]
 
 
 def test_survives_outliers():
-    """A third of the points up to 300 px off in both directions: hardly worse."""
+    """Outliers hardly change the result: a third of the points is up to 300 px off in both directions."""
     truth, rng = run(), np.random.default_rng(5)
     xy_px = seen(truth)
     wrong = rng.uniform(size=xy_px.shape[:2]) < 0.3
@@ -107,13 +107,13 @@ def test_survives_outliers():
 
 
 def test_an_animal_seen_end_on_is_ambiguous():
-    """Running straight away from the camera: its depth shows in its perspective only."""
+    """The depth of an animal that runs straight away from the camera is ambiguous."""
     solution = solve(seen(run(heading_rad=np.pi / 2, speed_m_s=4.0)))
     assert all("ambiguous depth" in flags for flags in solution.flags)
 
 
 def test_survives_swapped_sides():
-    """Left and right mistaken for each other in ten frames: trusted less, and the other frames are good."""
+    """Ten frames with swapped sides get less weight, and the other frames are good."""
     truth = run()
     xy_px = seen(truth)
     xy_px[12:22] = xy_px[12:22][:, SWAPPED]
@@ -124,7 +124,7 @@ def test_survives_swapped_sides():
 
 
 def test_survives_missing_legs():
-    """No hind legs in the first half: less certain there, and as good as before in the second."""
+    """A first half without hind legs is less certain there; the second half is as good as before."""
     truth, base = run(), errors_m(plain(), run())
     xy_px = seen(truth)
     hind = [j for j, marker in enumerate(BODY.markers) if "back" in marker]
@@ -138,7 +138,7 @@ def test_survives_missing_legs():
 
 
 def test_long_holes_split_the_clip():
-    """More than two seconds without an animal: two clips, each with its own ground, and nothing far from either."""
+    """More than two seconds without an animal split the clip in two, each with its own ground."""
     truth = run(30)
     xy_px = np.full((30 + 240 + 30, len(BODY.markers), 2), np.nan)
     lower = truth + np.array([0.0, 0.6, 0.0])
@@ -181,7 +181,7 @@ def test_a_clip_without_animal():
 
 
 def test_windows_are_joined():
-    """Three seconds: started in three windows, solved as one; the path has no jump."""
+    """Three seconds are started in three windows and solved as one, without a jump of the path."""
     truth = run(270, heading_rad=0.1, speed_m_s=1.5)
     solution = solve(seen(truth))
     assert solution.status == "converged"
@@ -200,14 +200,14 @@ def test_fast_is_near_the_full_solution():
 
 
 def test_without_a_learned_prior():
-    """The skeleton's own expectations do, less well."""
+    """Without a learned prior, the expectations of the skeleton are used, with a larger error."""
     solution = solve(seen(run()), prior=prior_from_body(BODY))
     assert solution.prior == "none"
     assert errors_m(solution, run()).mean() < 0.1
 
 
 def test_scale_cannot_be_seen():
-    """A body twice too large is twice as far away, and its size keeps its prior's uncertainty."""
+    """The scale cannot be seen: a body twice too large is twice as far away, and its size stays uncertain."""
     tree = BODY.tree
     segments = tuple(dataclasses.replace(s, offset_m=tuple(2 * x for x in s.offset_m)) for s in tree.segments)
     markers = tuple(dataclasses.replace(m, offset_m=tuple(2 * x for x in m.offset_m)) for m in tree.markers)
@@ -221,7 +221,7 @@ def test_scale_cannot_be_seen():
 
 
 def test_the_size_follows_from_the_ground():
-    """A camera 3 m above the ground, and a skeleton 10 % too large: the feet tell."""
+    """The size follows from the ground: a camera 3 m above it shows that a skeleton is 10 % too large."""
     clip = gallop(fps=FPS, n_frames=80, heading_rad=0.2)
     chain = load_chain("cheetah-8u")
     body = dataclasses.replace(chain.body, size_sigma=0.1)
@@ -236,7 +236,7 @@ def test_the_size_follows_from_the_ground():
 
 
 def test_the_noisy_sample_with_the_chain():
-    """The 8U chain on the bundled sample: at most 40 mm."""
+    """The trajectory method fits the 8U chain to the bundled sample with an error of at most 40 mm."""
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     settings = FitSettings(
         keypoints=samples / "noisy.csv", camera=samples / "camera.toml", fps=30, skeleton="cheetah-8u"
@@ -248,7 +248,7 @@ def test_the_noisy_sample_with_the_chain():
 
 @pytest.mark.slow
 def test_real_views(shared_data):
-    """Two real views, subject given: with a margin, what the benchmark measures."""
+    """Two real views with a known subject have the errors that the benchmark measures, with a margin."""
     for name, camera, below_m in (
         ("2017_08_29-top-phantom-run1_1", "cam5", 0.06),
         ("2017_08_29-top-jules-run1_1", "cam2", 0.06),
@@ -294,7 +294,7 @@ def test_a_pose_too_far_off_to_be_seen_is_none():
 
 
 def test_a_frame_beside_a_single_other_one_is_hardly_known():
-    """Nothing says how fast the animal is: where it is in the second frame has the uncertainty of that."""
+    """A frame next to a single other frame is hardly known, because nothing shows how fast the animal is."""
     xy_px = chain_points(2)
     xy_px[1] = np.nan
     solution = solve_chain(xy_px)

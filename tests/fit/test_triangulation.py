@@ -1,4 +1,4 @@
-"""Triangulation without a skeleton: points, covariances, outliers and gaps of a simulated rig with known truth."""
+"""Test triangulation without a skeleton: points, covariances, outliers and gaps of a simulated rig."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DISTORTION = np.array([-0.25, 0.08, 0.001, -0.001, 0.0])
 
 
 def rig(count: int) -> list[Camera]:
-    """Cameras with distorting lenses around the origin, 3 m off."""
+    """Return cameras with distorting lenses around the origin, 3 m away."""
     cameras = []
     for i in range(count):
         bearing = 2 * np.pi * i / max(count, 3) + 0.1
@@ -28,7 +28,7 @@ def rig(count: int) -> list[Camera]:
 
 
 def points() -> np.ndarray:
-    """Six points (T, 6, 3) that move along smooth paths within half a metre."""
+    """Return six points (T, 6, 3), m, that move along smooth paths within half a metre."""
     time_s, random = np.arange(T) / FPS, np.random.default_rng(1)
     phase, place = random.uniform(0, 6, (6, 3)), random.uniform(-0.4, 0.4, (6, 3)) + np.array([0, 0, 0.4])
     return place + 0.1 * np.sin(2 * np.pi * 1.5 * time_s[:, None, None] + phase)

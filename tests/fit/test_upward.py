@@ -1,4 +1,4 @@
-"""Which way is up, of cameras whose file does not say it: an animal walks about before rigs in any world."""
+"""Test the up direction of cameras whose file does not state it, from an animal that walks about."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WORLD = Rotation.from_rotvec([1.3, -0.7, 0.4]).as_matrix()
 
 
 def walking(scale: float) -> np.ndarray:
-    """(T, J, 3): round a circle, each foot standing on z = 0 for two thirds of the time."""
+    """Return joints (T, J, 3), m, of a walk round a circle; each foot stands on z = 0 for two thirds of the time."""
     still = BODY.tree.pose(np.concatenate([np.zeros(4), BODY.mean_rad])[None]).points_m[0]
     still -= [0.0, 0.0, np.mean([still[BODY.markers.index(foot), 2] for foot in BODY.feet])]
     gone = 0.8 * np.arange(T) / FPS  # m
@@ -38,7 +38,7 @@ def walking(scale: float) -> np.ndarray:
 
 
 def looking(centre_m: np.ndarray, name: str, rolled_deg: float) -> Camera:
-    """At the middle of the floor, in a world with z up."""
+    """Return a camera that looks at the middle of the floor, in a world with z up."""
     ahead = -centre_m / np.linalg.norm(centre_m)
     right = np.cross(ahead, [0.0, 1.0, 0.0] if abs(ahead[2]) > 0.99 else [0.0, 0.0, 1.0])
     level = np.stack([right, np.cross(ahead, right), ahead]) / np.array([[np.linalg.norm(right)] * 2 + [1.0]]).T
@@ -52,8 +52,10 @@ def looking(centre_m: np.ndarray, name: str, rolled_deg: float) -> Camera:
     [(1.0, [4.0, 0, 1.9]), pytest.param(0.1, [4.0, 0, 1.9], marks=pytest.mark.slow), (0.1, [0.0, 0.0, 5.0])],
 )
 def test_up_is_found_from_the_ground_that_feet_stand_on(tmp_path, scale, first):
-    """Also where the first camera looks straight down, and of an animal as small as a mouse; keypoints lie 2 % of its
-    length beside their places."""
+    """Up is found from the ground on which feet stand, with keypoints off by 2 % of the animal's length.
+
+    The first camera may look straight down, and the animal may be as small as a mouse.
+    """
     true, rng = walking(scale), np.random.default_rng(0)
     centres = scale * np.array([first, [0.0, 4.5, 1.5], [-4.0, -1.0, 2.5], [1.0, -4.5, 1.0]])
     cameras, points = [], true @ WORLD.T  # what the calibration calls them

@@ -1,1 +1,1 @@
-"""Every reader and settings file against files that are spoilt in many ways. See `tests/fuzz/__main__.py`."""
+"""Damage files in many ways, and read them by every reader and settings file. See `tests/fuzz/__main__.py`."""

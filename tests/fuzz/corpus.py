@@ -1,4 +1,4 @@
-"""Good files of every kind, small, and what reads each."""
+"""Make small valid files of every kind, and name the reader of each."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ NAMES = (
 
 @dataclass(frozen=True)
 class Seed:
-    """A good file: its name, its content, and what reads it. share: of the cases, in parts."""
+    """A valid file: its name, its content, and its reader. share: relative number of its cases."""
 
     name: str
     content: bytes
@@ -174,7 +174,7 @@ class Seed:
 
 
 def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
-    """All of them, made in a folder; real: of recordings, whose importer-files are taken too."""
+    """Make all valid files in a folder; real: also recordings, with the files that they refer to."""
     folder.mkdir(parents=True, exist_ok=True)
     found = [*of_formats(folder), *of_settings(folder)]
     for path in sorted(real.glob("importer-files/*/*")) if real is not None else ():
@@ -185,7 +185,7 @@ def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
 
 
 def of_settings(folder: Path) -> Iterator[Seed]:
-    """What is no data of a clip: cameras, tracks, settings, descriptions of animals and robots, results, networks."""
+    """Make files other than clips: cameras, tracks, settings, animals, robots, results, networks."""
     yield from _texts()
     yield from _cameras(folder)
     yield from _tracks()
@@ -217,7 +217,7 @@ def _sized_cameras_of(path: Path) -> object:
 
 
 def _cell(*items: object) -> np.ndarray:
-    """MATLAB's."""
+    """Return a cell array as MATLAB stores it."""
     found = np.empty((len(items), 1), dtype=object)
     found[:, 0] = items
     return found
@@ -229,7 +229,7 @@ def _body_of(path: Path) -> object:
 
 
 def of_formats(folder: Path) -> Iterator[Seed]:
-    """What our own writers make of a small clip."""
+    """Return what our own writers make of a small clip."""
     random = np.random.default_rng(0)
     names = ("nose", "l_eye", "spine")
     xy_px, confidence = random.uniform(0, 1000, (5, 3, 2)).round(2), random.uniform(0.5, 1, (5, 3)).round(3)
@@ -279,7 +279,7 @@ def of_formats(folder: Path) -> Iterator[Seed]:
 
 
 def write_sleap(points: Keypoints, path: Path) -> None:
-    """As SLEAP does."""
+    """Write an analysis file as SLEAP does."""
     with h5py.File(path, "w") as file:
         file["tracks"] = points.xy_px.transpose(2, 1, 0)[None]
         file["point_scores"] = points.confidence.T[None]
@@ -288,7 +288,7 @@ def write_sleap(points: Keypoints, path: Path) -> None:
 
 
 def _fixed_h5(path: Path, clip: Keypoints) -> bytes:
-    """DeepLabCut's labels, in pandas' fixed layout."""
+    """Write DeepLabCut's labels in pandas' fixed layout."""
     import pandas as pd
 
     columns = pd.MultiIndex.from_product([["me"], clip.names, ["x", "y"]], names=["scorer", "bodyparts", "coords"])
@@ -315,7 +315,7 @@ def _texts() -> Iterator[Seed]:
 
 
 def _file_name(path: Path) -> object:
-    """A name is written into a config.toml, and that finds the file again; it is a cell, a line and JSON, too."""
+    """Read a file name that was written into a config.toml, a cell, a line and JSON, and find the file again."""
     name = os.fsdecode(path.read_bytes().replace(b"\0", b"").replace(b"/", b"")[:255])
     folder = path.with_name("names")
     shutil.rmtree(folder, ignore_errors=True)
@@ -431,7 +431,7 @@ def _built_in() -> Iterator[Seed]:
 
 
 def _walking(path: Path) -> object:
-    """A robot that follows an animal for some samples."""
+    """Return a robot that follows an animal for some samples."""
     t = np.linspace(0.0, 0.1, 4)
     zero, feet = np.zeros((4, 3)), np.zeros((4, len(LEGS), 3))
     feet[1:3, :, 2] = 0.05
@@ -439,7 +439,7 @@ def _walking(path: Path) -> object:
 
 
 def _kept_robot() -> bytes:
-    """A robot that stands for some samples."""
+    """Return a robot that stands for some samples."""
     robot, t = load_robot("a1"), np.linspace(0.0, 0.1, 4)
     feet = np.array([leg.neutral_m for leg in robot.legs.values()])
     pose = RigidTransform.from_translation(np.zeros((4, 3)))
@@ -457,7 +457,7 @@ def _urdf() -> str:
 
 
 def _results(folder: Path) -> Iterator[Seed]:
-    """A folder of a fit; one of its files is spoilt, and the manifest says it is as it was written, or not."""
+    """Return the folder of a fit with one damaged file; the manifest states its digest, or that of the original."""
     results = folder / "results"
     run_clip(
         FitSettings(
@@ -492,7 +492,7 @@ def _results(folder: Path) -> Iterator[Seed]:
 
 
 def _models(folder: Path) -> Iterator[Seed]:
-    """What stands beside the weights of a network, which are left out."""
+    """Return the files of a network other than its weights."""
     if find_spec("torch") is None:
         return
     import torch
@@ -511,14 +511,14 @@ def _models(folder: Path) -> Iterator[Seed]:
 
 
 def _folders() -> Iterator[Seed]:
-    """Folders that are written to; of the first, the bytes of the file say what is in it."""
+    """Return folders that are written to; the bytes of the file determine the content of the first."""
     yield Seed("folder.txt", b"what lies in the folder", write_among_others, 4.0, is_input=False)
     for name, content in records():
         yield Seed(name, content, write_after, 2.0, is_input=False)
 
 
 def outcome(seed: Seed, path: Path) -> str | None:
-    """None for a success, and for an InputError that says something of each problem."""
+    """Return None for a success, and for an InputError that describes each problem."""
     try:
         seed.read(path)
     except InputError as error:

@@ -44,8 +44,11 @@ main()
 
 
 class Ended(NamedTuple):
-    """in_time: whether the signal came before the end. seconds: how long that took, from the signal or, without one, in
-    all."""
+    """The end of an interrupted run.
+
+    in_time: whether the signal came before the end. seconds: time from the signal to the end, or the whole time without
+    one.
+    """
 
     code: int
     err: str
@@ -54,7 +57,7 @@ class Ended(NamedTuple):
 
 
 def interrupted(arguments: Sequence[object], after_s: float | None, folder: Path) -> Ended:
-    """Run `recon ARGUMENTS` in `folder` and stop it so long after it began; None: let it run."""
+    """Run `recon ARGUMENTS` in `folder` and interrupt it after that many seconds; None: let it end."""
     reader, writer = os.pipe()
     with subprocess.Popen(
         [sys.executable, "-c", CODE, *map(str, arguments)],
@@ -86,7 +89,7 @@ def interrupted(arguments: Sequence[object], after_s: float | None, folder: Path
 
 
 def fault(ended: Ended) -> str:
-    """What is wrong with the end, if anything is."""
+    """Return what is wrong with the end of a run, or nothing."""
     if ended.code != 130:
         return f"exit code {ended.code}"
     lines = ended.err.count("\n")
@@ -94,7 +97,7 @@ def fault(ended: Ended) -> str:
 
 
 def commands() -> dict[str, tuple[object, ...]]:
-    """By what they show. Folders are in the one that `prepared` has filled; `out` is new each time."""
+    """Return the commands by name; folders are in the one that `prepared` filled, and `out` is new each time."""
     whole, noisy = (SAMPLES / f"{name}.csv" for name in ("whole", "noisy"))
     film, labels = SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv"
     filmed = ("--camera", SAMPLES / "rendered_camera.toml", "--keypoints", SAMPLES / "rendered_points.csv")
@@ -134,7 +137,7 @@ def commands() -> dict[str, tuple[object, ...]]:
 
 
 def prepare(folder: Path, names: Sequence[str]) -> None:
-    """What the commands read and the project does not have: results of two clips, and a network that knows little."""
+    """Make what the commands read and the project lacks: results of two clips, and a barely trained network."""
     camera, points = SAMPLES / "rendered_camera.toml", SAMPLES / "rendered_points.csv"
     made: list[tuple[object, ...]] = [(*commands()["fit"][:-1], "results")]
     if "overlay" in names:
@@ -151,7 +154,7 @@ def prepare(folder: Path, names: Sequence[str]) -> None:
 
 
 def clear(folder: Path) -> None:
-    """Away with what a command has written, whole or in part."""
+    """Delete what a command has written, in whole or in part."""
     for path in folder.iterdir():
         if path.name not in ("results", "film", "model"):
             shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -1,7 +1,7 @@
-"""Folders with files of a user's, links, and spoilt records of recon's: writing changes nothing of the user's.
+"""Write into folders with a user's files, links, and damaged records of recon, and check that no user's file changes.
 
-Each reader below makes such a folder, writes into it as commands do, and raises AssertionError where something of the
-user's is other than before.
+Each reader below makes such a folder, writes into it as commands do, and raises AssertionError if a file of the user
+has changed.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ def snapshot(folder: Path) -> Snapshot:
 
 
 def require_same(before: Snapshot, folder: Path) -> None:
-    """Raise AssertionError unless all that was there is as before.
+    """Raise AssertionError unless every earlier file is unchanged.
 
-    An empty lock file is one that a killed run left: it may go, and holds nothing.
+    An empty lock file is left by a killed run: it may be deleted.
     """
     after = snapshot(folder)
     changed = [name for name, state in before.items() if after.get(name) != state]
@@ -74,7 +74,7 @@ def require_same(before: Snapshot, folder: Path) -> None:
 
 
 def _emptied(path: Path) -> Path:
-    """Return a new folder beside a case's file."""
+    """Return a new folder next to a case's file."""
     folder = path.with_name("tree")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -82,7 +82,7 @@ def _emptied(path: Path) -> Path:
 
 
 def _refused(path: Path, write: Callable[[], object]) -> InputError | None:
-    """Write, and return what it is refused for. A fault of the system that names its file is a message of a command."""
+    """Write, and return the problems that it is refused for; a system error that names its file is also a message."""
     try:
         write()
     except InputError as error:
@@ -98,7 +98,7 @@ def _refused(path: Path, write: Callable[[], object]) -> InputError | None:
 
 
 def _put(random: Random, path: Path) -> None:
-    """Put something of a user's at a path, if it is free."""
+    """Put a user's file at a path, if the path is free."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         what = random.randrange(9)
@@ -122,7 +122,7 @@ def _put(random: Random, path: Path) -> None:
 
 
 def write_among_others(path: Path) -> object:
-    """A file's bytes are the seed of everything."""
+    """Write among a user's files; the bytes of a file seed all random choices."""
     random, root = Random(path.read_bytes()), _emptied(path)
     (root / "user" / "folder").mkdir(parents=True)
     (root / "user" / "precious.csv").write_text(OWN)
@@ -195,7 +195,7 @@ _USERS = (
 
 
 def write_after(path: Path) -> object:
-    """The file is one of the records; a fit, an analysis and a page follow."""
+    """Replace a record by the file, then write a fit, an analysis and a page."""
     root = _emptied(path)
     _written_folder(root)
     place = root / next(place for name, place in _PLACES.items() if f"{name}-folder" in path.name)
@@ -227,7 +227,7 @@ def write_after(path: Path) -> object:
 
 
 def records() -> Iterator[tuple[str, bytes]]:
-    """Give the name and content of each good record."""
+    """Return the name and the content of each valid record."""
     with TemporaryDirectory() as name:
         _written_folder(Path(name))
         for key, place in _PLACES.items():

@@ -34,9 +34,12 @@ LEAST = 4096
 
 
 class Case(NamedTuple):
-    """arguments: of recon, {out} being the place to write to; out: its name. whole: whether a run that fails leaves
-    nothing, rather than what was finished before. read: raises for something that is broken. beside: a folder whose
-    files are in {out} before, as links."""
+    """A command that writes.
+
+    arguments: of recon, with {out} as the place to write to; out: its name. whole: a run that fails leaves nothing,
+    instead of what was finished before. read: raises if a result is broken. beside: a folder whose files are in {out}
+    before, as links.
+    """
 
     name: str
     arguments: Sequence[object]
@@ -94,7 +97,7 @@ def read_summary(out: Path) -> object:
 
 
 def cases(folder: Path) -> list[Case]:
-    """folder: with results to go on from, in `clip`."""
+    """Return the cases; folder: has results to start from, in `clip`."""
     clip = folder / "clip"
     two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "movement.nc", "nwb.nwb")
     three = ("deeplabcut.csv", "deeplabcut.h5", "movement.nc", "nwb.nwb", "parquet.parquet", "trc.trc", "c3d.c3d",
@@ -164,7 +167,7 @@ def cases(folder: Path) -> list[Case]:
 
 
 def prepare(folder: Path) -> None:
-    """What the cases go on from."""
+    """Make the results that the cases start from."""
     import cv2
     import numpy as np
 
@@ -184,7 +187,7 @@ def prepare(folder: Path) -> None:
 
 
 class Child:
-    """`recon ARGUMENTS` in a child of this process, which has everything imported."""
+    """Run `recon ARGUMENTS` in a child of this process, which has already imported everything."""
 
     def __init__(self, case: Case, folder: Path, limit: int | None = None, then_read: bool = False) -> None:
         self.err = tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the child
@@ -223,7 +226,7 @@ class Child:
         return 0
 
     def wait(self) -> tuple[int | None, str]:
-        """Its exit code, None if it hangs, and what it said on standard error."""
+        """Return the exit code (None: the child hangs) and the text on standard error."""
         code, until = None, time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -239,7 +242,7 @@ class Child:
 
 
 class Disk:
-    """A file system of so many bytes, or an ordinary folder."""
+    """A file system of that many bytes, or an ordinary folder."""
 
     def __init__(self, size: int | None) -> None:
         self.path, self.mounted = Path(tempfile.mkdtemp(prefix="full-disk-")), False
@@ -258,7 +261,7 @@ class Disk:
 
 
 def verdict(case: Case, size: int, by_file: bool) -> tuple[str, str]:
-    """ "full" or "fits", as it should be; else what went wrong. And what was said."""
+    """Return "full" or "fits" if a run ended as it should, otherwise what went wrong, and the output."""
     with Disk(None if by_file else size) as folder:
         code, err = Child(case, folder, size if by_file else None).wait()
         left = [path.relative_to(folder) for path in folder.rglob("*")]
@@ -283,7 +286,7 @@ def verdict(case: Case, size: int, by_file: bool) -> tuple[str, str]:
 
 
 def size_of(case: Case) -> tuple[int, int]:
-    """Bytes on a disk that is large enough, of all files and of the largest one."""
+    """Return the bytes that a run needs on a large disk: of all files, and of the largest file."""
     with Disk(None) as folder:
         ended = Child(case, folder).wait()
         assert ended[0] == 0, (case.name, ended)
@@ -292,7 +295,7 @@ def size_of(case: Case) -> tuple[int, int]:
 
 
 def check(wanted: Iterable[Case], sizes: int, by_file: bool) -> int:
-    """How many runs went wrong."""
+    """Run a case at several sizes, and return how many runs went wrong."""
     wrong = 0
     for case in wanted:
         total = size_of(case)[by_file]

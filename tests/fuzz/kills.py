@@ -34,13 +34,15 @@ STEPS = ("mkdir", "replace", "link", "unlink")
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """The content of the results alone; a killed process leaves hidden files beside them."""
+    """Return the content of the results without hidden files, which a killed process leaves next to them."""
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and not p.name.startswith(".recon")}
 
 
 def replaced(source: Path, out: Path, step: Callable[[], None]) -> None:
-    """Write the results of source into out; step: called before and after every change from the first on that is
-    visible from outside."""
+    """Write the results of source into out.
+
+    step: called before and after every change, from the first that is visible from outside.
+    """
     with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
             if path.name not in ("manifest.json", RECORD):
@@ -60,7 +62,7 @@ def _with_steps(function: Callable[..., Any], step: Callable[[], None]) -> Calla
 
 
 def killed(source: Path, out: Path, after_steps: int | None, after_s: float) -> bool:
-    """Whether a child that writes was killed: by itself after so many steps, or by us so long after the first."""
+    """Return whether a writing child was killed: by itself after that many steps, or by us after that many seconds."""
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
@@ -91,7 +93,7 @@ def killed(source: Path, out: Path, after_steps: int | None, after_s: float) -> 
 
 
 def found(out: Path, known: list[dict[str, bytes]]) -> str:
-    """What there is to read."""
+    """Return the results that can be read."""
     try:
         Motion.load(out)
     except InputError:
@@ -101,7 +103,7 @@ def found(out: Path, known: list[dict[str, bytes]]) -> str:
 
 
 def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Counter[str]:
-    """By what was found, how many kills. sources: two results."""
+    """Return the number of kills by what they left; sources: two results."""
     known = [contents(source) for source in sources]
     steps, seconds = _all_steps(sources[1], out)
     counts: Counter[str] = Counter()
@@ -118,7 +120,7 @@ def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Cou
 
 
 def replaced_by_us(source: Path, out: Path) -> None:
-    """After whatever was left."""
+    """Replace what a kill has left."""
     with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
             if path.name not in ("manifest.json", RECORD):
@@ -127,7 +129,7 @@ def replaced_by_us(source: Path, out: Path) -> None:
 
 
 def _all_steps(source: Path, out: Path) -> tuple[int, float]:
-    """How many there are, and how long they take."""
+    """Return the number of steps and their duration."""
     replaced_by_us(source, out)
     kept = {name: getattr(os, name) for name in STEPS}
     times: list[float] = []

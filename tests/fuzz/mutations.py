@@ -64,7 +64,7 @@ MOST = 1 << 18
 
 
 def spoilt(content: bytes, suffix: str, random: Random) -> bytes:
-    """A file of this kind, spoilt once or several times."""
+    """Return a file of this kind, damaged once or several times."""
     kinds = KINDS.get(suffix, (lines, lines, numbers, words, in_bytes))
     chosen = [random.choice(kinds) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
     # Libraries must not see files whose bytes are spoilt before our readers do.
@@ -100,7 +100,7 @@ ODD_PARTS += (b"&<b>", b"#", b";", b",", b"*", b"..", b"\xf0\x9f\x90\x86", b"\xe
 
 
 def spoilt_name(name: str, random: Random) -> str:
-    """A file's name, mostly as it is, else with odd bytes before it."""
+    """Return a file's name, usually unchanged, otherwise with odd bytes before it."""
     if random.random() < 0.8:
         return name
     parts = random.choices(ODD_PARTS, k=random.choice((1, 1, 2)))
@@ -139,7 +139,7 @@ def cut(content: bytes, random: Random) -> bytes:
 
 
 def replaced(content: bytes, random: Random) -> bytes:
-    """By something that only looks the part, or not at all."""
+    """Replace a value by something that looks similar, or does not."""
     other = (b"", b"\0", content[:8] + bytes(2000), b"[" * 50_000, b"\xff\xfe" + content, content * 2, content[::-1])
     return random.choice(other)
 
@@ -185,7 +185,7 @@ def lines(content: bytes, random: Random) -> bytes:
 
 
 def numbers(content: bytes, random: Random) -> bytes:
-    """One number, or all that are equal to one, becomes an odd one."""
+    """Replace one number, or all numbers equal to it, by an unusual number."""
     text = _text(content)
     found = list(re.finditer(r"-?\d+(\.\d+)?([eE][-+]?\d+)?", text))
     if not found:
@@ -213,7 +213,7 @@ def words(content: bytes, random: Random) -> bytes:
 
 
 def _altered(value: Any, random: Random) -> Any:
-    """The same tree with one branch or leaf replaced, removed, doubled or exchanged."""
+    """Return the tree with one branch or leaf replaced, removed, doubled or exchanged."""
     holders = [h for h in _holders(value) if h]
     if not holders:
         return random.choice(ODD_VALUES)
@@ -253,7 +253,7 @@ def in_toml(content: bytes, random: Random) -> bytes:
 
 
 def _odd_array(array: np.ndarray, random: Random) -> np.ndarray:
-    """Another shape, type or content."""
+    """Return an array of another shape, type or content."""
     what = random.randrange(9)
     if what == 0:
         return array[:0] if array.ndim else np.zeros(0)
@@ -280,7 +280,7 @@ def _odd_array(array: np.ndarray, random: Random) -> np.ndarray:
 
 
 def in_hdf5(content: bytes, random: Random) -> bytes:
-    """One dataset or attribute altered, removed or moved."""
+    """Alter, remove or move one dataset or attribute."""
     stream = io.BytesIO(content)
     with h5py.File(stream, "a") as file:
         found: list[Any] = [file]
@@ -325,7 +325,7 @@ def in_npz(content: bytes, random: Random) -> bytes:
 
 
 def in_zip(content: bytes, random: Random) -> bytes:
-    """The bytes of one file of the archive, whose checksum is right again; or a size that it has not."""
+    """Alter the bytes of one file of an archive with a correct checksum, or state a wrong size."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         files = {info: archive.read(info) for info in archive.infolist()}
     chosen = random.choice(list(files))

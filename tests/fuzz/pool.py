@@ -1,4 +1,4 @@
-"""Cases in children with limits of time and memory, which are replaced when they die."""
+"""Run cases in children with limits of time and memory, and replace children that die."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MEMORY_BYTES = 6 << 30
 
 @dataclass
 class Tally:
-    """Cases by outcome; causes: of those that failed, with the numbers of their cases."""
+    """The number of cases by outcome; causes: those of failed cases, with the numbers of these cases."""
 
     done: int = 0
     read: int = 0
@@ -44,7 +44,7 @@ LINKS = ("to a file elsewhere", "over a folder", "to a folder", "dangling", "to 
 
 
 def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
-    """Return the file of one case. Some have odd names, some are links."""
+    """Return the file of one case. Some have odd names, and some are links."""
     random = Random(f"{seed} {number}")
     chosen = random.choices(good, [s.share for s in good])[0]
     name = spoilt_name(chosen.name, Random(f"{seed} {number} name"))
@@ -54,7 +54,7 @@ def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
 
 
 def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
-    """What `outcome` says of a file; raises whatever else the reader does."""
+    """Return the `outcome` of a file; raise what else the reader raises."""
     path = _placed(chosen, content, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -83,7 +83,7 @@ def _placed(chosen: Seed, content: bytes, folder: Path) -> Path:
 
 
 def cause(error: BaseException) -> str:
-    """The error, and the last line of ours that it passed."""
+    """Return the error, and the last line of recon's code that it passed."""
     ours = [f for f in traceback.extract_tb(error.__traceback__) if f"{os.sep}recon{os.sep}" in f.filename]
     where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno} {ours[-1].name}" if ours else "outside"
     return f"{type(error).__name__} in {where}"
@@ -91,8 +91,10 @@ def cause(error: BaseException) -> str:
 
 @dataclass
 class _Child:
-    """Cases first, first + step, ... below the end, each with a line before it and a line after it. current, name: of
-    the last case that was begun."""
+    """A child that runs the cases first, first + step, ... below the end, with a line before and after each.
+
+    current, name: of the last case that was started.
+    """
 
     first: int
     step: int
@@ -141,7 +143,7 @@ class _Child:
 
 
 def run_all(first: int, end: int, seed: int, good: list[Seed], folder: Path, jobs: int) -> Tally:
-    """Every case from the first up to the end."""
+    """Run every case from the first up to the end."""
     tally = Tally()
     children = [_Child(first + k, jobs, end) for k in range(min(jobs, end - first))]
     for child in children:
@@ -173,7 +175,7 @@ def run_all(first: int, end: int, seed: int, good: list[Seed], folder: Path, job
 
 
 def _listen(child: _Child, tally: Tally) -> bool:
-    """Takes in what a child says; False when it says no more."""
+    """Read what a child sends; return False at the end."""
     said = os.read(child.pipe, 1 << 16)
     *whole, child.left = (child.left + said).split(b"\n")
     for line in whole:

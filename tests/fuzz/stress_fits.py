@@ -57,7 +57,7 @@ CAMERAS = ("pinhole", "world", "fisheye", "radtan")
 
 @dataclass(frozen=True)
 class Spoiling:
-    """What a way to spoil a clip works on: points (T, K, 2), NaN where missing, and likelihoods (T, K)."""
+    """The input of a way to damage a clip: points (T, K, 2), px, NaN if missing, and likelihoods (T, K)."""
 
     rng: Rng
     xy_px: Array
@@ -69,14 +69,14 @@ class Spoiling:
         return self.likelihood.shape
 
     def some_frames(self, most: float) -> NDArray[np.bool_]:
-        """(T,): a part of the frames, up to `most` of them, at least one."""
+        """Return a random part of the frames (T,), from one to `most` of them."""
         which = self.rng.uniform(size=len(self.xy_px)) < self.rng.uniform(0.0, most)
         which[self.rng.integers(len(which))] = True
         return which
 
 
 def nothing(s: Spoiling) -> None:
-    """Good points with a little noise."""
+    """Leave the points good, with a little noise."""
 
 
 def dropouts(s: Spoiling) -> None:
@@ -96,13 +96,13 @@ def first_frame_only(s: Spoiling) -> None:
 
 
 def few_keypoints(s: Spoiling) -> None:
-    """The same one to five keypoints in every frame."""
+    """Keep the same one to five keypoints in every frame."""
     keep = s.rng.permutation(s.shape[1])[: s.rng.integers(1, 6)]
     s.xy_px[:, np.setdiff1d(np.arange(s.shape[1]), keep)] = np.nan
 
 
 def swapped(s: Spoiling) -> None:
-    """Keypoints that changed places, in some frames or in all."""
+    """Exchange keypoints in some frames or in all."""
     order = s.rng.permutation(s.shape[1])
     which = s.some_frames(1.0)
     s.xy_px[which] = s.xy_px[which][:, order]
@@ -114,26 +114,26 @@ def mirrored(s: Spoiling) -> None:
 
 
 def outliers(s: Spoiling) -> None:
-    """Points thousands of pixels off, some of them outside the picture."""
+    """Move points thousands of pixels away, some of them outside the picture."""
     off = s.rng.normal(size=(*s.shape, 2)) * s.rng.choice([500.0, 3000.0, 30000.0])
     which = s.rng.uniform(size=s.shape) < s.rng.choice([0.02, 0.09, 0.3])
     s.xy_px[which] += off[which]
 
 
 def outliers_inside(s: Spoiling) -> None:
-    """Points anywhere in the picture."""
+    """Put points anywhere in the picture."""
     which = s.rng.uniform(size=s.shape) < s.rng.choice([0.1, 0.5, 1.0])
     s.xy_px[which] = s.rng.uniform((0, 0), SIZE_PX, (*s.shape, 2))[which]
 
 
 def frame_outside(s: Spoiling) -> None:
-    """All points of one frame, or of two, far outside the picture."""
+    """Move all points of one or two frames far outside the picture."""
     for t in s.rng.integers(s.shape[0], size=s.rng.integers(1, 3)):
         s.xy_px[t] += s.rng.choice([-1.0, 1.0], 2) * s.rng.choice([2000.0, 2500.0, 4000.0, 1e6])
 
 
 def frame_huge(s: Spoiling) -> None:
-    """A frame with coordinates that no picture has."""
+    """Give a frame coordinates that no picture has."""
     t = s.rng.integers(s.shape[0])
     s.xy_px[t] *= 10.0 ** s.rng.uniform(4, 300)
 
@@ -143,47 +143,47 @@ def all_huge(s: Spoiling) -> None:
 
 
 def at_the_edge(s: Spoiling) -> None:
-    """Points pushed to the picture's edges."""
+    """Move points to the edges of the picture."""
     s.xy_px[...] = np.clip(s.xy_px + s.rng.uniform(-2000, 2000, 2), (0, 0), np.array(SIZE_PX) - 1.0)
 
 
 def leaves(s: Spoiling) -> None:
-    """The animal runs out of the picture; a tenth of the points is still given there."""
+    """Let the animal run out of the picture, where a tenth of the points is still detected."""
     s.xy_px[..., 0] += np.linspace(0, 1500, s.shape[0])[:, None]
     outside = s.xy_px[..., 0] > SIZE_PX[0]
     s.xy_px[outside & (s.rng.uniform(size=s.shape) > 0.1)] = np.nan
 
 
 def constant(s: Spoiling) -> None:
-    """A detector that hangs."""
+    """Repeat the same points, as a detector that hangs."""
     s.xy_px[...] = s.xy_px[0]
 
 
 def all_equal(s: Spoiling) -> None:
-    """Every keypoint in the same place, in all frames or in some."""
+    """Put every keypoint at the same point, in all frames or in some."""
     which = s.some_frames(1.0) if s.rng.uniform() < 0.5 else np.ones(s.shape[0], dtype=bool)
     s.xy_px[which] = s.rng.uniform((0, 0), SIZE_PX)
 
 
 def all_equal_to_another(s: Spoiling) -> None:
-    """Pairs of keypoints in the same place, and the rest missing."""
+    """Put pairs of keypoints at the same point, and leave out the rest."""
     s.xy_px[:, 1::2] = s.xy_px[:, :-1:2][:, : s.shape[1] // 2]
 
 
 def on_a_line(s: Spoiling) -> None:
-    """An animal as flat as a line, upright or level."""
+    """Flatten the animal to a line, upright or level."""
     axis = s.rng.integers(2)
     s.xy_px[..., axis] = SIZE_PX[axis] / 2
 
 
 def tiny(s: Spoiling) -> None:
-    """An animal of a few pixels, or of less than one."""
+    """Shrink the animal to a few pixels, or to less than one."""
     middle = s.xy_px.mean(axis=(0, 1))
     s.xy_px[...] = middle + (s.xy_px - middle) * s.rng.choice([1e-12, 1e-6, 1e-3, 0.02])
 
 
 def large(s: Spoiling) -> None:
-    """An animal larger than the picture: what is outside is missing."""
+    """Enlarge the animal beyond the picture; points outside are missing."""
     middle = s.xy_px.mean(axis=(0, 1))
     s.xy_px[...] = middle + (s.xy_px - middle) * s.rng.uniform(2, 20)
     s.xy_px[~((s.xy_px >= 0) & (s.xy_px < SIZE_PX)).all(axis=-1)] = np.nan
@@ -198,7 +198,7 @@ def noise(s: Spoiling) -> None:
 
 
 def flicker(s: Spoiling) -> None:
-    """The animal in two places by turns."""
+    """Put the animal in two positions alternately."""
     s.xy_px[::2, :, 0] = np.clip(s.xy_px[::2, :, 0] + 900.0, 0, SIZE_PX[0] - 1)
 
 
@@ -207,7 +207,7 @@ def backwards(s: Spoiling) -> None:
 
 
 def unlikely(s: Spoiling) -> None:
-    """Likelihoods of nothing, of everything between, and none at all."""
+    """Set likelihoods to 0, to values between 0 and 1, and to none at all."""
     s.likelihood[...] = s.rng.choice([0.0, 0.5, 1.0, np.nan], s.shape)
 
 
@@ -259,7 +259,7 @@ OPTIONS: dict[str, tuple[dict[str, Any], ...]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """One fit. method: frame or trajectory; camera: one of CAMERAS; spoilt: how; everything else is drawn from seed."""
+    """One fit. method: frame or trajectory; camera: one of CAMERAS; spoilt: the way of damage; seed: of all else."""
 
     method: str
     skeleton: str
@@ -280,7 +280,7 @@ class Case:
 
 
 def camera_of(kind: str) -> Camera:
-    """Level, at 1.5 m above the ground; only "world" knows it."""
+    """Return a level camera 1.5 m above the ground; only "world" has this height in its file."""
     plain = Camera.from_hfov(60.0, SIZE_PX)
     if kind == "pinhole":
         return plain
@@ -296,7 +296,7 @@ def camera_of(kind: str) -> Camera:
 
 
 def clip_of(case: Case) -> tuple[Keypoints, Camera]:
-    """A mean pose whose angles swing, on its way through the picture, and then what is wrong with it."""
+    """Return a mean pose with swinging angles that crosses the picture, damaged in one way."""
     rng = np.random.default_rng(case.seed)
     body, camera = load_skeleton(case.skeleton), camera_of(case.camera)
     names = body.keypoint_names("right")
@@ -318,7 +318,7 @@ def clip_of(case: Case) -> tuple[Keypoints, Camera]:
 
 
 def cases(count: int, seed: int) -> list[Case]:
-    """Every way to spoil a clip in turn, with each skeleton that the method takes."""
+    """Return every way to damage a clip in turn, with each skeleton that the method takes."""
     rng = np.random.default_rng(seed)
     fits = [("frame", name) for name in builtin_chains()] + [("trajectory", name) for name in builtin_names()]
     chosen = []
@@ -341,7 +341,7 @@ def cases(count: int, seed: int) -> list[Case]:
 
 @dataclass(frozen=True)
 class Ended:
-    """What became of a case: result, refused (an InputError), or broken, and why it is."""
+    """The outcome of a case: result, refused (an InputError), or broken, with the reason."""
 
     case: Case
     how: str
@@ -368,7 +368,7 @@ def run(case: Case) -> Ended:
 
 
 def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
-    """Fits, writes and checks. Raises what the fit raises."""
+    """Fit, write and check a case, and raise what the fit raises."""
     keypoints, camera = clip_of(case)
     write_csv(keypoints, folder / "clip.csv")
     write_camera(camera, folder / "camera.toml")
@@ -382,8 +382,10 @@ def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
 
 
 def faults(motion: Motion, report: dict, folder: Path) -> list[str]:
-    """What is wrong with a result: a pose that is half there, a missing one without a flag, a place that no camera can
-    see, a number that is not one."""
+    """Return what is wrong with a result.
+
+    This may be an incomplete pose, a missing pose without a flag, a position that no camera can see, or NaN.
+    """
     found = []
     joints, solved = motion.joints_camera_m, motion.solved
     if not (np.isfinite(joints[solved]).all() and np.isnan(joints[~solved]).all()):
