@@ -1,11 +1,11 @@
-"""Runs the notebooks from top to bottom and saves them with their outputs.
+"""Run the notebooks from top to bottom and save them with their outputs.
 
     python notebooks/run.py [--out DIR] [NAME ...]
 
-NAME: a notebook or its number, by default all. --out: where to write them, by default where they are. The kernel is the
-interpreter that runs this, on one thread and without the user's IPython settings, so that a second run of the same code
-gives the same file. A notebook whose cells fail or warn is not written. Recordings ($RECON_SHARED_DATA) are found with
---out only: nothing of them is saved in the project.
+NAME is a notebook or its number; by default, all are run. --out is the folder to write them to, by default their own.
+The kernel is the Python of this process, on one thread and without the user's IPython settings, so that a second run of
+the same code gives the same file. A notebook whose cells fail or print a warning is not written. The notebooks find
+recordings ($RECON_SHARED_DATA) only with --out, so that nothing from recordings is saved in the project.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-# Before numpy is loaded in a process that comes from this one.
+# The variables must be set before a child process loads numpy.
 os.environ.update(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 import nbformat
@@ -35,10 +35,10 @@ METADATA = {
     "language_info": {"name": "python"},
 }
 TIMEOUT_S = 300
-"""For one cell, and for a kernel to start, on a busy machine."""
+"""Time limit of one cell, and of the start of a kernel, on a busy machine."""
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(  # not rerun, which has threads from the start
+FORKS.set_forkserver_preload(  # without rerun, which starts threads on import
     [
         *("ipykernel.kernelapp", "matplotlib.pyplot", "matplotlib_inline.backend_inline", "pandas", "scipy.optimize"),
         *("recon.show.plots", "recon.api.clip_results", "recon.ik.clip"),
@@ -47,7 +47,7 @@ FORKS.set_forkserver_preload(  # not rerun, which has threads from the start
 
 
 class Forked(AsyncKernelManager):
-    """A kernel in a process of its own, forked from one that has imported what most notebooks import."""
+    """A kernel in its own process, forked from a process that has imported what most notebooks need."""
 
     async def _async_launch_kernel(self, kernel_cmd: list[str], **how: Any) -> None:
         process = FORKS.Process(target=kernel, args=(self.connection_file, how["cwd"], how["env"]))
@@ -58,7 +58,7 @@ class Forked(AsyncKernelManager):
 
 
 class Running:
-    """A process with the methods of `subprocess.Popen` that the kernel's manager calls."""
+    """A process with the methods of `subprocess.Popen` that the kernel manager calls."""
 
     stdin = stdout = stderr = None
 
@@ -76,24 +76,27 @@ def kernel(connection_file: str, folder: str, environment: dict[str, str]) -> No
     import pandas as pd
     from ipykernel.kernelapp import IPKernelApp
 
-    pd.set_option("display.max_columns", 20)  # as where it is imported in a notebook rather than before
+    pd.set_option("display.max_columns", 20)  # the value that pandas has when a notebook imports it
     os.chdir(folder)
     os.environ.update(environment)
     IPKernelApp.launch_instance(["-f", connection_file, "--quiet"])
 
 
 def run(notebook: Path, recordings: str) -> nbformat.NotebookNode:
-    """A notebook with the outputs of this run. recordings: their folder, "" for none. Raises CellExecutionError;
-    ValueError where a cell warned."""
+    """Run a notebook and return it with its outputs.
+
+    `recordings` is the folder of the recordings, or "" for none. Raises CellExecutionError if a cell fails, and
+    ValueError if a cell prints a warning.
+    """
     node = nbformat.read(notebook, as_version=4)
     with tempfile.TemporaryDirectory() as settings:
-        # Without folders to look into, the kernel named python3 is this interpreter. It is spoken to through files.
+        # Without kernel folders, the kernel named python3 is this interpreter. The transport needs no network ports.
         manager = Forked(
             kernel_spec_manager=KernelSpecManager(kernel_dirs=[]),
             transport="ipc",
             connection_file=str(Path(settings) / "kernel.json"),
         )
-        # Nothing is lost with the kernel, which would take a second to end by itself.
+        # The kernel holds nothing that has to be saved, and an orderly shutdown would take a second.
         client = NotebookClient(
             node,
             km=manager,

@@ -1,4 +1,4 @@
-"""Analyse the movement in a fitted clip: speed, gait, joint angles, phase portraits, with their figures.
+"""Analyse the movement in a fitted clip: print speed, gait and joint angles, and draw figures.
 
 Run it with `python analysis.py`, after one_clip.py. Its inputs and outputs are set in analysis.toml.
 """
@@ -20,14 +20,14 @@ analysis = recon.analyse(motion)
 root = analysis.joints[analysis.reference]
 print(f"{analysis.reference}: {root.mean_speed_m_s:.1f} m/s, at most {root.peak_speed_m_s:.1f} m/s")
 
-# Gait: which foot stood when, and the name of the gait.
+# Print the name of the gait and the touch-downs, and draw the footfalls.
 gait = analysis.gait
 assert gait is not None  # this skeleton has feet
 print(f"{gait.name.name}, since {gait.name.criterion}; strides of {gait.stride_length_m:.2f} m")
 print("touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins))
 plots.save(plots.footfall({"gait": gait}, motion.fps), out, "footfalls")
 
-# Angles: their ranges and rates, and the stride in phase space.
+# Print the ranges and rates of angles, and draw the stride in phase space.
 angles = {name: analysis.skeleton_angles[name] for name in config["angles"]}
 for name, angle in angles.items():
     least, greatest = (math.degrees(value) for value in angle.range_rad)
@@ -35,7 +35,7 @@ for name, angle in angles.items():
 portraits = {name: analysis.portraits[name] for name in angles}
 plots.save(plots.phase_portraits(portraits, analysis.closures), out, "phase_portraits")
 
-# Draw the poses over each other, the speed with its uncertainty, and how the links of a limb swing.
+# Draw the poses over each other, the speed with its uncertainty, and the swing of a limb's links.
 poses = plots.composites(analysis.pose.xyz_m, motion.limbs, motion.time_s, sides=motion.limb_sides)
 plots.save(poses, out, "poses")
 plots.save(plots.speeds({analysis.reference: root}), out, "speed")

@@ -1,7 +1,7 @@
-"""Fit many clips separately, several at a time, and write one table of how the animals moved.
+"""Fit many clips separately, in parallel, and print a table of the animals' speeds and gaits.
 
-Run it with `python batch.py`. Its inputs and outputs are set in batch.toml, the clips in batch_clips.csv. The same
-command continues where it was stopped, and fits only what has changed.
+Run it with `python batch.py`. Its inputs and outputs are set in batch.toml, and the clips are listed in
+batch_clips.csv. The same command continues after an interruption, and fits only clips that have changed.
 """
 
 import tomllib
@@ -13,7 +13,7 @@ FILE = Path(__file__).with_suffix(".toml")
 config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 results = FILE.parent / config["results"]
 
-# List the clips, and which of them are done already.
+# List the clips, and print which of them still have to be fitted.
 clips, notes = recon.find_clips([FILE.parent / pattern for pattern in config["clips"]], {}, FILE)
 plan = recon.plan_batch(clips, results)
 for note in notes:
@@ -21,11 +21,11 @@ for note in notes:
 for planned in plan:
     print(f"{planned.clip.name}: {planned.action}")
 
-# A clip that cannot be fitted does not stop the others.
+# Fit the clips. A clip that cannot be fitted does not stop the others.
 summary = recon.run_batch(plan, results, jobs=config["jobs"])
 print(", ".join(f"{count} {status}" for status, count in summary.counts().items()))
 
-# Put the clips' results next to each other.
+# Print the results of all clips.
 for name, row in summary.rows.items():
     if row["status"] not in ("done", "done earlier"):
         print(f"{name}: {row['status']}, {row['error']}")
@@ -35,4 +35,4 @@ for name, row in summary.rows.items():
     gait = "no feet" if analysis.gait is None else analysis.gait.name.name
     print(f"{name}: {speed:.1f} m/s, {row['outliers']} outliers, {gait}")
 
-print(f"Results are in {results}, their figures in {summary.path}")
+print(f"Results are in {results}, and their table is {summary.path}")

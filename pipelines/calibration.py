@@ -14,7 +14,7 @@ FILE = Path(__file__).with_suffix(".toml")
 config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 pictures = [FILE.parent / path for path in config["pictures"]]
 
-# Nothing is written if a check refuses the calibration.
+# Calibrate. If a check refuses the calibration, no camera file is written.
 found = recon.run_calibration(
     recon.CalibrationSettings(
         inputs=tuple(pictures),
@@ -36,7 +36,7 @@ for picture in used:
 if found["written"] is None:
     sys.exit(f"The calibration was refused. Where boards are missing: {found['picture']}")
 
-# Read the camera as every other script and command reads it.
+# Read the camera as all other scripts and commands do.
 camera = recon.read_camera(found["written"])
 width, height = camera.image_size_px
 field_deg = math.degrees(2 * math.atan(width / 2 / camera.matrix[0, 0]))

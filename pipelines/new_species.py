@@ -1,4 +1,4 @@
-"""Measure a new species with several cameras (lengths, prior of its motion), then fit clips of one camera.
+"""Measure the lengths and the motion prior of a new species with several cameras, then fit clips of one camera.
 
 Run it with `python new_species.py`. Its inputs and outputs are set in new_species.toml, and those of each clip in the
 settings file named there.
@@ -21,20 +21,20 @@ def fit(name: str, step: str, **known: object) -> Path:
     folder = results / step / Path(name).stem
     report = recon.write_clip(recon.fit_clip(settings), settings, folder)
     sigma_mm = 1e3 * report["summary"]["relative_rms_m"]
-    print(f"{step} {Path(name).stem}: a joint is known to {sigma_mm:.0f} mm within the pose")
+    print(f"{step} {Path(name).stem}: joints within the pose are known to ±{sigma_mm:.0f} mm")
     return folder
 
 
-# Fit the runs while only the skeleton's file is known.
+# Fit the runs with the skeleton's file alone.
 first = [fit(name, "1-first", prior="none") for name in config["runs"]]
 
 # Measure the animal's lengths with several cameras.
 measured = recon.run_subject_fit(
     recon.SubjectFitSettings(clips=tuple(first), out=subject, offsets=config["offsets"], overwrite=True)
 )
-print(f"size {measured['size']:.3f} ± {measured['size_sigma']:.3f} of the skeleton's lengths")
+print(f"size {measured['size']:.3f} ± {measured['size_sigma']:.3f} times the skeleton's")
 
-# Fit the runs with these lengths, and learn the prior of the motion.
+# Fit the runs with these lengths, and learn a prior from their motion.
 runs = [fit(name, "2-measured", prior="none", subject=subject) for name in config["runs"]]
 learned = recon.run_prior_fit(recon.PriorFitSettings(poses=tuple(runs), out=prior, overwrite=True))
 used = [segment["used"] for segment in learned["segments"]]
@@ -44,4 +44,4 @@ print(f"Used: {sum(used)} of {len(used)} segments, {learned['frames']} frames")
 for name in config["clips"]:
     fit(name, "3-one-camera", prior=prior, subject=subject)
 
-print(f"The animal is in {subject} and {prior}: give them to `recon fit` as --subject and --prior")
+print(f"The animal's files are {subject} and {prior}. Pass them to `recon fit` with --subject and --prior.")

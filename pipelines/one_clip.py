@@ -1,4 +1,4 @@
-"""Fit one clip of one camera: from keypoints to the 3D motion and its reliability.
+"""Fit one clip of one camera, from the keypoints to the 3D motion and its reliability.
 
 Run it with `python one_clip.py`. Its inputs and outputs are set in one_clip.toml.
 """
@@ -19,7 +19,7 @@ settings = recon.read_settings(FILE)
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results)
 
-# Show how reliable the result is: each flagged frame has a reason.
+# Print how reliable the result is, with the reasons of flagged frames.
 for frame, flags in zip(motion.frames, motion.flags, strict=True):
     if flags:
         print(f"frame {frame}: {', '.join(flags)}")
@@ -27,7 +27,7 @@ for finding in report["findings"]:
     if finding["severity"] != "note":
         print(finding["text"])
 
-# The motion consists of arrays, NaN in frames without a pose: joints_m is (frames, joints, 3).
+# The motion is stored in arrays, such as joints_m (frames, joints, 3), which are NaN in frames without a pose.
 centre_m = motion.joints_m.mean(axis=1)[motion.solved]
 seconds = np.ptp(motion.time_s[motion.solved])
 print(f"{len(centre_m)} of {len(motion.frames)} frames have a pose")
@@ -36,6 +36,6 @@ print(f"mean speed {np.linalg.norm(centre_m[-1] - centre_m[0]) / seconds:.1f} m/
 # Compare with the truth, if it is known.
 if "truth" in paths:
     error = recon.evaluate_files(results / "pose3d.csv", FILE.parent / paths["truth"])
-    print(f"joints {1e3 * error.mpjpe_m.mean:.0f} mm off the truth with each frame centred")
+    print(f"joints {1e3 * error.mpjpe_m.mean:.0f} mm from the truth, with each frame centred")
 
 print(f"Results are in {results}. Watch them with: recon view {results}")

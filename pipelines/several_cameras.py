@@ -1,4 +1,4 @@
-"""Fit one clip from several cameras: from keypoints of each camera to one 3D motion, and whether the cameras agree.
+"""Fit one 3D motion to the keypoints of several cameras, and check whether the cameras agree.
 
 Run it with `python several_cameras.py`. Its inputs and outputs are set in several_cameras.toml.
 """
@@ -19,7 +19,7 @@ settings = recon.read_settings(FILE)
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results)
 
-# Show what each camera contributed, and which camera was turned, late or exchanged.
+# Print the contribution of each camera, and cameras that were turned, late or exchanged.
 for camera in report["cameras"]:
     print(f"{camera['name']}: {camera['frames_seen']} frames, {camera['points']['used']} points")
 errors = [finding["text"] for finding in report["findings"] if finding["severity"] == "error"]
@@ -27,11 +27,11 @@ print("\n".join(errors) or "The cameras agree.")
 
 # Several cameras measure the animal's size, which one camera cannot.
 size = report["size"]
-print(f"size {size['factor']:.3f} ± {size['sigma']:.3f} of the skeleton's lengths")
+print(f"size {size['factor']:.3f} ± {size['sigma']:.3f} times the skeleton's")
 
 # Compare with a fit of the first camera alone, whose error is mostly along its line of sight.
 alone = recon.fit_clip(replace(settings, keypoints=settings.keypoints[:1], fast=True))
 apart_m = np.linalg.norm((alone.joints_m - motion.joints_m).mean(axis=1), axis=1)
-print(f"{settings.keypoints[0].name} alone puts it {np.nanmedian(apart_m):.2f} m elsewhere")
+print(f"{settings.keypoints[0].name} alone places the animal {np.nanmedian(apart_m):.2f} m away (median)")
 
 print(f"Results are in {results}. Watch them with: recon view {results}")

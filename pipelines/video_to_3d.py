@@ -1,6 +1,6 @@
-"""Go from a video to 3D without a detector: label some frames, train a small network, predict keypoints, fit.
+"""Get from a video and some labelled frames to 3D: train a small network, predict keypoints, and fit the motion.
 
-Run it with `python video_to_3d.py`; it needs `pip install '.[net]'`. Its inputs and outputs are set in
+Run it with `python video_to_3d.py`, which needs `pip install '.[net]'`. Its inputs and outputs are set in
 video_to_3d.toml.
 """
 
@@ -14,7 +14,7 @@ config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 results, video, model = (FILE.parent / config[name] for name in ("results", "video", "model"))
 labels = FILE.parent / config["labels"]["labels"]
 
-# Train a network on the labels, unless there already is one.
+# Train a network on the labels, unless the folder already has one.
 if not (model / "model.pt").is_file():
     source = recon.LabelSource(data=video, labels=labels, first_frame=config["labels"]["first_frame"])
     training = recon.run_training(source, recon.TrainSettings(**config["training"]), model)
@@ -25,7 +25,7 @@ keypoints = recon.run_prediction(
     video, model, results / "keypoints.csv", overlay=results / "keypoints.mp4", overwrite=True
 )
 likely = (keypoints.confidence > 0.5).mean()
-print(f"{len(keypoints.frames)} frames, {likely:.0%} of their points likely")
+print(f"{len(keypoints.frames)} frames, {likely:.0%} of their points with a high likelihood")
 
 # Fit the 3D motion.
 settings = recon.read_settings(FILE, {"keypoints": results / "keypoints.csv"})
