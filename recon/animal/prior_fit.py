@@ -123,7 +123,7 @@ class _PosesAndChanges(NamedTuple):
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _PosesAndChanges:
-    """Return the poses of the segments, each followed by its mirror image, and how they change."""
+    """Return the poses of the segments, each followed by its mirror image, with their rates and accelerations."""
     permutation, sign = body.mirror
     empty = np.empty((0, body.n_state - 4))
     collected: tuple[list[Array], ...] = ([empty], [empty], [empty], [empty])

@@ -1,7 +1,7 @@
 """Compute the cubic spline through values.
 
-The spline is scipy's `CubicSpline`, to the last bit. The import of scipy's takes a tenth of the time of a short fit,
-because it imports all optimisers of scipy.
+The result is identical, to the last bit, to that of scipy's `CubicSpline`. Importing the latter takes a tenth of the
+time of a short fit, because it also imports all optimisers of scipy.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from recon.base.arrays import Array
 Curve = Callable[[Array, int], Array]
 """Function of times (M,) and the order of the derivative that returns values (M, ...)."""
 MIN_POINTS = 4
-"""Smallest number of values of a cubic spline."""
+"""Smallest number of values for a cubic spline."""
 
 
 def cubic_spline(t: Array, values: Array) -> Curve:
-    """Return the cubic spline through values, whose third derivative is continuous at the second and last but one.
+    """Return the cubic spline through values, with not-a-knot ends.
 
     Parameters
     ----------
     t : ndarray
-        Increasing times, shape (n,); at least `MIN_POINTS`.
+        Increasing times, shape (n,), with n of at least `MIN_POINTS`.
     values : ndarray
         Finite values at these times, shape (n, ...).
 
@@ -40,7 +40,8 @@ def cubic_spline(t: Array, values: Array) -> Curve:
         raise ValueError(f"expected at least {MIN_POINTS} finite values at strictly increasing times")
     h = dt.reshape(-1, *[1] * (values.ndim - 1))
     slope = np.diff(values, axis=0) / h
-    # A tridiagonal system of the rates at the times; the first and last row are those of the continuous derivative.
+    # The rates at the times solve a tridiagonal system, whose first and last rows make the third derivative continuous
+    # at the second and the last but one time.
     bands, right = np.zeros((3, len(t))), np.empty_like(values, dtype=float)
     bands[1, 1:-1], bands[0, 2:], bands[2, :-2] = 2 * (dt[:-1] + dt[1:]), dt[:-1], dt[1:]
     right[1:-1] = 3 * (h[1:] * slope[:-1] + h[:-1] * slope[1:])

@@ -39,7 +39,7 @@ def picked(source: object, *names: str) -> dict[str, Any]:
 
 
 def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
-    """Return values by their names."""
+    """Return a dict of values by name."""
     return dict(zip(names, values, strict=True))
 
 

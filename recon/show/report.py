@@ -1,8 +1,9 @@
 """Build report.json of one clip from its sections.
 
-A section is one field of report.json and some lines of the summary (`recon.show.sections`). To add a section, write a
-function that returns its numbers for a motion, and optionally one that yields its lines, and add both to `SECTIONS`.
-Other methods have their own lists (`Solution.report_sections`). docs/report.md describes the fields of report.json.
+A section is a field of report.json with lines of the summary (`recon.show.sections`). To add a section, write a
+function that returns the section's numbers for a motion, and optionally a function that yields its lines, and add both
+to `SECTIONS`. Other methods have their own lists (`Solution.report_sections`). docs/report.md describes the fields of
+report.json.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ SECTIONS: tuple[Section, ...] = (
 
 
 def sections_of(motion: Motion) -> tuple[Section, ...]:
-    """Return the sections for the method of a motion."""
+    """Return the sections of the method with which a motion was fitted."""
     sections = motion.solution.report_sections()
     return SECTIONS if sections is None else cast("tuple[Section, ...]", sections)
 

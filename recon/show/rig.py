@@ -1,6 +1,6 @@
-"""Convert a fit to bones that rotate relative to each other (`recon.io.bones`), for programs that need bones.
+"""Convert a fit to bones that rotate relative to each other (`recon.io.bones`), for export to other programs.
 
-Each segment of the skeleton is a bone of the same name. If a joint has the same name, `_bone` is added.
+Each segment of the skeleton is a bone with the segment's name, or with `_bone` added if a joint has that name.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ SAME_M = 1e-4
 
 
 def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) -> Armature:
-    """Return the rig from the first to the last frame with a pose.
+    """Return the rig of a motion, from the first to the last frame with a pose.
 
-    Frames in between without a pose are interpolated, and a note lists them.
+    Frames without a pose in between are interpolated, and a note lists them.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def make_rig(
 ) -> Armature:
     """Return the rig for states (N, D) in frames (N,), with the frames in between interpolated.
 
-    names: names of the J joints.
+    `names` (J,) are the names of the joints.
     """
     tree = body.tree.scaled(size)
     frames, states = _without_gaps(frames, states)
@@ -111,8 +111,8 @@ def _without_gaps(frames: Index, states: Array) -> tuple[Index, Array]:
 def _turns(body: Body, states: Array) -> list[tuple[BoneAngle, ...]]:
     """Return the rotation of each segment relative to its parent for states (T, D).
 
-    The angles of a summed joint are relative to the root. Relative to its parent, the segment turns by pitch, yaw and a
-    remaining roll, in this order.
+    The angles of a summed joint are relative to the root. The rotation relative to its parent is then decomposed into
+    pitch, yaw and roll, in this order.
     """
     tree, turns = body.tree, []
     column = 3

@@ -20,7 +20,7 @@ NO_QUANTITIES: Mapping[str, GaitQuantity] = {}
 
 
 def analysis_sentences(analysis: ClipAnalysis) -> Iterator[str]:
-    """Yield sentences on an analysis, with all quantities' intervals."""
+    """Yield sentences on an analysis, with the intervals of all quantities."""
     yield from result_sentences(
         analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed, analysis.quantities
     )
@@ -35,11 +35,11 @@ def result_sentences(
 ) -> Iterator[str]:
     """Yield sentences on the movement of the reference joint and on the gait.
 
-    why_no_speed: reason why no speed is known, or None. quantities: those of the analysis, for intervals.
+    `why_no_speed` is the reason why no speed is known, or None. `quantities` are those of the analysis, with intervals.
     """
     yield _speed_sentence(motion, reference, why_no_speed, quantities)
     if gait is None:
-        yield "The skeleton has no feet: no gait."
+        yield "The skeleton has no feet, so no gait was found."
         return
     yield f"Gait: {gait.name.name} ({gait.name.criterion})."
     if gait.strides:
@@ -71,7 +71,7 @@ def _speed_sentence(
         run_m_s = motion.solution.constant_velocity_m_s
         speed = "" if run_m_s is None else quantity(median(run_m_s[run_m_s > 0]), 1, "m/s")
         run = speed and f" A straight run through all frames has {speed}."
-        return f"The animal's path is too uncertain in depth for a speed: {why_no_speed}.{run}"
+        return f"The speed is not known, because the distance from the camera is too uncertain: {why_no_speed}.{run}"
     peak_m_s, sigma_m_s, path_m = reference.peak_speed_m_s, reference.peak_speed_sigma_m_s, reference.distance_m
     form = decimals(peak_m_s)
     # A peak that is below its own standard deviation is unknown.
@@ -106,6 +106,6 @@ def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Ite
     duration_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
     if duration_s > swing_s:
         yield (
-            f"Strides last {quantity(duration_s, 1, 's')}, longer than a leg of this length swings to and fro by "
-            f"itself ({quantity(swing_s, 1, 's')}): the video may be in slow motion. Check --fps."
+            f"Strides last {quantity(duration_s, 1, 's')}, longer than one period of a leg that swings freely "
+            f"({quantity(swing_s, 1, 's')}). The video may be in slow motion: check --fps."
         )

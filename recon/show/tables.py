@@ -1,8 +1,8 @@
 """Write the tables of a fit (docs/report.md) and of `recon analyse` (docs/gait.md).
 
-A fit's tables are functions of a motion and a path. An analysis's tables are functions of a `ClipAnalysis`, and return
-the table, which `table_content` rounds. `recon.base.files.staged_folder` makes a folder of tables appear whole or not
-at all.
+The tables of a fit are functions of a motion and a path, which they write. The tables of an analysis are functions of a
+`ClipAnalysis` that return a table, which `table_content` rounds. `recon.base.files.staged_folder` writes a folder of
+tables atomically.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight
 ANGLE, PIXEL, SHARE, LENGTH = 5, 2, 3, 7
 """Decimals of angles in rad, pixels, fractions from 0 to 1, and an animal's lengths in metres, in tables of a fit.
 
-Further digits mean nothing, and differ between processors.
+Further digits are meaningless and differ between processors.
 """
 SIGMA_DIGITS = 3
 """Significant digits of standard deviations in the tables of joints and angles, which are known to a few per cent."""
@@ -43,15 +43,15 @@ MAX_METRE = 7
 
 
 def metre_decimals(motion: Motion) -> int:
-    """Return the decimals of positions in metres: 5 for a dog or a cheetah, and 6 for a mouse.
+    """Return the number of decimals of positions in metres, such as 5 for a dog or a cheetah and 6 for a mouse.
 
-    Their step is at most a thousandth of the distance of keypoints from the joints.
+    The rounding step is at most a thousandth of the distance between keypoints and joints.
     """
     return int(np.clip(np.ceil(-np.log10(motion.body.keypoint_sigma_m / 1000)), MIN_METRE, MAX_METRE))
 
 
 def _rounded(values: np.ndarray, decimals: int) -> np.ndarray:
-    """Return floats rounded, without the sign of a zero; other types unchanged."""
+    """Return floats rounded, without negative zeros, and other types unchanged."""
     return np.round(values, decimals) + 0.0 if values.dtype.kind == "f" else values
 
 
@@ -71,7 +71,7 @@ def pose3d(motion: Motion, path: Path) -> None:
 def pose3d_sigma(motion: Motion, path: Path) -> None:
     """Write the standard deviations of each joint in metres along the axes of the frame of reference.
 
-    Each joint has those of its position, and those of its position relative to the mean of all joints.
+    Each joint has standard deviations of its position and of its position relative to the mean of all joints.
     """
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     sigmas_m = np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2)
@@ -79,7 +79,7 @@ def pose3d_sigma(motion: Motion, path: Path) -> None:
 
 
 def angles(motion: Motion, path: Path) -> None:
-    """Write the whole state in its order: angles in rad, positions in metres."""
+    """Write the state of each frame in its own order, with angles in rad and positions in metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
     is_angle = np.array([not name.endswith("_m") for name in motion.state_names])
     angles_rad, positions_m = _rounded(motion.states, ANGLE), _rounded(motion.states, metre_decimals(motion))
@@ -87,7 +87,7 @@ def angles(motion: Motion, path: Path) -> None:
 
 
 def angles_sigma(motion: Motion, path: Path) -> None:
-    """Write the standard deviation of each angle of angles.csv, then the information fraction of each angle."""
+    """Write the standard deviation of each angle, and the fraction of its precision that comes from the pixels."""
     columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
     solution = motion.solution
     values = (_rounded_sigma(solution.angle_sigma_rad, ANGLE), _rounded(solution.angle_data_share, SHARE))
@@ -105,9 +105,9 @@ def quality(motion: Motion, path: Path) -> None:
 
 
 def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:
-    """Write the joints in a camera's picture as a DeepLabCut file: x, y in pixels and a likelihood of 1.
+    """Write the joints as a camera sees them to a DeepLabCut file, with x and y in pixels and a likelihood of 1.
 
-    Without a pose, or for joints that the camera cannot see, cells are empty and the likelihood is 0.
+    For frames without a pose and joints that the camera cannot see, x and y are empty and the likelihood is 0.
     """
     xy_px = _rounded(motion.pictures[camera].reprojected_px, PIXEL)
     likelihood = np.isfinite(xy_px).all(axis=-1, keepdims=True)
@@ -123,10 +123,10 @@ TO_CORRECT_COLUMNS = (
 
 
 def to_correct(motion: Motion, path: Path) -> None:
-    """Write the detections that should be corrected by hand, the most worthwhile first.
+    """Write the detections that should be corrected by hand, the most useful corrections first.
 
-    The frame is that of the camera's keypoint file. The sigmas are the half axes of the ellipse of one standard
-    deviation around the expected position.
+    Frame numbers are those of the camera's keypoint file. The sigmas are the half axes of the one-sigma ellipse around
+    the expected position.
     """
     rows = [
         (
@@ -164,7 +164,7 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.cs
 """Tables of every clip, by file name."""
 
 REPROJECTION = "reprojection.csv"
-"""Table of each camera. If there are several cameras, its name includes the camera's (`camera_files`)."""
+"""Table of a camera. If there are several cameras, the file name includes the camera's name (`camera_files`)."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:
@@ -177,25 +177,26 @@ def write_tables(motion: Motion, folder: Path) -> None:
 
 
 def camera_files(cameras: Sequence[str]) -> list[str]:
-    """Return the name of `REPROJECTION` for each camera: reprojection.csv, or reprojection_cam1.csv ..."""
+    """Return the file name of each camera's table, reprojection.csv, or reprojection_cam1.csv and so on."""
     if len(cameras) == 1:
         return [REPROJECTION]
     files: list[str] = []
     for number, camera in enumerate(cameras, start=1):
         name = re.sub(r"[^\w.-]+", "-", camera) or str(number)
-        # Two names may differ only in characters that a file name cannot have, or that some systems do not distinguish.
+        # Two cameras' names may differ only in characters that file names cannot contain or some systems do not
+        # distinguish.
         is_taken = any(f"reprojection_{name}.csv".lower() == file.lower() for file in files)
         files.append(f"reprojection_{name}-{number}.csv" if is_taken else f"reprojection_{name}.csv")
     return files
 
 
 def reprojection_files(folder: Path) -> list[str]:
-    """Return the files of a folder that are named like `REPROJECTION` of any camera."""
+    """Return the files of a folder that are reprojection tables, by their names."""
     return sorted(path.name for path in folder.glob("reprojection_*.csv"))
 
 
 def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.ndarray, scorer: str = "") -> None:
-    """Write DeepLabCut's layout: header rows `bodyparts, coords`, after `scorer` if given. values: (T, J, C)."""
+    """Write values (T, J, C) in DeepLabCut's layout, with header rows `bodyparts`, `coords` and, if given, `scorer`."""
     header = [
         ["bodyparts", *(name for name in motion.names for _ in coords)],
         ["coords", *(coord for _ in motion.names for coord in coords)],
@@ -224,7 +225,7 @@ UNITS = {
     "n": "N",
     "percent": "%",
 }
-"""Units by the ending of a column's name."""
+"""Units by the suffix of a column's name."""
 _DECIMALS = {
     "m/s": 4,
     "m/s²": 3,
@@ -244,10 +245,10 @@ _DECIMALS = {
 }
 """Decimals by unit in tables of an analysis; lengths have those of a fit's tables (`metre_decimals`).
 
-They are finer than a hundredth of the standard deviations of a clip of several cameras.
+The rounding steps are finer than a hundredth of the standard deviations of clips of several cameras.
 """
 WITHOUT_UNIT = 5
-"""Decimals of shares, phases, and quantities whose unit is not in the column's name."""
+"""Decimals of fractions, phases, and quantities whose unit is not in the column's name."""
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
@@ -257,7 +258,7 @@ Columns = dict[str, np.ndarray]
 
 
 def joints(analysis: ClipAnalysis) -> Table:
-    """Return distance, mean and peak speed and peak acceleration of every joint; empty if unknown."""
+    """Return distance, mean speed, peak speed and peak acceleration of every joint; cells are empty if unknown."""
     columns = "distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
     names = (columns + "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2").split(", ")
     is_known = analysis.why_no_speed is None
@@ -280,7 +281,7 @@ def reference(analysis: ClipAnalysis) -> Columns:
 
 
 def velocities(analysis: ClipAnalysis) -> Columns:
-    """Return velocity and acceleration vectors of every joint at every frame, and standard deviations of velocities."""
+    """Return velocities with standard deviations, and accelerations, of every joint at every frame."""
     columns = {"frame": analysis.pose.frames, "time_s": analysis.motion.time_s}
     for name, motion in analysis.joints.items():
         series = motion.series
@@ -294,7 +295,7 @@ def velocities(analysis: ClipAnalysis) -> Columns:
 
 
 def joint_angles(analysis: ClipAnalysis) -> Table:
-    """Return range of motion and peak rates of the joints, the spine's flexion and the skeleton's own angles."""
+    """Return range of motion and peak rates of joint angles, of the spine's flexion and of the skeleton's angles."""
     names, shares = ("range_of_motion_rad", "peak_rate_rad_s", "peak_acceleration_rad_s2"), analysis.motion.data_shares
     rows = [
         (name, kind, *angle.range_rad, *(getattr(angle, field) for field in names), shares.get(name, np.nan))
@@ -339,9 +340,9 @@ def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
 
 
 def joint_flexion_peaks(analysis: ClipAnalysis) -> Table:
-    """Return the range, the greatest and the least flexion over the stride of each joint, with 90 % intervals.
+    """Return range, greatest and least flexion of each joint over the stride, with 90 % intervals.
 
-    The phase is the percent of the stride, with its interval; cells are empty if it is not known.
+    The phase of each extreme is given in percent of the stride with its interval; its cells are empty if it is unknown.
     """
     columns = ["joint", "side", "foot", "strides", "range_deg", "range_low_deg", "range_high_deg"]
     for name in ("greatest", "least"):
@@ -413,7 +414,7 @@ def strides(analysis: ClipAnalysis) -> Table:
 
 
 def gait(analysis: ClipAnalysis) -> Table:
-    """Return one row: the gait's name and criterion, and means over complete strides; no row without feet.
+    """Return the gait's name, its criterion, and means over complete strides, in one row; no row without feet.
 
     If there are no complete strides, the means follow from the period of the motion, as the column `source` states.
     """
@@ -441,8 +442,8 @@ def gait(analysis: ClipAnalysis) -> Table:
 def gait_quantities(analysis: ClipAnalysis) -> Table:
     """Return a row for each quantity of the gait: speed, strides, steps, limb phases and asymmetry.
 
-    sigma is the standard deviation, and low and high are the 90 % interval, including the errors of the animal's size
-    and of the focal length. between_strides is the standard deviation between strides.
+    `sigma` is the standard deviation, `low` and `high` are the ends of the 90 % interval; both include the errors of
+    the animal's size and of the focal length. `between_strides` is the standard deviation between strides.
     """
     rows = [
         (q.name, q.value, q.sigma, *q.interval, q.between_sigma, q.count, q.source, q.why_unknown)
@@ -458,7 +459,7 @@ VECTOR_COLUMNS = (
 
 
 def vector_field(analysis: ClipAnalysis) -> Columns:
-    """Return each link at every frame: its tip in its parent's frame, and the tip's velocity."""
+    """Return the tip of each link in its parent's frame, and the tip's velocity, at every frame."""
     names, parts = VECTOR_COLUMNS[-7:], list[Columns]()
     for limb, field in ((limb, field) for limb, fields in analysis.fields.items() for field in fields):
         texts = {"limb": limb, "link": "-".join(field.link), "parent": "-".join(field.parent)}
@@ -470,7 +471,7 @@ def vector_field(analysis: ClipAnalysis) -> Columns:
 
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
-    """Return each link's mean speeds over the frames."""
+    """Return the mean speeds of each link over the frames."""
     rows = [(limb, *means) for limb, fields in analysis.fields.items() for means in map(means_of_field, fields)]
     return ["limb", *FieldMeans._fields], rows
 
@@ -495,7 +496,7 @@ def closures(analysis: ClipAnalysis) -> Table:
 
 
 def centre_of_mass(analysis: ClipAnalysis) -> Columns:
-    """Return the centre of mass on the fine grid, and energies per kilogram."""
+    """Return the centre of mass, and energies per kilogram, on the fine grid."""
     if (dynamics := analysis.dynamics) is None:
         return {}
     series = dynamics.centre.series
@@ -516,7 +517,7 @@ def centre_of_mass(analysis: ClipAnalysis) -> Columns:
 
 
 def forces(analysis: ClipAnalysis) -> Table:
-    """Return peak and impulse of the vertical force of every complete stance, body weights, with 90 % intervals.
+    """Return peak (body weights) and impulse of the vertical force of every complete stance, with 90 % intervals.
 
     If the animal's mass is known, the table also has newtons.
     """
@@ -548,11 +549,11 @@ _GAIT = stances, strides, gait, gait_quantities, centre_of_mass, forces, force_o
 TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     f"{table.__name__}.csv": table for table in (*_MOTION, *_ANGLES, *_GAIT)
 }
-"""Functions of the tables by file name."""
+"""Functions that return the tables of an analysis, by file name."""
 
 
 def unit_of(column: str) -> str:
-    """Return the unit at the end of a column's name, or an empty text for shares, counts and texts."""
+    """Return the unit at the end of a column's name, or an empty text for fractions, counts and texts."""
     return next((unit for end, unit in UNITS.items() if column.endswith(f"_{end}")), "")
 
 
@@ -585,7 +586,7 @@ def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
 
 
 def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
-    """Return tables stacked below each other; without any table, empty columns."""
+    """Return tables stacked on top of each other, or empty columns if there are none."""
     return {name: np.concatenate([part[name] for part in parts]) if parts else np.empty(0) for name in names}
 
 

@@ -1,7 +1,7 @@
-"""Write the tables of an analysis for Excel and R: a workbook, or one long table with its data dictionary.
+"""Write the tables of an analysis for Excel and R, as a workbook or as a long table with a data dictionary.
 
-In the long table every number has a row of its own, with its variable and unit, and with the joint or foot, side,
-frame, time and percent of the stride to which it belongs. The data dictionary explains each variable of each table.
+In the long table every number has its own row, with variable and unit, and with the joint or foot, side, frame, time
+and percent of the stride to which the number belongs. The data dictionary explains each variable of each table.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _OF_TABLE = {
         ("phase_(.+)", "touch-down of {} after that of LH, in strides"),
     ),
 }
-"""Patterns of columns for each joint, angle or foot by table, and the columns' meanings."""
+"""Patterns of columns that exist for each joint, angle or foot, with the columns' meanings, by table."""
 _REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "footfalls"
 """Columns of text that do not identify a value."""
 _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
@@ -61,7 +61,7 @@ MOST_COLUMNS = 30
 
 
 def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
-    """Return every table of an analysis by name, with the content of its CSV file."""
+    """Return every table of an analysis by name, with the same content as its CSV file."""
     frames = {}
     for file_name in TABLES:
         content = table_content(analysis, file_name)
@@ -75,7 +75,7 @@ def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
 
 
 def meaning_of(column: str, table: str) -> str:
-    """Return the meaning of a table's column, by `meanings.toml` or from the parts of its name, without its unit."""
+    """Return the meaning of a table's column, without its unit, from `meanings.toml` or the parts of its name."""
     end = next((end for end in UNITS if column.endswith(f"_{end}")), "")
     return _meaning(column[: -len(end) - 1] if end else column, table)
 
@@ -100,7 +100,7 @@ def _meanings() -> dict[str, dict[str, str]]:
 
 
 def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return the data dictionary: a row for each column of each table, with unit and meaning."""
+    """Return the data dictionary, with a row for each column of each table that gives its unit and meaning."""
     rows = [
         (name, column, _unit_in_words(table, column), meaning_of(column, name), f"{name}.csv")
         for name, table in tables.items()
@@ -114,7 +114,7 @@ def _unit_in_words(table: pd.DataFrame, column: str) -> str:
 
 
 def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return all numbers in one long table: `table`, `of` (the row's texts), `KEYS`, `variable`, `unit`, `value`."""
+    """Return all numbers in a long table with columns table, of (the row's texts), `KEYS`, variable, unit, value."""
     parts = [part for name, table in tables.items() for part in _melted(name, table)]
     columns = ["table", "of", *KEYS, "variable", "unit", "value"]
     if not parts:
@@ -145,7 +145,7 @@ def _melted(name: str, table: pd.DataFrame) -> Iterator[pd.DataFrame]:
 
 
 def write_long(analysis: ClipAnalysis, folder: Path, decimal_comma: bool = False) -> None:
-    """Write the long table and the data dictionary as CSV. With decimal commas, semicolons separate the columns."""
+    """Write the long table and the data dictionary as CSV, with semicolons as separators for decimal commas."""
     tables = analysis_tables(analysis)
     separator, decimal = (";", ",") if decimal_comma else (",", ".")
     for name, table in ((LONG, long_table(tables)), (DICTIONARY, dictionary(tables))):
@@ -155,7 +155,7 @@ def write_long(analysis: ClipAnalysis, folder: Path, decimal_comma: bool = False
 
 
 def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
-    """Write a workbook: a README with the data dictionary, all numbers in one long sheet, and a sheet for each table.
+    """Write a workbook with a README, the data dictionary, a sheet of all numbers, and a sheet for each table.
 
     Raises
     ------
@@ -171,8 +171,8 @@ def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
     front = [
         [f"Analysis of {results} by recon {version()}"],
         *([line] for line in verdict),
-        [f"90 % intervals are {radius(INTERVAL):.2f} standard deviations on either side. Empty cells are not known."],
-        ["The sheet long has every number in a row of its own, also those of tables with many columns."],
+        [f"90 % intervals reach {radius(INTERVAL):.2f} standard deviations to either side. Empty cells are unknown."],
+        ["The sheet long has a row for each number, including those of tables with many columns."],
         [],
     ]
     _fill(book.create_sheet("README"), front, dictionary(tables))
@@ -193,7 +193,7 @@ def _fill(sheet: object, front: list[list[str]], table: pd.DataFrame) -> None:
 
 
 def _cell(value: object) -> object:
-    """Return a value for a cell: no formulas, no NaN, plain numbers."""
+    """Return a value for a cell as a plain number or text, without formulas or NaN."""
     if isinstance(value, str):
         return guarded(encodable(re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f]", " ", value)))
     if isinstance(value, bool | np.bool_):

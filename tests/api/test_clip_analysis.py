@@ -189,7 +189,7 @@ def test_strides_slower_than_a_leg_swings_by_itself_are_said(whole):
     moved, gait = whole.reference_motion, whole.gait
     slow = replace(gait, stride_frequency_hz=0.4)
     swing_s = 2 * np.pi * np.sqrt(2 * gait.tracks.leg_m / (3 * 9.81))
-    said = f"Strides last 2.5 s, longer than a leg of this length swings to and fro by itself ({swing_s:.1f} s)"
+    said = f"Strides last 2.5 s, longer than one period of a leg that swings freely ({swing_s:.1f} s)"
     *_, last = result_sentences(whole.motion, moved, slow, None)
     assert last.startswith(said)
     assert not any("swings" in sentence for sentence in result_sentences(whole.motion, moved, gait, None))

@@ -154,7 +154,7 @@ def test_the_figure_names_joints_strides_and_bands(fitted):
     assert titles[:8] == ["shoulder", "elbow", "carpus", "hip", "stifle", "hock", "spine", "neck"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert any(text.startswith("left, ") and text.endswith("strides") for text in legend)
-    assert {"90 % between strides", "90 % by the fit's uncertainty", "bars: stance"} <= {*legend}
+    assert {"90 % between strides", "90 % from the fit's uncertainty", "bars: stance"} <= {*legend}
     assert not draw(()).axes
 
 

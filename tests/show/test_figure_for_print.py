@@ -75,7 +75,7 @@ def test_the_caption_says_n_bands_method_and_citation(whole: ClipAnalysis):
 
 def test_a_clip_without_a_stride_has_figures_of_the_clip(whole: ClipAnalysis):
     assert whole.gait is not None
-    assert "a stride: the first complete one" in caption_of(whole, ("side_view",))
+    assert "the first complete stride of the foot" in caption_of(whole, ("side_view",))
     assert "lines with ticks" in caption_of(whole, ("footfalls",))
     vars(analysis := ClipAnalysis(whole.motion))["gait"] = replace(whole.gait, strides=())
     side_view, footfalls = (caption_of(analysis, (name,)).partition("\n")[0] for name in ("side_view", "footfalls"))

@@ -432,7 +432,7 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
     for share, size_sigma, expected in (
         (0.05, 0.02, None),
         (0.2, 0.02, "hardly determine"),
-        (0.2, 0.15, "no more certain than the animal's size"),
+        (0.2, 0.15, "as uncertain as the animal's size"),
     ):
         covariance = np.broadcast_to(np.eye(3) * (share * away) ** 2, small_trajectory.solution.covariance_m2.shape)
         motion = with_solution(small_trajectory, covariance_m2=covariance, size_sigma=size_sigma)

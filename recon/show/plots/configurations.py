@@ -1,8 +1,8 @@
 """Draw configurations from the side, from above and from the front.
 
 The figures show a clip along the run, coloured by time; a clip in the animal's own frame; the expected pose of a
-skeleton and the ranges of its angles; the angles that the pixels determine, over time and by the camera's position; and
-a calibration.
+skeleton and the ranges of its angles; the fraction of each angle's precision that comes from the pixels, over time and
+by the camera's position; and a calibration.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from recon.show.plots import style
 
 CONFIGURATIONS = 10
 STILL = 0.1
-"""Smallest length of a path that has a direction, relative to the animal's length."""
+"""Shortest path that defines a direction, relative to the animal's length."""
 STYLES: dict[Side | None, tuple[Any, float, str]] = {
     "left": ((0, (2.2, 1.0)), 0.9, "left side"),
     "right": ("-", 0.9, "right side"),
     None: ("-", 1.6, "the rest"),
 }
-"""Style of the limbs of each side: dashes, width, and label."""
+"""Dashes, line width and label of the limbs of each side."""
 _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
@@ -56,11 +56,11 @@ _LEAST_MM = 18.0
 _FRONT_MM = 45.0
 """Largest height of the front view, which is never higher than the side view."""
 _LABELS_MM = 46.0
-"""Room for all labels and the bar of times."""
+"""Space for all labels and the colour bar."""
 _NUMBERS_MM = 10.0
-"""Width of the numbers of an upright axis."""
+"""Width of the numbers of a vertical axis."""
 _WIDE_FRONT = 0.3
-"""Share of the width for the front view."""
+"""Fraction of the width for the front view."""
 
 
 def composites(
@@ -71,10 +71,10 @@ def composites(
     title: str = "",
     sides: Mapping[str, Side | None] = NO_SIDES,
 ) -> Figure:
-    """Draw up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
+    """Draw up to `CONFIGURATIONS` configurations, evenly spaced among the known poses, coloured by time.
 
-    The mean motion is turned to the right. Positions are relative to the mean of the first configuration; heights are
-    unchanged. The front view shows the animal from ahead, at a scale of its own.
+    The animal's mean motion is to the right. Positions are relative to the mean of the first configuration, except
+    heights. The front view shows the animal from ahead, at its own scale.
 
     Parameters
     ----------
@@ -83,13 +83,13 @@ def composites(
     limbs : mapping
         Joints along each limb, by name.
     time_s : ndarray
-        Times, shape (T,).
+        Times, s, shape (T,).
     ground : sequence, optional
-        Planes of the ground, each with its rows of the clip.
+        Planes of the ground, each with the rows of the clip for which it holds.
     title : str
         Title of the figure; empty for none.
     sides : mapping
-        Sides of the limbs: left limbs are dashed, limbs without a side are thick.
+        Sides of the limbs, by name. Left limbs are dashed, limbs without a side are thick.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -113,7 +113,7 @@ def composites(
                 _draw_pose(axes, pose, limbs, colour, sides)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=2 if axes is cells["top"] else 4)
-        # The scale follows the shared axis, which must be long enough for the height: otherwise poses would be cut.
+        # The scale follows the shared axis, which must be long enough for the height. Otherwise poses would be cut.
         middle_m = (np.nanmin(points, axis=(0, 1)) + np.nanmax(points, axis=(0, 1))) / 2
         half_m = _SPARE / 2 * _WIDE_MM / scale
         cells["side"].set_xlim(middle_m[0] - half_m, middle_m[0] + half_m)
@@ -141,9 +141,9 @@ def composites(
 
 
 def _draw_ground(cells: Mapping[str, Axes], points_m: Array, R: Array, origin_m: Array, plane: Plane) -> None:
-    """Draw the plane of the ground under points (N, 3) into the side and the front view.
+    """Draw the ground plane under points (N, 3) into the side and the front view.
 
-    R (3, 3) and `origin_m` (3,) are the frame of the run, as `run_frame` returns them.
+    R (3, 3) and `origin_m` (3,) define the frame of the run, as `run_frame` returns them.
     """
     for axes, horizontal in ((cells["side"], 0), (cells["front"], 1)):
         ends = _ends_of_ground(points_m, horizontal)
@@ -152,10 +152,10 @@ def _draw_ground(cells: Mapping[str, Axes], points_m: Array, R: Array, origin_m:
 
 
 def _label_axes(figure: Figure, axes: Axes, across: str, upwards: str) -> None:
-    """Label the axes of a view, in metres; without a label if `across` is empty."""
+    """Label the axes of a view, in metres; an empty `across` leaves the horizontal axis without a label."""
     axes.set_xlabel(across and f"{across} (m)")
     axes.set_ylabel(f"{upwards} (m)")
-    # Fix the distance of the label, because equal scales change the axis numbers after the layout.
+    # The distance of the label is fixed, because equal scales change the axis numbers after the layout.
     to_the_left = ScaledTranslation(-_NUMBERS_MM * style.MM, 0.0, figure.dpi_scale_trans)
     axes.yaxis.set_label_coords(0.0, 0.5, axes.transAxes + to_the_left)
 
@@ -170,7 +170,7 @@ def _draw_pose(
 
 
 def _ends_of_ground(points_m: Array, horizontal: int) -> Array:
-    """Return the ends (2, 3) of the line under points (N, 3), along one axis and in their middle along the other."""
+    """Return the ends (2, 3) of a line below points (N, 3), along one axis and centred along the other."""
     low_m, high_m = np.nanmin(points_m, axis=0), np.nanmax(points_m, axis=0)
     ends = np.tile([*(low_m + high_m)[:2] / 2, 0.0], (2, 1))
     ends[:, horizontal] = low_m[horizontal], high_m[horizontal]
@@ -178,7 +178,7 @@ def _ends_of_ground(points_m: Array, horizontal: int) -> Array:
 
 
 def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
-    """Return the rows of the configurations to draw, which have at least half as many known joints as any."""
+    """Return the rows of the configurations to draw, which have at least half of the most known joints."""
     drawn_joints = sorted({j for joints in limbs.values() for j in joints})
     known_counts = np.isfinite(joints_m[:, drawn_joints]).all(axis=2).sum(axis=1)
     rows = np.flatnonzero((known_counts > 1) & (2 * known_counts >= known_counts.max(initial=0)))
@@ -187,7 +187,7 @@ def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
 
 
 def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
-    """Return R (3, 3), which turns the mean motion to +x, and the point (3,) that becomes the origin, at height 0."""
+    """Return the rotation (3, 3) of the mean motion to +x, and the point (3,), at height 0, that becomes the origin."""
     first, last = joints_m[rows[0]], joints_m[rows[-1]]
     origin = np.append(np.nanmean(first[:, :2], axis=0), 0.0)
     moved_m = (last - first)[np.isfinite(last - first).all(axis=1), :2]
@@ -207,9 +207,9 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
 
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
-_COLOUR_KEY = "left blue, right orange; pale: first, full colour: last configuration"
+_COLOUR_KEY = "left blue, right orange; pale: first configuration, full colour: last"
 _REFERENCE_KEY = "; +: the reference joint"
-"""Key to the colours and marks."""
+"""Addition to the key if the reference joint is marked."""
 _PALEST = 0.25
 """Fraction of a side's colour in the first, palest configuration."""
 _ROOM = 0.04
@@ -218,7 +218,7 @@ _ROOM = 0.04
 def in_body(body: Body, states: Array, size: Array | float, reference: str) -> Array:
     """Return joints (T, J, 3) in the frame of the root segment, relative to the marker `reference`, metres.
 
-    The axes are U forwards, V down and W to the left. `states` are (T, D).
+    The axes are U forwards, V down and W to the left. `states` has the shape (T, D).
     """
     turned = states.copy()
     turned[:, ROOT] = 0.0
@@ -235,10 +235,10 @@ def body_fixed(
     sides: Mapping[str, Side | None] = NO_SIDES,
     title: str = "",
 ) -> Figure:
-    """Draw up to ten configurations over each other, from the side, above and the front, at one scale.
+    """Draw up to ten configurations in one place, from the side, from above and from the front, at one scale.
 
-    joints_m (T, J, 3): as returned by `in_body`. limbs: joints along each limb, by name. time_s: (T,). The first
-    configuration is pale; the last has the full colour of its side.
+    `joints_m` (T, J, 3) is the result of `in_body`, `limbs` has the joints along each limb by name, `time_s` has the
+    shape (T,). The first configuration is pale; the last has the full colour of each side.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -270,7 +270,7 @@ def body_fixed(
 
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
-    """Draw paths_m (N, n, 2), the first the palest."""
+    """Draw N paths of n points, paths_m (N, n, 2), the first with the palest colour."""
     share = np.linspace(_PALEST if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
@@ -279,8 +279,8 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
-"""Coordinates to the right and upwards, with x forwards, y left, z up. The animal faces right, and in the last view it
-faces the reader.
+"""Coordinates to the right and upwards in each view, with x forwards, y left, z up. The animal faces right, and in the
+front view the reader.
 """
 _NAME_MM = 3.4
 """Height of a name."""
@@ -291,7 +291,7 @@ _SAME = 0.01
 
 
 def views(body: Body, title: str = "") -> Figure:
-    """Draw the expected pose from the side, from above and from the front, with names in columns on both sides."""
+    """Draw the expected pose from the side, from above and from the front, with names in columns."""
     points = body.expected_points_m()
     length_m = np.ptp(points[:, 0])
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
@@ -312,9 +312,9 @@ def views(body: Body, title: str = "") -> Figure:
 
 
 def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
-    """Draw the pose with each angle `reach_sigmas` standard deviations to either side of its mean.
+    """Draw the pose with each angle in turn `reach_sigmas` standard deviations to either side of its mean.
 
-    All other angles have their mean values. A left angle also stands for the right one.
+    All other angles have their mean values. A left angle also represents the right one.
     """
     names = body.state_names[4:]
     shown_angles = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
@@ -340,7 +340,7 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
 
 
 def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, shown: Bools | None = None) -> None:
-    """Draw lines along the limbs; `shown` limits them to limbs that end in one of its markers."""
+    """Draw lines along the limbs, or only along limbs that end in a marker of `shown`."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
         pieces = [
@@ -351,7 +351,7 @@ def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None
 
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
-    """Return (right, up, text) of each position with markers, from the left. A pair at one position is named once."""
+    """Return (right, up, text) of each label from left to right, one label for markers at one position."""
     tolerance = _SAME * float(np.ptp(points, axis=0).max())
     positions: dict[int, list[str]] = {}
     for i, marker in enumerate(markers):
@@ -411,8 +411,8 @@ def share_colours() -> ListedColormap:
 def observability(body: Body, share: Array, time_s: Array, title: str = "", whole: Array | None = None) -> Figure:
     """Draw the fraction of the angles' precision that comes from the pixels, over time, with medians.
 
-    share (T, D - 4): for the root's pitch and roll and the joints' angles, NaN if unknown. time_s: (T,). whole:
-    fractions over the whole clip for the medians, if time_s is a stride's.
+    `share` (T, D - 4) is that of the root's pitch and roll and of the joints' angles, NaN if unknown. `time_s` has the
+    shape (T,). If the times are those of a stride, `whole` has the fractions of the whole clip for the medians.
     """
     names = [name.replace("_", " ") for name in body.state_names[4:]]
     with style.drawing(min(_ROW_MM * len(names) + _REST_MM, style.PAGE_MM), title=title) as figure:
@@ -442,9 +442,9 @@ _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
-    """Draw the pixels' share and the standard deviation by the camera's azimuth and height, one panel per camera.
+    """Draw standard deviation and pixels' part of the precision by camera position, with a panel for each camera.
 
-    Each camera is added to the cameras before it.
+    Each camera is added to the cameras of the panels before.
     """
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
@@ -486,14 +486,15 @@ def _grid(axes: Axes, advice: Advice) -> None:
 
 
 def in_words(sigma: float, unit: str) -> str:
-    """Return a standard deviation in degrees, or in centimetres, with its unit."""
+    """Return a standard deviation as text in degrees (unit "rad") or centimetres."""
     return quantity(np.degrees(sigma), 1, "°") if unit == "rad" else f"{100 * sigma:.1f} cm"
 
 
 def calibration(result: Calibration) -> Figure:
-    """Draw a calibration: the part of the picture covered by boards, and a square grid seen through the lens.
+    """Draw the part of the picture that the boards of a calibration cover, and a square grid seen through the lens.
 
-    Dots are all corners, coloured by the error of their picture. Red crosses are the corners of pictures left out.
+    Dots are corners, coloured by the error of their picture. Red crosses are the corners of pictures that were left
+    out.
     """
     camera, used, covered = result.camera, result.used, coverage(result)
     width, height = camera.image_size_px
@@ -508,7 +509,7 @@ def calibration(result: Calibration) -> Figure:
         x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
         rays = camera.rays(np.stack((x, y), axis=-1))[0]
         ideal = np.moveaxis(rays[..., :2] / rays[..., 2:], -1, 0)
-        # rays at nearly 90 degrees from the axis meet the plane of the grid at infinity
+        # Rays at nearly 90 degrees to the axis meet the plane of the grid at infinity.
         step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
         for values in ideal:
             axes.contour(x, y, values, step * np.arange(-24, 25), colors=style.PALE, linewidths=0.7, linestyles="solid")

@@ -1,4 +1,4 @@
-"""Draw the path of a chain's end effector over time, with the boundaries of its strides and their definition."""
+"""Draw the path of a chain's end effector over time, with the boundaries of its strides."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _RULE = (
 def stride_boundaries(effector: EndEffector, stride: Stride | None = None) -> Figure:
     """Draw the foot's horizontal position, height and horizontal velocity relative to the body.
 
-    Lines are the boundaries between strides, circles the nearest extrema of the height. The shaded stride is the one of
-    the phase portraits.
+    Lines mark the boundaries between strides, and circles the nearest extrema of the height. The phase portraits show
+    the shaded stride.
     """
     curves = (
         (effector.forward_m, "forwards (m)"),
@@ -41,7 +41,7 @@ def stride_boundaries(effector: EndEffector, stride: Stride | None = None) -> Fi
         lows = np.interp(effector.boundaries_s, effector.time_s, effector.forward_m)
         rows[0].plot(effector.boundaries_s, lows, "kv", ms=4, zorder=4)
         rows[2].axhline(0.0, color=style.GREY, lw=0.6, zorder=1)
-        shaded = "" if stride is None else "   grey: the time that phase portraits show"
+        shaded = "" if stride is None else "   grey: the time span of the phase portraits"
         rows[-1].set_xlabel(f"time (s)\n\n{_RULE}{shaded}", fontsize=style.SMALL)
         figure.align_ylabels()
     return figure

@@ -21,22 +21,22 @@ COLUMNS = 3
 NARROW_COLUMNS = 2
 """Number of panels in a row at the width of a column."""
 NARROW_MM = 120.0
-"""Width up to which a figure has the width of a column."""
+"""Largest width at which a figure counts as one column wide."""
 _PANEL_MM = 42.0
 """Height of a panel with its stance bars."""
 _AROUND_MM = 24.0
-"""Height of everything around the panels."""
+"""Height of labels and legend around the panels."""
 _BARS = 0.16
-"""Fraction of a panel's height below its curves, for the stance bars."""
+"""Fraction of a panel's height, below the curves, for the stance bars."""
 _COLOURS: dict[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}
 _BAND_ALPHA = 0.2
 
 
 def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
-    """Draw the mean flexion of each joint over the stride: left blue and dashed, right orange, the middle black.
+    """Draw the mean flexion of each joint over the stride.
 
-    Shaded: 90 % between strides. Thin lines: 90 % from the fit's uncertainty. Bars below show when the limb's foot
-    stands; 0 % is its touch-down.
+    Left is blue and dashed, right orange, the middle black. Bands contain 90 % of the strides; thin lines are the 90 %
+    interval of the fit. Bars below show when the limb's foot stands; 0 % is its touch-down.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
     columns = COLUMNS if style.page_width_mm() > NARROW_MM else NARROW_COLUMNS
@@ -102,6 +102,6 @@ def _add_legend(figure: Figure, curves: Sequence[StrideCurve]) -> None:
     if any(curve.strides > 1 for curve in curves):
         handles.append(Patch(color=style.GREY, alpha=_BAND_ALPHA, lw=0, label="90 % between strides"))
     if any(np.isfinite(curve.posterior_sigma_rad).any() for curve in curves):
-        handles.append(Line2D([], [], color=style.GREY, lw=0.5, label="90 % by the fit's uncertainty"))
+        handles.append(Line2D([], [], color=style.GREY, lw=0.5, label="90 % from the fit's uncertainty"))
     handles.append(Patch(color=style.GREY, alpha=0.75, lw=0, label="bars: stance"))
     style.add_legend(figure, handles, [str(handle.get_label()) for handle in handles])

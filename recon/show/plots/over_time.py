@@ -1,7 +1,7 @@
-"""Draw quantities over time: stances, vertical forces, speeds, angles, phase portraits and vector fields.
+"""Draw stances, vertical forces, speeds and vector fields over time, and phase portraits.
 
-A phase portrait is the rate of an angle over the angle, coloured by time. A vector field is the velocity of each link's
-tip in its parent's frame, over time.
+A phase portrait shows the rate of an angle against the angle, coloured by time. A vector field shows the velocity of
+each link's tip in its parent's frame over time.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from recon.gait.stances import Stance, interval_of
 from recon.show.plots import style
 
 ROWS = ("LH", "RH", "RF", "LF")
-"""Rows of the feet from the top."""
+"""Order of the feet's rows from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""Height of the bars of a row, for all gaits together."""
+"""Height of the bars in a row, over all gaits."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
-    """Draw the stances of each foot; those of several gaits, by name, are stacked.
+    """Draw the stances of each foot, with the bars of several gaits, given by name, above each other.
 
     The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait has a
-    colour. A stance that is cut by the clip has an arrow instead of an edge: it lasts at least as long as its bar.
-    Lines across the edges are 90 % intervals: of touch-downs in the upper half, of lift-offs in the lower half. Thin
+    colour. A stance that is cut by the clip, and so may last longer, has an arrow instead of an edge. Lines across the
+    edges are 90 % intervals, those of touch-downs in the upper half and those of lift-offs in the lower half. Thin
     lines with ticks are complete strides. The name of each gait and its criterion are at the bottom.
     """
     captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
@@ -88,11 +88,11 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
 
 
 def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour: str, m: int = 0) -> None:
-    """Draw the bars of one foot, of the m-th gait."""
+    """Draw the bars of one foot in the m-th gait."""
     low, high, edges = y - height / 2, y + height / 2, []
     axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(colour, m), lw=0, zorder=2)
     for stance in stances:
-        # Draw an edge only if the stance begins or ends there.
+        # A bar has an edge only where the stance begins or ends.
         left, right = stance.start_s, stance.end_s
         edges += [[(left, low), (right, low)], [(left, high), (right, high)]]
         edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
@@ -103,7 +103,7 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
     intervals = np.array(
         [interval for stance in stances for interval in (stance.start_interval_s, stance.end_interval_s)]
     )
-    # at different heights, because the two intervals of a short stance would overlap
+    # The two lines have different heights, because the intervals of a short stance would overlap.
     offsets = y + height / 4 * np.tile([-1, 1], len(stances))
     segments = [[(a, row), (b, row)] for (a, b), row in zip(intervals, offsets, strict=True) if np.isfinite(a)]
     axes.add_collection(LineCollection(segments, color="0.35", lw=0.7, zorder=3.2), autolim=False)
@@ -175,7 +175,8 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
 
 BAND_ROOM = 3.0
 """Largest height of the axis relative to the highest curve, so that the curve fills at least a third of the panel.
-Bands are often higher: those of accelerations from one camera, and those at the ends of a spline.
+
+Bands may be higher, such as those of accelerations from one camera and those at the ends of a spline.
 """
 
 
@@ -189,8 +190,8 @@ def speeds(
     """Draw speed and acceleration of one or several joints, by name, with 90 % bands if known.
 
     Dots are frames, and the line between them is a spline. The line has gaps where the path is unknown. The legend
-    states the peak, which has a ring. unknown: the curves are errors of the path rather than speeds, so they are grey
-    and without peaks. acceleration: draw the acceleration, too.
+    states the peak, which a ring marks. With `unknown`, the curves are errors of the path rather than speeds, and are
+    drawn in grey and without peaks. `acceleration` adds a panel of the acceleration.
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
@@ -250,22 +251,22 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
 
 
 SHADES = 60
-"""Number of pieces of one colour in a path."""
+"""Number of colours into which a path is divided."""
 _LEAST = (0.05, 0.5)
-"""Half of the smallest range of an axis, degrees and degrees per second."""
+"""Half of the smallest range of each axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND = "#E6E6E6"
 """Colour of a band around a path."""
 _UNSEEN = "#9A9A9A"
 """Colour of a path that comes mostly from the prior."""
 _ALONG = 0.25
-"""Distance between the ellipses of a band, in half axes."""
+"""Distance between successive ellipses of a band, relative to their half axes."""
 
 
 CLEAREST = 6
 """Largest number of portraits in a figure for a paper."""
 _EXACT_RAD = 1e-6
-"""Smallest standard deviation by which portraits are compared."""
+"""Smallest standard deviation with which the clarity of portraits is computed, rad."""
 
 
 def phase_portraits(
@@ -274,10 +275,11 @@ def phase_portraits(
     title: str = "",
     shares: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Draw (angle, rate) in degrees and degrees per second, one panel for each angle, on one page.
+    """Draw phase portraits, in degrees and degrees per second, with a panel for each angle on one page.
 
-    closed: degrees of closure, by name. shares: fraction of the angle's precision that comes from the pixels, by name;
-    the path is grey below `MEASURED_SHARE`. Bands are 90 % of angle and rate each. Each panel has its own axes.
+    `closed` has the degrees of closure, and `shares` the fraction of each angle's precision that comes from the pixels,
+    both by name. The path is grey below `MEASURED_SHARE`. Bands are the 90 % intervals of angle and rate. Each panel
+    has its own axes.
     """
     count = len(portraits)
     width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
@@ -304,7 +306,7 @@ def phase_portraits(
             marks += f"{gap}band, ±: 90 %"
         if shares:
             marks += (
-                "\nfrom pixels: the share of the precision, over the whole clip; "
+                "\nfrom pixels: fraction of the angle's precision, over the whole clip;  "
                 f"grey: less than {percent(MEASURED_SHARE)}, mostly from the prior"
             )
         figure.supxlabel(f"angle (deg)\n{marks}", fontsize=8)
@@ -322,10 +324,10 @@ def clearest_portraits(
     Parameters
     ----------
     portraits
-        By the name of the angle.
+        Portraits by the name of the angle.
     shares
         Fraction of each angle's precision that comes from the pixels. Angles below `MEASURED_SHARE` are left out,
-        unless that would leave none.
+        unless no angle would remain.
     count
         Largest number of portraits.
     """
@@ -365,7 +367,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     if np.isfinite(portrait.angle_sigma_rad).any():
         sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
         _band(axes, path[rows], style.REACH * sigma[rows])
-    # A constant angle should not look like a motion.
+    # The axes have a smallest range, so that a constant angle does not look like a motion.
     middle = (path[rows].min(axis=0) + path[rows].max(axis=0)) / 2
     axes.update_datalim([middle - _LEAST, middle + _LEAST])
     axes.autoscale_view()
@@ -397,18 +399,17 @@ def _percent(value: float, sigma: float) -> str:
 
 
 ARROWS = 45
-"""Largest number of arrows in a row."""
+"""Largest number of arrows in a row of a vector field."""
 _ROW_MM, _ABOUT_MM = 24.0, 26.0
 _LONGEST = 0.46
 """Length of the longest arrow relative to the height of a row."""
 
 
 def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
-    """Draw one row per link: arrows (dx, dy) over time, and the speed in the plane, at one scale; time_s (T,).
+    """Draw a row for each link, with arrows (dx, dy) and the speed in the plane over times (T,), at one scale.
 
-    Right is along the parent, up is normal to the parent. If there are more than `ARROWS`, arrows are left out evenly.
-    A link is grey if its mean speed is below its standard deviation. A speed whose band would fill its panel is left
-    out.
+    Right is along the parent, and up is perpendicular to it. At most `ARROWS` evenly spaced arrows are drawn. A link is
+    grey if its mean speed is below its standard deviation. A speed whose band would fill its panel is left out.
     """
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
@@ -451,7 +452,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
         for axes in panels[:-1, 0]:
             axes.spines["bottom"].set_visible(False)
             axes.tick_params(bottom=False)
-        panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ normal to it")
+        panels[-1, 0].set_xlabel("time (s);  → along the parent, ↑ perpendicular to it")
         banded = any(np.isfinite(field.speed_sigma_m_s).any() for field in fields)
         panels[-1, 1].set_xlabel("time (s)" + (";  band: 90 %" if banded else ""))
         panels[len(fields) // 2, 1].set_ylabel("speed in the plane (m/s)")

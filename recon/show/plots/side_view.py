@@ -36,22 +36,24 @@ def side_view(
     grounds: Sequence[tuple[slice, Plane]] | None = None,
     of_stride: bool = True,
 ) -> Figure:
-    """Draw `POSES` configurations at even steps, side by side, the animal running to the right.
+    """Draw `POSES` evenly spaced configurations side by side, with the animal running to the right.
 
     Parameters
     ----------
     joints_m : ndarray
         Positions (T, J, 3), metres, upright, z up.
     limbs, sides : mapping
-        Joints along each limb, by name, and the limbs' sides: left blue and dashed, right orange, the middle black.
+        Joints and side of each limb, by name. Left is blue and dashed, right orange, the middle black.
     during : ndarray
         Mask (T,) of the frames of the stride, or of the whole clip if it has no stride.
     time_s : ndarray
-        Times, shape (T,).
+        Times, s, shape (T,).
     grounds : sequence, optional
-        Planes of the ground, each with its rows of the clip; without a plane, a line touches the lowest foot.
+        Planes of the ground, each with the rows of the clip for which it holds. Without a plane, a line touches the
+        lowest foot.
     of_stride : bool
-        Whether `during` is a stride. The poses then have percents of it below them, otherwise times in seconds.
+        Whether `during` is a stride. Poses are then labelled with the percent of the stride, otherwise with times in
+        seconds.
     """
     drawn = sorted({joint for joints in limbs.values() for joint in joints})
     known = during & (np.isfinite(joints_m[:, drawn]).all(axis=2).mean(axis=1) >= 0.5)
@@ -121,7 +123,7 @@ def _ground_m(
     drawn: Sequence[int],
     grounds: Sequence[tuple[slice, Plane]] | None,
 ) -> Array:
-    """Return the height (N,) of the ground below each pose."""
+    """Return the height (N,) of the ground under each pose, m."""
     heights = np.nanmin(poses[:, drawn, 2], axis=1)
     lowest = heights.copy()
     for i, row in enumerate(chosen):
@@ -130,7 +132,7 @@ def _ground_m(
             if first <= row < stop:
                 below = np.append(np.nanmean(joints_m[row, :, :2], axis=0), 0.0)
                 heights[i] = -float(plane.above(below[None])[0])
-    # The ground must not cut a foot that is below it because of noise, or because a part of the clip has no plane.
+    # The ground must not be above a foot, which may be below the plane because of noise or in a part without a plane.
     return np.minimum(heights, lowest + 0.02)
 
 

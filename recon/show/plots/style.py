@@ -1,11 +1,11 @@
 """Set the style of figures and write them.
 
-The width is that of a page (180 mm) or a column (85 mm), and text has a size of 8 points. Colours are those of Okabe
-and Ito without yellow, which is pale on paper; lines that have to be distinguished also differ in dashes. Time is shown
-by viridis without its palest tenth.
+Figures are as wide as a page (180 mm) or a column (85 mm), with text of 8 points. Colours are those of Okabe and Ito
+without yellow, which is pale on paper; lines that have to be distinguished also differ in dashes. Times have the
+colours of viridis without its palest tenth.
 
-A figure is laid out once, when it is drawn. All files are byte-identical for the same data and the same version of
-matplotlib. The user's own settings of matplotlib have no effect and are left unchanged.
+A figure is laid out once, at the end of its `drawing` block. All files are byte-identical for the same data and version
+of matplotlib. The user's matplotlib settings have no effect and are not changed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ PRINT_DPI = 600
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
-"""Maximum number of dots in a line. More dots would touch, and take long to draw."""
+"""Maximum number of dots in a line. More dots would touch and take long to draw."""
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
 """Size of ticks, legends and captions in points."""
@@ -61,7 +61,7 @@ _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 @dataclass(frozen=True)
 class Print:
-    """Settings of figures for a paper: width, small letters, no titles."""
+    """Settings of figures for a paper, which have small letters and no titles."""
 
     width_mm: float
     panel: Any = None
@@ -78,7 +78,7 @@ _PRINT_SIZES = (
 
 @contextmanager
 def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
-    """Draw the figures of this block for a paper: given width, text of size `PRINT_POINTS`, no titles."""
+    """Draw the figures of a `with` block for a paper, at a width in mm, with text of `PRINT_POINTS` and no titles."""
     token = _PRINT.set(Print(width_mm, panel))
     try:
         yield
@@ -87,13 +87,13 @@ def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
 
 
 def page_width_mm() -> float:
-    """Return the width of full-page figures: `WIDTH_MM`, or the width of the `printing` block."""
+    """Return the width of full-page figures, mm, which is `WIDTH_MM` outside a `printing` block."""
     printed = _PRINT.get()
     return WIDTH_MM if printed is None else printed.width_mm
 
 
 def is_printing() -> bool:
-    """Return whether figures are drawn for a paper, whose caption replaces the text below them."""
+    """Return whether figures are drawn for a paper, in which a caption replaces the text below them."""
     return _PRINT.get() is not None
 
 
@@ -101,7 +101,7 @@ def is_printing() -> bool:
 def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
     """Yield a new figure to draw on, which is laid out at the end of the block.
 
-    title: text at the top; None leaves no room for it.
+    `title` is the text at the top; None leaves no space for a title.
     """
     printed = _PRINT.get()
     with _settings():
@@ -124,7 +124,7 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
     """Write stem.png (`PNG_DPI`) and stem.svg (with text as text) into a folder, and return their paths.
 
-    The folder is made if it does not exist.
+    The folder is created if it does not exist.
     """
     with staged_folder(folder) as staging:
         write_bytes(staging / f"{stem}.png", png_of(figure))
@@ -133,7 +133,7 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
 
 
 def svg_of(figure: Figure) -> str:
-    """Return the <svg> element alone, for a page: transparent, with text as text."""
+    """Return a figure's <svg> element for a page, transparent and with text as text."""
     text = _content(figure, "svg", transparent=True).decode()
     return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
@@ -144,12 +144,12 @@ def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> b
 
 
 def printed_content(figure: Figure, kind: str) -> bytes:
-    """Return a figure for a paper: PDF with embedded fonts, SVG with letters as outlines, or PNG of `PRINT_DPI`."""
+    """Return a figure for a paper as PDF with embedded fonts, SVG with letters as outlines, or PNG of `PRINT_DPI`."""
     return _content(figure, kind, fonts="path", **({"dpi": PRINT_DPI} if kind == "png" else {}))
 
 
 def _content(figure: Figure, kind: str, fonts: str = "none", **options: Any) -> bytes:
-    """Return the file of a figure without metadata that changes from run to run."""
+    """Return the content of a figure's file, without metadata that changes from run to run."""
     left_out = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}[kind]
     content = io.BytesIO()
     with _settings(), mpl.rc_context({"svg.fonttype": fonts, "pdf.fonttype": 42}):
@@ -163,7 +163,7 @@ def _settings() -> AbstractContextManager[None]:
 
 
 def look(i: int) -> dict[str, Any]:
-    """Return colour and dashes of the i-th of several lines; 28 lines differ."""
+    """Return colour and dashes of the i-th of several lines, which differ for up to 28 lines."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
@@ -173,7 +173,7 @@ def foot_colour(foot: str) -> str:
 
 
 def dots(count: int, size: float) -> dict[str, Any]:
-    """Return the marker of a line through count samples, or no marker if the dots would touch."""
+    """Return the marker of a line through `count` samples, or no marker if the dots would touch."""
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
@@ -201,7 +201,7 @@ def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str],
 
 
 FILLED = 0.8
-"""Share of a panel above which a band says only that the value is unknown."""
+"""Fraction of a panel above which a band only shows that the value is unknown."""
 
 
 def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
@@ -214,7 +214,7 @@ def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
 
 
 def blank(axes: Axes, text: str = "no data") -> None:
-    """Write a text instead of a plot into the axes."""
+    """Write a text into the axes, instead of a plot."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -237,7 +237,7 @@ def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
 
 
 def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
-    """Return the rows and columns for count small figures of height aspect x width that fit on a page."""
+    """Return the numbers of rows and columns for `count` panels of height `aspect` x width on a page."""
     columns = min(least, count)
     while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
         columns += 1

@@ -1,1 +1,1 @@
-"""Define the sections of report.json and of the summary: input, keypoints, cameras, motion and search."""
+"""Define the sections of report.json and of the summary."""

@@ -64,7 +64,7 @@ def _estimated(motion: Motion, index: int) -> dict[str, Any]:
 
 
 def camera_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]:
-    """Yield a line for each camera if there are several cameras."""
+    """Yield a line for each camera, unless there is only one."""
     for camera in data if len(data) > 1 else ():
         errors, points = camera["reprojection_px"], camera["points"]
         outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"

@@ -38,17 +38,17 @@ def _assumed_by_one_camera(motion: Motion) -> str:
     camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
     known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
     lens = f"a {camera.model} lens with a focal length of {quantity(camera.matrix[0, 0], 0, 'px')}{known_to}"
-    moves = "moves as its track says" if motion.camera_moves else "stands still"
-    animal = f"lengths as those of {motion.body.name}"
+    moves = "moves as in its track" if motion.camera_moves else "stands still"
+    animal = f"the lengths of {motion.body.name}"
     if isinstance(motion.solution, TrajectorySolution):
         solution = motion.solution
         if size_sources(solution):
-            animal = "a camera as high above the ground as its file says"
+            animal = "the camera's height above the ground in its file"
         else:
             animal = f"an animal of the expected size ± {percent(solution.size_prior_sigma)}"
     return (
         f"{lens[0].upper()}{lens[1:]}, a camera that {moves}, {motion.fps:g} frames per second, and {animal}. One "
-        "camera cannot check these, nor whether the video was cropped or is another camera's."
+        "camera cannot check these, nor whether the video was cropped or comes from another camera."
     )
 
 
@@ -60,7 +60,7 @@ def clip_data(motion: Motion) -> dict[str, Any]:
 
 
 def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the clip's files, frames and frame rate, and which camera of its file one keypoint file belongs to."""
+    """Yield the clip's files, frames and frame rate and, for a single keypoint file, its camera."""
     sources = [source.keypoints.source for source in motion.sources]
     files = ", ".join(Path(path).name if path else "keypoints" for path in sources)
     has_file = len(sources) == 1 and motion.settings and motion.settings.get("camera") is not None
@@ -70,18 +70,18 @@ def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def side_data(motion: Motion) -> dict[str, Any]:
-    """Return the side of the animal that was fitted, if only one was, and the reason."""
+    """Return the fitted side of the animal if only one side was fitted, and the reason."""
     return {"fitted": motion.side, "reason": motion.side_reason}
 
 
 def side_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the fitted side, if only one was fitted."""
+    """Yield the fitted side if only one side was fitted."""
     if motion.side:
         yield "side", f"{motion.side}: {motion.side_reason}"
 
 
 def cleaning_data(motion: Motion) -> dict[str, Any]:
-    """Return how many points were left out before the fit, and why."""
+    """Return the numbers of points that were left out before the fit, by reason."""
     cleaning = motion.cleaning
     plain = {name: getattr(cleaning, name) for name in ("likelihood_min", "frames", "frames_dropped", "inserted")}
     return plain | {"total": {count: cleaning.total(count) for count in COUNTS[1:]}, "notes": cleaning.notes}
@@ -104,11 +104,11 @@ def detector_data(motion: Motion) -> dict[str, str]:
     """Return the detector that is assumed to have made the keypoints, and the reason."""
     name, scorers = file_name(motion.body.detector) or NONE, {source.keypoints.scorer for source in motion.sources}
     scorer_names = " and ".join(sorted(repr(scorer[:LONGEST_SCORER]) for scorer in scorers if scorer))
-    reason = "as the skeleton's file says"
+    reason = "as stated in the skeleton file"
     if motion.settings.get("detector") is not None:
         reason = "as given"
     elif name == OWN:
-        reason = "as the subject's or the skeleton's file says"
+        reason = "as stated in the subject's or the skeleton's file"
     elif name == NONE and scorer_names:
         reason = f"the scorer {scorer_names} belongs to no known detector"
     elif name == NONE:
@@ -129,12 +129,12 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def assumptions_data(motion: Motion) -> dict[str, Any]:
-    """Return the assumptions of the trajectory method in numbers and in sentences."""
+    """Return the assumptions of the trajectory method, as numbers and sentences."""
     return {**upright_data(motion), "sentences": [*_trajectory_sentences(motion)]}
 
 
 def upright_data(motion: Motion) -> dict[str, Any]:
-    """Return which way is up, and the source of this information."""
+    """Return the upward direction, and the source of this information."""
     camera = motion.camera
     return {
         "camera_level": not motion.knows_up and camera.tilt_rad == 0,
@@ -145,7 +145,7 @@ def upright_data(motion: Motion) -> dict[str, Any]:
 
 
 def assumption_sentences(motion: Motion) -> Iterator[str]:
-    """Yield the assumptions of any method in words."""
+    """Yield the assumptions that all methods make, in sentences."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
     is_single = len(motion.pictures) == 1
     subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one pans")
@@ -154,7 +154,7 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
     for picture in motion.pictures:
         if picture.source.moves:
             yield (
-                f"Camera {picture.name} moves as its track says. The track's world is assumed to be in metres with z "
+                f"Camera {picture.name} moves as in its track. The track's world is assumed to be in metres with z "
                 "up; the height of the ground in it is not assumed."
             )
     if motion.side is not None:
@@ -179,10 +179,12 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
         size_text = f"measured by {' and '.join(sources)}: {plus_minus(solution.size, solution.size_sigma)}"
     proportions = f"The proportions are those of {body.title!r}, {measured}."
     if solution.shape is not None:
-        proportions = f"The proportions are estimated, and expected to be about those of {body.title!r}, {measured}."
+        proportions = (
+            f"The proportions are estimated; they are expected to be close to those of {body.title!r}, {measured}."
+        )
     yield (
-        f"{proportions} The animal's size, a factor on all its "
-        f"lengths, distances and speeds, is expected to be 1{size_source and f' ({size_source})'} with a standard "
+        f"{proportions} The animal's size, a factor that multiplies "
+        f"all lengths, distances and speeds, is expected to be 1{size_source and f' ({size_source})'} with a standard "
         f"deviation of {solution.size_prior_sigma:.2g}; {size_text}."
     )
     detector = file_name(body.detector)
@@ -190,22 +192,22 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     if detector in (None, NONE):
         offsets = "on the markers"
     elif detector == OWN:
-        offsets = "next to the markers, as the skeleton's or the subject's file says"
+        offsets = "next to the markers, as stated in the skeleton's or the subject's file"
     if solution.shape is None:
         yield f"Keypoints are assumed to lie {offsets}."
     else:
         yield f"The offsets of keypoints from the markers are estimated; keypoints are expected to lie {offsets}."
-    source = f"as in the motions that the prior {file_name(solution.prior)} was made from"
+    source = f"as in the motions to which the prior {file_name(solution.prior)} was fitted"
     if solution.prior == NO_PRIOR:
-        source = "as the skeleton's file says, each angle on its own"
+        source = "as stated in the skeleton file, with independent angles"
     yield f"Poses and their changes are expected to be {source}."
     yield from assumption_sentences(motion)
     if any(segment.ground is not None for segment in solution.segments):
         yield "The ground is a plane, and a standing foot does not move on it."
     if len(solution.segments) > 1:
         yield (
-            f"The clip has {len(solution.segments)} segments, separated by long gaps: each was solved separately, "
-            "with a ground of its own."
+            f"The clip has {len(solution.segments)} segments, separated by long gaps. Each segment was solved "
+            "separately and has its own ground."
         )
     if motion.settings.get("fast"):
-        yield "The fast search was used: fewer headings to start from, and looser tolerances."
+        yield "The fast search was used, with fewer initial headings and looser tolerances."

@@ -1,4 +1,4 @@
-"""Report which keypoints were used, and how well the pose fits them."""
+"""Report which keypoints were used, and how far they are from the pose."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
 
 
 def medians_px(motion: Motion) -> Array:
-    """Return the median distance of each camera's detections of each keypoint from the pose, (V, J); NaN without."""
+    """Return the median distance (V, J), px, between detections and pose by camera and keypoint; NaN if unknown."""
     distance_px = _stacked(motion, "distance_px")
     return np.array([[median(of_keypoint) for of_keypoint in of_camera.T] for of_camera in distance_px])
 
@@ -113,7 +113,7 @@ def _errors_text(motion: Motion, errors: Mapping[str, Any]) -> str:
 
 
 def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, missing: int, rejected: int) -> str:
-    """Return how many detections were used, are missing, have no likelihood, and were left out."""
+    """Return a text on how many detections were used, are missing, have no likelihood, or were left out."""
     texts = [f"{used} used", *([f"{missing} missing"] if missing else [])]
     unknown = sum(row["likelihood_unknown"] for row in fitted if row["in_file"])
     texts += [f"{unknown} without a likelihood (never left out as unlikely)"] if unknown else []
@@ -126,7 +126,7 @@ def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, mi
 
 
 def point_counts(picture: Picture) -> dict[str, int]:
-    """Return how many points of a camera were used, are missing, and were rejected."""
+    """Return the numbers of a camera's points that were used, are missing, or were rejected."""
     source, used = picture.source, int(picture.present.sum())
     names = set(source.keypoints.names)
     rejected = sum(row["rejected"] for name, row in source.cleaning.keypoints.items() if name in names)

@@ -19,7 +19,7 @@ from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name
 
 SIZE_SOURCES = {"views": "the positions of the cameras", "ground": "the camera's height above the ground"}
-"""Names of the sources of the size other than the expectation."""
+"""Names of the measurements that can determine the animal's size."""
 
 
 def trajectory_solution(motion: Motion) -> TrajectorySolution:
@@ -31,8 +31,8 @@ def trajectory_solution(motion: Motion) -> TrajectorySolution:
 def root_path_data(motion: Motion) -> dict[str, Any]:
     """Return the path of the reference point, exact and smoothed.
 
-    The smoothed path has no jitter from frame to frame. The smoothed path exists if each frame was solved separately
-    and the jitter can be measured.
+    The smoothed path, without jitter from frame to frame, exists if each frame was solved separately and the jitter can
+    be measured.
     """
     jitter, root, time_s = frame_jitter_m(motion.root_m), motion.root_name, motion.time_s
     names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
@@ -61,7 +61,7 @@ def speed_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_data(motion: Motion) -> dict[str, Any]:
-    """Return the level direction in which the animal faces, as seen by the first camera."""
+    """Return the horizontal direction in which the animal faces, as seen by the first camera."""
     (rear, front), solution = motion.forward, trajectory_solution(motion)
     joints, R = solution.joints_m, solution.views[0].T_camera_world[..., :3, :3]
     level = joints[:, front] - joints[:, rear]
@@ -84,7 +84,7 @@ def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_text(angle_rad: float | None) -> str:
-    """Return an angle out of the picture's plane in words."""
+    """Return an angle out of the image plane, rad, in words."""
     if angle_rad is None:
         return "unknown"
     if (degrees := round(math.degrees(angle_rad))) == 0:
@@ -93,7 +93,7 @@ def heading_text(angle_rad: float | None) -> str:
 
 
 def size_data(motion: Motion) -> dict[str, Any]:
-    """Return the size factor on the skeleton's lengths, with its prior."""
+    """Return the factor between the animal's lengths and the skeleton's, with its prior."""
     solution, subject = trajectory_solution(motion), motion.body.subject
     return {
         "factor": solution.size,
@@ -148,7 +148,7 @@ def given_size(motion: Motion) -> str:
 
 
 def size_sources(solution: TrajectorySolution) -> list[str]:
-    """Return the sources that determine the size better than the expectation does; the ground often adds little."""
+    """Return the sources that determine the size better than the prior does; the ground often adds little."""
     is_measured = _size_share(solution) >= MEASURED_SHARE
     return [SIZE_SOURCES[source] for source in solution.size_from if source in SIZE_SOURCES and is_measured]
 
@@ -158,7 +158,7 @@ def _size_share(solution: TrajectorySolution) -> float:
 
 
 def prior_data(motion: Motion) -> dict[str, Any]:
-    """Return the prior, with misfit and weight of the segment that it fits least."""
+    """Return the prior, with its misfit and weight in the segment that it fits worst."""
     solution = trajectory_solution(motion)
     misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
     return {
@@ -174,6 +174,9 @@ def prior_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     name, share = data["name"], data["mean_data_share"]
     if name == NO_PRIOR:
         name = "the skeleton's own expectations"
-        yield "note", "Left-right swaps, lens, zoom and frame rate were not checked: that needs a learned prior."
+        yield (
+            "note",
+            "Left-right swaps, lens, zoom and frame rate were not checked, because this needs a learned prior.",
+        )
     if share is not None:
         yield "prior", f"{percent(share)} of the pose rests on the video, {percent(1 - share)} on {name}"

@@ -19,7 +19,7 @@ from recon.show.sections.section import Line, camera_name
 CONVERGENCE = ("status", "iterations", "cost_by_term")
 """Fields of the solution that describe its search."""
 HARDLY_KNOWN = 0.1
-"""Relative standard deviation of the distance above which the summary has a line on it."""
+"""Relative standard deviation of the distance from the camera above which the summary states it."""
 
 
 def summary_data(motion: Motion) -> dict[str, Any]:
@@ -39,24 +39,24 @@ def summary_data(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the frames with a pose, the flagged ones, and a distance that is hardly known."""
+    """Yield the numbers of frames with a pose and flagged frames, and the distance if it is hardly known."""
     reasons = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
     several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
     flagged = f"{data['frames_flagged']} flagged ({several}{', '.join(reasons)})" if reasons else "none flagged"
     left_out = data["frames_left_out"]
-    note = f"; {left_out} far from all detections, and in no table" if left_out else ""
+    note = f"; {left_out} left out of all tables, far from all detections" if left_out else ""
     yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{note}"
     sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
     by_camera = [(away_m, camera_name(motion, v)) for v, away_m in enumerate(distances) if math.isfinite(away_m)]
     away_m, camera = min(by_camera, default=(math.inf, ""))
     if sigma_m is not None and sigma_m > HARDLY_KNOWN * away_m:
         is_size_known = trajectory_solution(motion).size_sigma <= HARDLY_KNOWN / 2
-        reason = "these pictures hardly determine it" if is_size_known else "no more certain than the animal's size"
+        reason = "the pictures hardly determine it" if is_size_known else "as uncertain as the animal's size"
         yield "distance", f"{plus_minus(away_m, sigma_m, 'm')} from {camera}: {reason}"
 
 
 def alternative_data(motion: Motion) -> dict[str, Any] | None:
-    """Return the distance to the second solution and its cost, or None if there is none."""
+    """Return the distance to the second solution and its cost, or None if there is no second solution."""
     apart_m = finite(motion.alternative_m)
     if not len(apart_m):
         return None
@@ -73,14 +73,16 @@ def alternative_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     if data is None:
         text = "no other pose fits nearly as well"
     elif not any(finding.code == "second_solution" for finding in motion.findings):
-        text = f"a second solution differs by {length_text(data['mean_m'])}: harmless"
+        text = f"a second solution differs by {length_text(data['mean_m'])} only"
     else:
         text = f"another pose, {length_text(data['mean_m'])} away on average in {frame_count(data['frames'])}, fits "
-        text += "equally well: the data cannot tell which is right" if data["cost_difference"] < 1 else "nearly as well"
+        text += (
+            "equally well; the data cannot decide which is right" if data["cost_difference"] < 1 else "nearly as well"
+        )
     yield "alternative", text
 
 
 def convergence_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield a line if the search has not converged."""
     if data["status"] != "converged":
-        yield "search", f"not converged after {data['iterations']} iterations: the pose may be far off"
+        yield "search", f"not converged after {data['iterations']} iterations, so the pose may be far off"

@@ -14,16 +14,15 @@ Line = tuple[str, str]
 
 @dataclass(frozen=True)
 class Section:
-    """One field of report.json, and the lines of the summary that state it."""
+    """Field of report.json, with the lines of the summary that state its content."""
 
     name: str
     """Name of the field."""
     data: Callable[[Motion], Any]
-    """Function that returns the content of the field: numbers, texts, arrays, and lists and mappings of these."""
-    lines: Callable[[Motion, Any], Iterable[Line]] = lambda motion, data: ()
-    """Function that yields the lines from the motion and the field's content in JSON types; an unknown number is
-    null.
+    """Function that returns the content of the field, which may consist of numbers, texts, arrays, lists and mappings.
     """
+    lines: Callable[[Motion, Any], Iterable[Line]] = lambda motion, data: ()
+    """Function that yields the lines, given the motion and the content in JSON types (None for unknown numbers)."""
 
 
 def camera_name(motion: Motion, number: int = 0) -> str:

@@ -1,8 +1,8 @@
 """Write a motion as a rerun recording for playback, and open the viewer on such a file.
 
-Entities of the recording; entities without "(static)" have a row per frame, which is empty if the frame has no pose.
-States, and points that are often absent, have rows where they change, and ellipsoids have a new shape at most 25 times
-a second:
+The recording has the following entities. Entities without "(static)" have a row per frame, which is empty if the frame
+has no pose. States and points that are often absent have rows only where they change, and ellipsoids have a new shape
+at most 25 times a second.
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints; `world/path` (static) and
   `world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each
@@ -61,7 +61,7 @@ OVERVIEW_RAISED = 0.4
 VIEW_RAD = np.radians(55.0)
 """Vertical angle of view of rerun's viewer."""
 LINE_OF_LEGEND = 0.1
-"""Fraction of a plot's height for a line of its legend."""
+"""Fraction of a plot's height that a line of the legend takes."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Environment variables that name the screen on Linux."""
 
@@ -74,9 +74,10 @@ def write(
     first_frame: int = 0,
     camera: int = 0,
 ) -> None:
-    """Write the recording `motion.rrd`, with the blueprint that lays out its views.
+    """Write the recording of a motion, with the blueprint that lays out its views.
 
-    The viewer plays the recording in a loop, slowly if it is short.
+    The viewer plays the recording in a loop, slowly if the clip is short.
+
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def write(
     first_frame : int
         Frame number, in the clip, of the video's first frame.
     camera : int
-        Number of the camera whose video it is.
+        Index of the camera that filmed the video.
     """
     scenes.require_whole()
     scene, standing = Scene.from_motion(motion), (analysis or motion.derived(ClipAnalysis)).standing
@@ -118,7 +119,7 @@ def write(
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
     """Return the layout of the views.
 
-    plots: plots without a tab are in the front row; all angles are in one group of tabs. rows: entities of states.
+    `plots` without a tab are in the front row, and all angles share a group of tabs. `rows` are the entities of states.
     """
     several = "s" if len(motion.pictures) > 1 else ""
     skeleton = _world_view(_title(motion), _eye_on_animal(motion, scene))
@@ -140,7 +141,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
 
 
 def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
-    """Return a blueprint with only this content, played in a loop."""
+    """Return a blueprint with this content alone, played in a loop."""
     hidden = rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
     time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
     return rrb.Blueprint(content, *hidden, time, auto_layout=False, auto_views=False)
@@ -161,7 +162,7 @@ def _world_view(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
 
 
 def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
-    """Return a close view and the whole picture; the pictures of several cameras are next to each other."""
+    """Return tabs of close views and whole pictures, with the pictures of several cameras next to each other."""
     closeups, wholes = [], []
     for picture, entity in zip(pictures, scenes.by_camera(scenes.PICTURE, pictures), strict=True):
         reach, (low, high) = scenes.CLOSE * scenes.middle_and_reach_px(picture)[1], scenes.picture_bounds(picture)
@@ -196,7 +197,7 @@ def _title(motion: Motion) -> str:
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
-    """Return the view of a plot. The title names a single line, a legend names several."""
+    """Return the view of a plot, in which the title names a single line, and a legend names several."""
     values = series.values[np.isfinite(series.values)]
     low, high = (values.min(), values.max()) if len(values) else (0.0, 0.0)
     legend_lines = len(series.names) if len(series.names) > 1 else 0
@@ -248,9 +249,9 @@ def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:
-    """Return an eye and its target: slightly above points (N, 3), and as near as all points fit into the view.
+    """Return the eye (3,) nearest to points (N, 3), slightly above them, that sees all of them, and its target (3,).
 
-    axes: as in `Scene`.
+    `axes` are those of `Scene`.
     """
     turns_rad = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     right = np.stack([np.cos(turns_rad), np.sin(turns_rad)], axis=1) @ axes[:2]
@@ -286,14 +287,13 @@ def open_viewer(path: Path) -> None:
 
 
 MAX_LINES = 4
-"""Largest number of angles in one plot, if their names can be split by part of the animal."""
+"""Largest number of angles in a plot if the angles can be split by part of the animal."""
 
 
 def states(motion: Motion, standing: Bools) -> dict[str, tuple[str, scenes.Colour, Bools]]:
-    """Return the frames of each flag, and the times when the feet stand (T, F), by entity.
+    """Return the frames with each flag, and the frames in which each foot stands (T, F), by entity.
 
-    Entities have no parent, because the viewer would show its name, and no blanks, because the viewer would escape
-    them.
+    Names of entities have no parent, which the viewer would show, and no blanks, which the viewer would escape.
     """
     flag_names = dict.fromkeys(flag for frame_flags in motion.flags for flag in frame_flags)
     flags = {flag: np.array([flag in frame_flags for frame_flags in motion.flags]) for flag in flag_names}
@@ -310,13 +310,13 @@ def _plot(
     tab: str = "",
     colours: Sequence[scenes.Colour] = scenes.LINE_COLOURS,
 ) -> TimePlot:
-    """Return a plot of lines (T,) by name, with colours in their order."""
+    """Return a plot of lines (T,) by name, with colours in the lines' order."""
     line_colours = [colours[i % len(colours)] for i in range(len(lines))]
     return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
-    """Yield the angles in degrees by side. Too many for one plot are split by part of the animal, or by kind."""
+    """Yield plots of the angles, degrees, by side, and split by part of the animal or kind if there are too many."""
     keys: dict[str, dict[str, str]] = {kind: {} for kind in ("left", "right", "middle")}
     for name in motion.angle_names:
         words, side = without_side(name).split("_"), side_of(name)
@@ -332,9 +332,9 @@ def angle_plots(motion: Motion) -> Iterator[TimePlot]:
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the names for each plot: all names if there is room, otherwise names with the same key.
+    """Yield the names of each plot's lines, grouped by key if there are too many for one plot.
 
-    The names of the next key are added if they fit.
+    Successive groups share a plot if they fit.
     """
     if len(keys) <= MAX_LINES:
         yield from [("", [*keys])] if keys else []
@@ -350,9 +350,9 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def other_plots(motion: Motion) -> Iterator[TimePlot]:
-    """Yield speed, errors in the pictures, and uncertainty.
+    """Yield plots of speed, errors in the pictures, and uncertainty.
 
-    The largest error is without outliers, which would hide the other errors.
+    The largest error excludes outliers, which would hide the other errors.
     """
     speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
     run_m_s, lines, title = motion.solution.constant_velocity_m_s, {"speed": speed}, "Speed (m/s)"
@@ -378,9 +378,9 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
 
 
 def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
-    """Yield speed, acceleration and flexion with 90 % intervals, the links' speeds, and the feet's vertical forces.
+    """Yield plots of speed, acceleration and flexion, of the links' speeds, and of the feet's vertical forces.
 
-    Left feet are blue, right ones orange, fore feet paler.
+    Speed and flexion have 90 % intervals. Left feet are blue, right feet orange, and fore feet paler.
     """
     reference_motion, times_s = analysis.joints[analysis.reference], analysis.motion.time_s
     every, name = reference_motion.series.oversampling, analysis.reference
@@ -399,7 +399,7 @@ def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
         quantities.append(("spine", "Flexion of the spine (°)", bent, sigma))
     for entity, title, values, sigma in quantities:
         lines = {entity: values[::every]}
-        # The standard deviation of the acceleration is many times its value.
+        # The acceleration is drawn without an interval, because its standard deviation is many times its value.
         if np.isfinite(sigma).any() and entity != "acceleration":
             _, low, high = interval_of(values, sigma)
             lines |= {"90 %: from": low[::every], "90 %: to": high[::every]}
@@ -417,7 +417,7 @@ def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
 
 
 def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
-    """Return the colour of a foot's side, half white if paler."""
+    """Return the colour of a foot's side, mixed with white if `paler`."""
     red, green, blue = scenes.RIGHT if foot.startswith("R") else scenes.LEFT
     return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2) if paler else (red, green, blue)
 
@@ -425,7 +425,7 @@ def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
 def write_forces(analysis: ClipAnalysis, log: Log) -> None:
     """Write arrows under the feet and the path of the centre of mass.
 
-    The arrow of a force of one body weight is as long as the centre of mass is high.
+    An arrow as long as the height of the centre of mass is a force of one body weight.
     """
     if (d := analysis.dynamics) is None or analysis.gait is None:
         return

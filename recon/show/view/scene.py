@@ -1,8 +1,8 @@
-"""Write the animal in space and in the cameras' pictures as a recording for rerun.
+"""Write the animal in space and in the cameras' pictures to a recording for rerun.
 
-The module also has what the views share: colours, the geometry of the scene, and functions that write lines, plots and
-states. Rerun's own writer hangs if the disk is full. Therefore rerun writes into a pipe, and this module copies the
-pipe into the file, without keeping a long recording in memory.
+The module also contains what the views share, which is colours, the geometry of the scene, and functions that write
+lines, plots and states. Rerun's own writer hangs if the disk is full. Therefore rerun writes into a pipe, and this
+module copies the pipe into the file, without keeping a long recording in memory.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ Colour = tuple[int, int, int]
 
 # Okabe and Ito's palette, which colour-blind readers can distinguish.
 LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
-"""Colours of the limbs of one side, in order: hind leg, spine, front leg, and two spare ones."""
+"""Colours of the limbs of a chain, in the order hind leg, spine, front leg, and two spare colours."""
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
-"""Colours of the limbs of a whole animal: left, right, and middle."""
+"""Colours of the left, right and middle limbs of a whole animal."""
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
@@ -46,22 +46,23 @@ BACKGROUND = (18, 21, 27)
 CAMERAS, PICTURE = "world/camera", "picture"
 """Entities of a camera, or the parents of several (`by_camera`)."""
 ANIMAL, EDGE_OF_PICTURE, VIDEO = "animal", "frame", "video"
-"""Children of a picture: the animal's middle, at which the close view is, the picture's edge, and the video."""
+"""Children of a picture, which are the animal's middle (centre of the close view), the picture's edge, and the video.
+"""
 _FRAMES_AT_ONCE = 4000
-"""Number of frames to write at once of data that need much memory."""
+"""Number of frames that are written at once, for data that need much memory."""
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
-"""Size of the close view relative to the animal's reach."""
+"""Size of the close view relative to the animal's extent."""
 HIDDEN_LINK = 0.01
 """Length of a link, relative to the close view's width, below which the dots at its ends hide it."""
 MAX_SHAPES_HZ = 25.0
-"""Largest number of shapes of an ellipsoid per second of a clip; the eye sees no faster changes."""
+"""Largest number of shapes of an ellipsoid per second of a clip; faster changes would be invisible."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 
 @dataclass(frozen=True)
 class TimePlot:
-    """A plot of L lines over T frames."""
+    """Plot of L lines over T frames."""
 
     entity: str
     title: str
@@ -72,7 +73,7 @@ class TimePlot:
     values: Array
     """Values of the lines, shape (T, L)."""
     tab: str = ""
-    """Name of the tab that holds the plot, together with other plots of that name; empty for the front row."""
+    """Name of the tab for this plot and all others with the same name; empty for the front row."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Log:
     def send(
         self, entity: str, columns: rr.ComponentColumnList, rows: Index | Sequence[int] | slice = slice(None)
     ) -> None:
-        """Write columns of an entity with a row for each of the given rows of the clip."""
+        """Write columns of an entity, with a row for each of the given rows of the clip."""
         times = [
             rr.TimeColumn("frame", sequence=self.frames[rows]),
             rr.TimeColumn("time", duration=self.time_s[rows]),
@@ -100,19 +101,19 @@ class Log:
         self.stream.log(entity, archetype, static=True)
 
     def draw(self, entity: str, kind: Any, columns: rr.ComponentColumnList, **style: Any) -> None:
-        """Write columns of an archetype with a row for each frame. The style is the same in all frames."""
+        """Write columns of an archetype with a row for each frame, in the same style in all frames."""
         self.send(entity, columns)
         self.fix(entity, kind.from_fields(**style))
 
     def points(self, entity: str, positions: Array, is_shown: Bools, **style: Any) -> None:
-        """Write points (T, N, 2 or 3), in each frame only those that are shown (T, N)."""
+        """Write points (T, N, 2 or 3), without those that are not shown (T, N)."""
         kind, counts = rr.Points2D if positions.shape[-1] == 2 else rr.Points3D, is_shown.sum(axis=1)
         rows = np.flatnonzero((counts > 0) | changes(counts > 0))
         self.send(entity, kind.columns(positions=positions[is_shown]).partition(counts[rows]), rows)
         self.fix(entity, kind.from_fields(**style))
 
     def plot(self, plot: TimePlot) -> None:
-        """Write a plot. A NaN breaks its line; a row is empty if all its values are NaN."""
+        """Write a plot, in which a NaN breaks the line, and a row is empty if all its values are NaN."""
         is_known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
         columns = rr.Scalars.columns(scalars=plot.values[is_known].ravel())
         style = {"names": plot.names, "colors": plot.colours, "widths": [1.8] * count}
@@ -121,7 +122,7 @@ class Log:
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
         """Write the changes of a state (T,).
 
-        Its text is blank because the row has a name. Without a text the viewer would write the value.
+        The label is a blank because the row already has a name. Without a label, the viewer would show the value.
         """
         rows = np.flatnonzero(changes(holds))
         columns = rr.StateChange.columns(state=[text] * int(holds[rows].sum()))
@@ -129,9 +130,10 @@ class Log:
         self.fix(entity, rr.StateConfiguration(values=[text], labels=[" "], colors=[colour]))
 
     def follow(self, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
-        """Write an invisible entity for the viewer to follow; the viewer frames the entity's bounds.
+        """Write an invisible box for the viewer to follow.
 
-        middle_m (T, 3) and half the size of the bounds. rows (T,): frames that have one; None for all.
+        `middle_m` (T, 3) is the middle of the box and `half_m` half of its size. `rows` (T,) are the frames with a box;
+        None for all frames.
         """
         corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)
         is_shown = np.ones(corners.shape[:2], bool) if rows is None else np.repeat(rows[:, None], 2, axis=1)
@@ -143,11 +145,11 @@ class Scene:
     """Geometry that views and entities share, in the motion's frame of reference."""
 
     axes: Array
-    """Two level unit vectors and the upward one, in rows, shape (3, 3)."""
+    """Two horizontal unit vectors and the upward one, in rows, shape (3, 3)."""
     low_m: Array
-    """Lower bounds of the animal over the clip along the axes, shape (3,)."""
+    """Lower bounds of the animal over the clip along `axes`, shape (3,)."""
     high_m: Array
-    """Upper bounds of the animal over the clip along the axes, shape (3,)."""
+    """Upper bounds of the animal over the clip along `axes`, shape (3,)."""
     size_m: float
     """Diagonal of the animal."""
     camera_m: Array
@@ -175,25 +177,25 @@ class Scene:
 
 
 def changes(values: Bools) -> Bools:
-    """Return the rows (T,) in which values (T,) differ from those of the row before; the first row is one."""
+    """Return a mask (T,) of the rows whose value differs from that of the row before, and of the first row."""
     return np.append(True, values[1:] != values[:-1])[: len(values)]
 
 
 def bounds(joints_m: Array) -> tuple[Array, Array]:
-    """Return the box around joints (N, J, 3), without single stray poses."""
+    """Return the lower and upper corner (3,) of the box around joints (N, J, 3), without stray poses."""
     low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
     return low, high
 
 
 def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
-    """Return the entity of each camera: the root itself, or a child of it if there are several."""
+    """Return the entity of each camera, which is `root`, or a child of `root` if there are several cameras."""
     if len(pictures) == 1:
         return [root]
     return [f"{root}/{rr.escape_entity_path_part(picture.name)}" for picture in pictures]
 
 
 def limb_colours(motion: Motion) -> list[Colour]:
-    """Return one colour per limb: by side for a whole animal, otherwise one after the other."""
+    """Return a colour for each limb, by side for a whole animal, otherwise a different one for each limb."""
     if motion.side is not None:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
     return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
@@ -202,7 +204,7 @@ def limb_colours(motion: Motion) -> list[Colour]:
 def joint_limbs(motion: Motion) -> Integers:
     """Return the limb (J,) with which each joint is drawn.
 
-    It is the trunk if the joint is part of the trunk, otherwise the limb that the joint ends or continues.
+    A joint of the trunk is drawn with the trunk, any other joint with the limb that it ends or continues.
     """
     limbs = list(motion.limbs.values())
     trunk = max(range(len(limbs)), key=lambda i: len({*motion.forward} & {*limbs[i]}), default=0)
@@ -219,7 +221,7 @@ def limb_strips(
 ) -> rr.ComponentColumnList:
     """Return lines along the limbs of joints (T, J, 2 or 3), interrupted by joints that are not shown (T, J).
 
-    with_classes: whether each line has its limb's number as class.
+    `with_classes` gives each line its limb's number as a class.
     """
     along = [joint for limb in limbs.values() for joint in limb]
     limb_along = np.repeat(np.arange(len(limbs)), [len(limb) for limb in limbs.values()])
@@ -235,7 +237,7 @@ def limb_strips(
 
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
-    """Return columns of line strips: any number per frame, each of shape (points, 3)."""
+    """Return columns of line strips, any number per frame, each of shape (points, 3)."""
     all_strips = [strip for frame_strips in frames for strip in frame_strips]
     points = np.concatenate([np.zeros((0, 3)), *all_strips])
     return _strips(points, [len(strip) for strip in all_strips]).partition(
@@ -246,7 +248,7 @@ def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
 def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
     """Return columns of straight lines between ends (N, 2, 2 or 3), with `counts` (T,) lines in each frame.
 
-    columns: further columns, by line.
+    `columns` are further columns with a value for each line.
     """
     return _strips(ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2), **columns).partition(counts)
 
@@ -254,7 +256,7 @@ def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnLi
 def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> rr.ComponentColumnList:
     """Return strips of `counts` points each from points (N, 2 or 3), in rerun's final layout.
 
-    rerun's own conversion makes an object for each strip, which takes longer than the fit of a long clip.
+    rerun's own conversion creates an object for each strip, which takes longer than the fit of a long clip.
     """
     import pyarrow as pa  # rerun depends on pyarrow
 
@@ -275,7 +277,7 @@ def unbroken(points: Array) -> list[Array]:
 
 
 def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
-    """Return lines (2, 2) at multiples of the spacing, from corner to corner (2,) of a rectangle."""
+    """Return lines (2, 2) at multiples of the spacing that cross a rectangle, given by two corners (2,)."""
     result = []
     for axis in (0, 1):
         for coordinate in np.arange(low_m[axis], high_m[axis] + spacing_m / 2, spacing_m):
@@ -299,12 +301,12 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     log.draw("world/skeleton", rr.LineStrips3D, limb_strips(joints, motion.limbs, is_solved), **style)
     style = {"class_ids": joint_limbs(motion), "radii": 0.028, "labels": motion.names, "show_labels": False}
     log.points("world/skeleton/joints", joints, is_solved, **style)
-    # The camera of the view follows a point that does not move with the legs, and shows some room around the animal.
+    # The view follows the mean of the joints, which hardly moves with the legs, and shows some space around the animal.
     log.follow("world/followed", joints.mean(axis=1), 0.65 * scene.size_m, solved)
 
     root = motion.root_m
     log.fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
-    # The view shows the rows of this entity up to the current one, so each row is one step.
+    # The view shows all rows of this entity up to the current frame, so each row is one step of the trail.
     step = solved[1:] & solved[:-1]
     ends = np.stack([root[:-1], root[1:]], axis=1)[step]
     style = {"colors": TRAIL, "radii": rr.Radius.ui_points(2.5)}
@@ -346,15 +348,15 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
             camera_xyz=rr.ViewCoordinates.RDF,
             image_plane_distance=max(0.25, 0.15 * distance_m),
             color=CAMERA,
-            line_width=-1.0,  # negative: width on the screen instead of metres
+            line_width=-1.0,  # a negative width is in screen units instead of metres
         ),
     )
 
 
 def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
-    """Return lines (2, 3) on the ground under a segment's path, at whole metres of the level axes.
+    """Return lines (2, 3) on the ground under a segment's path, at multiples of the grid spacing.
 
-    If no foot stood, the ground is level, at the height of the lowest feet.
+    If the ground is unknown, the lines are horizontal, at the height of the lowest feet.
     """
     joints = motion.joints_m[segment.rows][motion.solved[segment.rows]] @ scene.axes.T
     up, below = scene.axes[2], motion.below_m(segment)
@@ -402,14 +404,14 @@ def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
 
 
 def write_pictures(motion: Motion, log: Log) -> None:
-    """Write the points of each picture, and the middle of the animal, around which the close view is."""
+    """Write the points of each picture, and the middle of the animal, on which the close view is centred."""
     for picture, root in zip(motion.pictures, by_camera(PICTURE, motion.pictures), strict=True):
         size = np.array(picture.camera.image_size_px, dtype=float)
         edge = rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE)
         log.fix(f"{root}/{EDGE_OF_PICTURE}", edge)
         _write_points(root, motion, picture, log)
         has_pose = np.asarray(np.isfinite(picture.reprojected_px).any(axis=(1, 2)))
-        if has_pose.any():  # in a frame without a pose, the view stays where it was
+        if has_pose.any():  # in a frame without a pose, the view does not move
             nearest = np.maximum.accumulate(np.where(has_pose, np.arange(len(has_pose)), np.argmax(has_pose)))
             middles_px = middle_and_reach_px(picture)[0][nearest]
             log.send(f"{root}/{ANIMAL}", rr.Transform3D.columns(translation=np.pad(middles_px, ((0, 0), (0, 1)))))
@@ -439,14 +441,14 @@ def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None
 
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
-    """Return the middle of the reprojected skeleton (T, 2), 0 without one, and the reach (2,) of its joints."""
+    """Return the middle (T, 2) of the reprojected skeleton, 0 without a pose, and its extent (2,), px."""
     is_seen = np.isfinite(picture.reprojected_px[..., 0])
     middle = np.nan_to_num(mean_along(picture.reprojected_px, axis=1))
     return middle, np.abs(picture.reprojected_px - middle[:, None])[is_seen].max(axis=0, initial=1.0)
 
 
 def picture_bounds(picture: Picture) -> tuple[Array, Array]:
-    """Return the corners (2,), (2,) of the part of the picture through which the animal passes, with a margin."""
+    """Return two corners, each (2,), of the part of the picture through which the animal passes, with a margin."""
     size = np.array(picture.camera.image_size_px, dtype=float)
     explained = np.where(picture.outliers[..., None], np.nan, picture.detected_px)
     points = np.concatenate((explained.reshape(-1, 2), picture.reprojected_px.reshape(-1, 2)))
@@ -463,15 +465,16 @@ JPEG_QUALITY = 85
 
 
 def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, number: int = 0) -> None:
-    """Write the frames of a video: `picture/video`, which the close view shows, too.
+    """Write the frames of a video as `picture/video`, which the close view also shows.
 
-    If there are several cameras, the entity is `picture/<name>/video`. first_frame: frame number, in the clip, of the
-    video's first frame. number: camera whose video it is, of the same size. Raises InputError if the video lacks
-    frames.
+    If there are several cameras, the entity is `picture/<name>/video`. `first_frame` is the frame number, in the clip,
+    of the video's first frame; `number` is the index of the camera, whose pictures have the same size. Raises
+    InputError if the video lacks frames.
 
-    Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos, and jump from key
-    frame to key frame in other codecs. In rerun the corner of the top left pixel is at (0, 0), whereas keypoints have
-    the pixel's centre there: the picture is shifted by half a pixel to the right and down.
+
+    Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos; in other codecs they
+    jump from key frame to key frame. In rerun, (0, 0) is the corner of the top left pixel, but for keypoints it is the
+    centre of this pixel. Therefore the picture is shifted by half a pixel to the right and down.
     """
     import cv2  # slow to import, and most playbacks are without a video
 
@@ -489,15 +492,15 @@ _AT_ONCE = 1 << 20
 
 
 def require_whole() -> None:
-    """Make rerun raise its warnings: without memory, it would leave out parts of a playback."""
+    """Make rerun raise its warnings, because without enough memory it would leave out parts of a playback."""
     rr.set_strict_mode(True)
 
 
 @contextmanager
 def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Yield a recording to log to, which is written to `path`. No file is left if the block raises.
+    """Yield a recording to log to, which is written to `path`.
 
-    Raises OSError that names the path.
+    No file is left if the block raises an error. Raises OSError with the path if the file cannot be written.
     """
     stream = rr.RecordingStream("recon")
     try:
@@ -531,7 +534,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
 def _copy(source: int, path: Path) -> None:
     """Copy a pipe into a file.
 
-    If the file cannot be written, the pipe is still read to its end, because its writer would wait for ever.
+    If the file cannot be written, the pipe is still read to its end, because its writer would otherwise wait forever.
     """
     with open(source, "rb") as pipe:
         try:

@@ -1,9 +1,9 @@
-"""Show a recording in rerun's web viewer, on machines without a display, or through a tunnel.
+"""Show a recording in rerun's web viewer, for machines without a display or behind a tunnel.
 
-The package of rerun contains its web viewer. Its own server would let the viewer ask rerun's servers for fonts,
-examples and new versions, and would give the recording to every user of this machine. Therefore rerun's server runs
-without a recording, and only until `LocalServer` has the viewer's files. `LocalServer` passes them on, and the
-recording with them, under an address that nobody can guess. Its policy allows connections to itself only.
+The rerun package contains its web viewer. With rerun's own server, the viewer would ask rerun's servers for fonts,
+examples and new versions, and every user of this machine could read the recording. Therefore rerun's server runs
+without a recording, and only until `LocalServer` has the viewer's files. `LocalServer` then serves these files and the
+recording under an address that nobody can guess, with a policy that allows connections to itself only.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FILES = {
     "re_viewer_bg.wasm": WASM,
     "favicon.ico": "image/x-icon",
 }
-"""Files of the web viewer, and their types."""
+"""Files of the web viewer, with their media types."""
 OPTIONAL = "favicon.ico"
 """File that some versions of the viewer lack."""
 _POLICY = (
@@ -42,13 +42,13 @@ _POLICY = (
 )
 _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
 RECORDING = "recording.rrd"
-"""Name of the recording in the page's address. The viewer recognises the format by its ending."""
+"""Name of the recording in the page's address. The viewer recognises the format by the suffix."""
 LOOK = "theme=dark&persist=0"
-"""Options of the viewer: dark, like the views, and nothing is stored in the browser."""
+"""Options of the viewer, which is dark, like the views, and stores nothing in the browser."""
 START_S = 30.0
 """Longest time for rerun to start."""
 TICK_S = 0.05
-"""Time between two checks whether rerun has started."""
+"""Time between two checks of whether rerun has started."""
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def _recording(path: Path, _rest: str, _data: object) -> Reply:
 
 
 def _viewer_files() -> dict[str, Reply]:
-    """Return the files of the web viewer by name, from rerun's own server, which ends before this returns."""
+    """Return the files of the web viewer by name, from rerun's own server, which is stopped afterwards."""
     data_port, viewer_port = _free_ports(2)
     command = [str(_program()), "--serve-web", "--bind", LOOPBACK, "--port", str(data_port)]
     command += ["--web-viewer-port", str(viewer_port)]
@@ -97,7 +97,7 @@ def _viewer_files() -> dict[str, Reply]:
 
 
 def _program() -> Path:
-    """Return rerun's own program. `python -m rerun` would start it as a child that outlives its parent."""
+    """Return the path of rerun's program, since `python -m rerun` starts a child that outlives its parent."""
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -106,13 +106,13 @@ def _program() -> Path:
 
 
 def _file(address: str, kind: str) -> Reply:
-    """Return a file of rerun's server without links to other servers: a policy does not stop a preconnect."""
+    """Return a file of rerun's server without links to other servers, as a policy does not stop preconnects."""
     content = _content(address)
     return Reply(_LINK.sub(b"", content) if kind == "text/html" else content, kind)
 
 
 def _content(address: str) -> bytes:
-    # without proxies, which cannot reach this machine
+    # Proxies are bypassed, because they cannot reach this machine.
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     with opener.open(address) as response:
         return response.read()
@@ -131,7 +131,10 @@ def _free_ports(count: int) -> list[int]:
 
 
 def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
-    """Wait until a process listens on all ports. Raises InputError if it ends or takes too long."""
+    """Wait until a process listens on all ports.
+
+    Raises InputError if the process ends or takes too long.
+    """
     until_s = time.monotonic() + START_S
     for port in ports:
         while not _listens(port):

@@ -1,4 +1,4 @@
-// A table of clips: a heading sorts by its column, a text and a list choose its rows, and plots mark the same clips.
+// A table of clips, sorted by a click on a heading, filtered by a text and a list, and linked to the plots.
 
 /** Order cells by number or by text; cells without a value come last in both directions. */
 function ordered(a, b, way) {

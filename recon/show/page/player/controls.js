@@ -2,7 +2,7 @@
 
 import { SPEEDS } from "./cursor.js";
 
-/** Wire the buttons of the player to the cursor and the views. */
+/** Connect the buttons of the player to the cursor and the views. */
 export class Controls {
   constructor(root, clip, cursor, picture, scene) {
     Object.assign(this, { root, clip, cursor, picture, scene });
@@ -61,14 +61,14 @@ export class Controls {
     this.picture.openVideo(file, (problem, video) => {
       const { size } = this.clip.cameras[this.cursor.camera];
       if (!problem && Math.abs(video.videoWidth / video.videoHeight - size[0] / size[1]) > 0.01) {
-        problem = `${file.name} is ${video.videoWidth}x${video.videoHeight}, the camera's picture ${size.join("x")}: is it the right video?`;
+        problem = `${file.name} is ${video.videoWidth}x${video.videoHeight}, the camera's picture ${size.join("x")}. Is it the right video?`;
       }
       this.root.querySelector(".problem").textContent = problem || "";
       this.picture.draw();
     });
   }
 
-  /** Handle the keys of the whole page, except those that a field or button needs itself. */
+  /** Handle the keys of the whole page, except keys that a field or button uses. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const tag = event.target.tagName, field = /^(INPUT|SELECT|TEXTAREA)$/.test(tag);
@@ -101,13 +101,11 @@ export class Controls {
     if (next) cursor.go(next[0]);
   }
 
-  // -- the address ---------------------------------------------------------------------------------------------------
-
   get address() {
     return `#t=${this.clip.time(this.cursor.row).toFixed(4)}`;
   }
 
-  /** Show the frame that the address names, in seconds of the clip. */
+  /** Show the frame at the time, in seconds of the clip, that the address states. */
   followAddress() {
     const found = /[#&]t=(-?[\d.]+)/.exec(window.location.hash);
     if (found) this.cursor.go(this.clip.rowOfFrame(Math.round(Number(found[1]) * this.clip.fps)));
@@ -121,14 +119,12 @@ export class Controls {
       () => tell(`The address leads to this frame: ${this.address}`));
   }
 
-  // -- what is shown ---------------------------------------------------------------------------------------------------
-
   update() {
     const { clip, cursor } = this, flags = clip.flagsAt(cursor.row);
     const text = `frame ${clip.frames[cursor.row]}, ${clip.time(cursor.row).toFixed(3)} s${flags ? `, ${flags}` : ""}`;
     this.slider.value = String(cursor.row);
     this.slider.setAttribute("aria-valuetext", text);
-    this.status.setAttribute("aria-live", cursor.playing ? "off" : "polite"); // not every frame is read out
+    this.status.setAttribute("aria-live", cursor.playing ? "off" : "polite"); // otherwise every frame would be read out
     this.status.textContent = text;
     this.play.textContent = cursor.playing ? "Pause" : "Play";
     this.speeds.value = String(cursor.speed);
@@ -136,7 +132,7 @@ export class Controls {
   }
 }
 
-/** Make buttons of the page's findings, flagged frames and keypoints, which lead to their frame in the player. */
+/** Turn the page's findings, flagged frames and keypoints into buttons that show their frame in the player. */
 export function linkText(clip, cursor, player) {
   const show = (row, keypoints) => {
     if (keypoints) cursor.name(keypoints);
@@ -174,7 +170,7 @@ export function linkText(clip, cursor, player) {
   }
 }
 
-/** Return the row in which these keypoints are furthest from the pose. */
+/** Return the row in which these keypoints are farthest from the pose. */
 export function worstRow(clip, number, joints) {
   const camera = clip.cameras[number];
   let worst = 0, most = -1;

@@ -1,5 +1,5 @@
-// The one cursor of the page: which frame is shown, whether it plays and how fast, and which keypoints are named.
-// Views listen to it; controls and views move it. It draws nothing.
+// The page's only cursor. It holds the frame that is shown, whether and how fast the clip plays, and the keypoints that are
+// named. Views listen to the cursor; controls and views move it. It draws nothing.
 
 export const SPEEDS = [0.125, 0.25, 0.5, 1];
 
@@ -15,7 +15,7 @@ export class Cursor {
     this.listeners = { row: [], state: [] };
   }
 
-  /** Call a function when the row changes ("row"), or anything else does ("state"). */
+  /** Register a function to be called when the row ("row") or anything else ("state") changes. */
   on(kind, listener) {
     this.listeners[kind].push(listener);
   }
@@ -32,7 +32,7 @@ export class Cursor {
     this.tell("row");
   }
 
-  /** Stop and show a row: what a click on a curve, a stance or a finding does. */
+  /** Stop and show a row, as after a click on a curve, a stance or a finding. */
   go(row) {
     this.play(false);
     this.show(row);
@@ -74,7 +74,7 @@ export class Cursor {
     this.tell("state");
   }
 
-  /** Show the frame that is due, by the clock: a slow browser skips frames and keeps the speed. */
+  /** Show the frame that is due by the clock, so that a slow browser skips frames but keeps the speed. */
   advance(now) {
     if (!this.playing) return;
     const { clip } = this;

@@ -1,13 +1,13 @@
-// The clip as the page has it: arrays over frames, unpacked once. Nothing here draws or listens.
+// The data of the clip, with arrays over frames that are unpacked once. Nothing here draws or listens.
 
 const ARRAYS = { i2: [Int16Array, -32768], u1: [Uint8Array, 255], i4: [Int32Array, null] };
 
-/** Return a packed array as numbers, NaN where nothing is known. */
+/** Return a packed array as numbers, with NaN for unknown values. */
 export function unpacked(packed) {
   const text = atob(packed.data), bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   const [Kind, nothing] = ARRAYS[packed.type];
-  const units = new Kind(bytes.buffer); // little-endian, as every machine with a browser is
+  const units = new Kind(bytes.buffer); // little-endian, like every machine with a browser
   if (packed.type === "i4") return units;
   const whole = packed.unit === 1 && packed.offset === 0;
   const values = new Float32Array(units.length);
@@ -20,14 +20,14 @@ export function unpacked(packed) {
 /** States of a detection. */
 export const MISSING = 0, FITS = 1, OUTLIER = 2;
 
-/** One camera's detections and reprojections; `known` is false where the page leaves them out. */
+/** One camera's detections and reprojections; `known` is false if the page does not contain them. */
 class CameraPicture {
   constructor(raw, joints) {
     this.name = raw.name;
     this.size = raw.size_px;
     this.joints = joints;
     this.known = raw.detected_px !== null;
-    this.notes = raw.notes || []; // for each keypoint what is wrong with its detections, and what the fit made of it
+    this.notes = raw.notes || []; // by keypoint: problems of its detections, and how the fit treated them
     if (!this.known) return;
     this.detected = unpacked(raw.detected_px);
     this.reprojected = unpacked(raw.reprojected_px);
@@ -143,7 +143,7 @@ export class Clip {
     return [this.xyz[i], this.xyz[i + 1], this.xyz[i + 2]];
   }
 
-  /** Return the middle of the pose of a row, or of the nearest one before or after it that has a pose. */
+  /** Return the middle of the pose in a row, or in the nearest row that has a pose. */
   middle(row) {
     for (let away = 0; away < this.count; away++) {
       for (const at of [row - away, row + away]) {
@@ -166,7 +166,7 @@ export class Clip {
     return run ? run[2] : "";
   }
 
-  /** Return where a camera stands and looks in a row: axes right, down and ahead, and its centre; or null. */
+  /** Return a camera's axes (right, down, ahead) and centre in a row, or null. */
   cameraPose(number, row) {
     const camera = this.scenery[number];
     const values = camera.moves ? camera.poses.slice(12 * row, 12 * row + 12) : camera.poses;

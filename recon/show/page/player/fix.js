@@ -7,7 +7,7 @@ import { ON_PICTURE, label } from "./theme.js";
 
 const GRAB_PX = 14, ON_MARK_PX = 6;
 
-/** All corrections by detection, with what is needed to undo the latest. */
+/** All corrections by detection, with what is needed to undo the latest correction. */
 class Corrections {
   constructor(rows) {
     this.rows = new Map(rows.map((row) => [Corrections.key(row), row]));
@@ -22,7 +22,7 @@ class Corrections {
     return this.rows.get(Corrections.key(cell));
   }
 
-  /** Change several detections in one step: set the corrections in rows, and remove those of the given cells. */
+  /** Change several detections in one step, which sets the corrections in rows and removes those of given cells. */
   change(rows, removed = []) {
     const keys = [...rows, ...removed].map(Corrections.key);
     this.past.push(keys.map((key) => [key, this.rows.get(key)]));
@@ -39,7 +39,7 @@ class Corrections {
   }
 }
 
-/** The picture, in which points can be moved. */
+/** The camera's picture, in which points can be moved. */
 class EditedPicture extends PictureView {
   constructor(canvas, clip, cursor, editor) {
     super(canvas, clip, cursor);
@@ -185,13 +185,11 @@ class Editor {
     Object.assign(this, { version: state.version, later: state.later_frames, pairs: state.pairs, video: state.video });
   }
 
-  /** Return the description of the server's pictures: one for each row, of the whole size. */
+  /** Return the description of the server's pictures, one for each row, at full size. */
   pictures(clip) {
     const count = new Clip({ ...clip, pictures: null }).count, size = clip.cameras[clip.chosen].size_px;
     return { rows: [...Array(count).keys()], corners_px: Array(count).fill([0, 0]), size_px: size, first_frame: 0 };
   }
-
-  // -- detections ------------------------------------------------------------------------------------------------------
 
   get camera() {
     return this.clip.cameras[this.cursor.camera];
@@ -231,7 +229,7 @@ class Editor {
     this.change([this.correction(joint, point, reason)]);
   }
 
-  /** Exchange left and right, from where swaps begin to this frame. */
+  /** Exchange left and right from the frame in which swaps begin to this frame. */
   swap() {
     const from = this.begin === null ? this.cursor.row : this.begin, rows = [];
     for (let row = Math.min(from, this.cursor.row); row <= Math.max(from, this.cursor.row); row++) {
@@ -248,8 +246,6 @@ class Editor {
     this.corrections.change(rows, removed);
     this.save();
   }
-
-  // -- navigation ------------------------------------------------------------------------------------------------------
 
   choose(joint) {
     this.keypoint = joint;
@@ -304,8 +300,6 @@ class Editor {
     });
   }
 
-  // -- the server ------------------------------------------------------------------------------------------------------
-
   /** Save all corrections after the save in progress, so that an older save never overwrites a newer one. */
   save() {
     this.draw();
@@ -347,7 +341,7 @@ class Editor {
     this.root.querySelector(".problem").textContent = "recon fix has ended: changes are no longer saved.";
   }
 
-  /** Return the lines of a keypoint in this frame; ask the server for them if they are not there yet. */
+  /** Return the lines of a keypoint in this frame; request them from the server if they are missing. */
   linesOf(joint) {
     if (this.clip.cameras.length < 2) return {};
     const cell = `${this.cursor.camera}/${this.cursor.row}/${joint}`, wanted = `${cell} ${this.version}`;
@@ -361,8 +355,6 @@ class Editor {
     }
     return this.lines.shown;
   }
-
-  // -- what is shown ---------------------------------------------------------------------------------------------------
 
   tell(state) {
     const line = ({ level, expected_mm: mm, median_px: px, outliers }) => [level,

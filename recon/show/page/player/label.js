@@ -17,8 +17,6 @@ class LabelPage {
     this.told(`${this.points.size} labels, saved in ${this.folder}`);
   }
 
-  // -- labels ----------------------------------------------------------------------------------------------------------
-
   get frame() {
     return this.frames[this.number];
   }
@@ -35,7 +33,7 @@ class LabelPage {
     return this.names.filter((_, joint) => this.points.has(`${frame}/${joint}`)).length;
   }
 
-  /** Change one label: set its position, or remove it if that is null. */
+  /** Set the position of a label, or remove the label if the position is null. */
   change(joint, point) {
     const key = this.key(joint);
     this.past.push([this.number, joint, this.points.get(key), this.skipped.has(key)]);
@@ -69,8 +67,6 @@ class LabelPage {
     if (open !== undefined) this.choose(open);
   }
 
-  // -- the server ------------------------------------------------------------------------------------------------------
-
   /** Save all labels after the save in progress, so that an older save never overwrites a newer one. */
   save() {
     this.draw();
@@ -93,8 +89,6 @@ class LabelPage {
   told(text) {
     this.root.querySelector(".saved").textContent = text;
   }
-
-  // -- navigation ------------------------------------------------------------------------------------------------------
 
   go(number) {
     this.number = Math.min(this.frames.length - 1, Math.max(0, number));
@@ -139,8 +133,6 @@ class LabelPage {
     });
   }
 
-  // -- the picture -----------------------------------------------------------------------------------------------------
-
   /** Return the scale and the corner of the part that is shown. */
   fit() {
     const wide = this.canvas.clientWidth, high = this.canvas.clientHeight, [width, height] = this.size;
@@ -148,7 +140,7 @@ class LabelPage {
     return { scale, left: width / 2 + this.window.x - wide / 2 / scale, top: height / 2 + this.window.y - high / 2 / scale };
   }
 
-  /** Return where a point of the picture is on the canvas. */
+  /** Return the position on the canvas of a point of the picture. */
   place([x, y]) {
     const { scale, left, top } = this.fit();
     return [scale * (x - left), scale * (y - top)];

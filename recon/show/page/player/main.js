@@ -1,4 +1,4 @@
-// Put the player together: one clip, one cursor, the views and the controls.
+// Assemble the player from one clip, one cursor, the views and the controls.
 
 import { Controls, linkText } from "./controls.js";
 import { Cursor } from "./cursor.js";
@@ -42,7 +42,7 @@ function addChoice(clip, cursor, panels, chosen) {
   return strip;
 }
 
-/** Draw every angle in a panel of its own, side by side. */
+/** Draw every angle in its own panel, side by side. */
 function addPanels(clip, cursor, panels, strips) {
   const section = document.querySelector(".angles");
   if (!section || !panels.length) return;
@@ -50,7 +50,7 @@ function addPanels(clip, cursor, panels, strips) {
   const unknown = panels.filter(isFilled);
   if (unknown.length) {
     const names = unknown.map(({ title }) => title).join(", ");
-    section.querySelector(".unknown").textContent = `Not drawn, as their 90 % bands would fill the panels: ${names}.`;
+    section.querySelector(".unknown").textContent = `Not drawn, because their 90 % bands would fill the panels: ${names}.`;
   }
   for (const panel of panels.filter((each) => !unknown.includes(each))) {
     const { strip, canvas, output } = newStrip(panel.title, 96);
@@ -79,14 +79,14 @@ function start() {
   }
   if (clip.stances.length) {
     const { canvas, output } = addStrip("footfalls", 18 * clip.feet.length + 8);
-    canvas.setAttribute("aria-label", "When each foot stands. A click on a bar goes to its touch-down.");
+    canvas.setAttribute("aria-label", "Stances of each foot. A click on a bar shows its touch-down.");
     strips.push(new FootStrip(canvas, clip, cursor, output));
   }
   const angles = clip.curves.filter((panel) => panel.group !== "speed");
   angles.slice(0, 2).forEach((_, i) => strips.push(addChoice(clip, cursor, angles, i)));
   if (clip.flags.length) {
     const { canvas, output } = addStrip("flagged frames", 24);
-    canvas.setAttribute("aria-label", "Flagged frames. A click on a bar goes to its first frame.");
+    canvas.setAttribute("aria-label", "Flagged frames. A click on a bar shows its first frame.");
     strips.push(new FlagStrip(canvas, clip, cursor, output));
   }
   const error = addStrip("median keypoint error", 64);

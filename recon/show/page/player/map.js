@@ -4,10 +4,10 @@ import { MISSING, OUTLIER } from "./data.js";
 import { Strip } from "./strips.js";
 
 const ROW = 15; // CSS pixels of a keypoint
-/** Stops of a colour scale that is read by the colour-blind, from small to large (viridis without its palest end). */
+/** Stops of a colour scale for colour-blind readers, from small to large (viridis without its palest end). */
 const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
-/** Return the colour of a share from 0 to 1. */
+/** Return the colour of a fraction from 0 to 1. */
 function shade(share) {
   const at = Math.min(0.9999, Math.max(0, share)) * (STOPS.length - 1), i = Math.floor(at);
   return STOPS[i].map((low, k) => Math.round(low + (at - i) * (STOPS[i + 1][k] - low)));
@@ -17,7 +17,7 @@ export class KeypointMap extends Strip {
   constructor(canvas, clip, cursor, output, scale) {
     super(canvas, clip, cursor, output);
     this.of = "error";
-    this.scale = scale; // the element that says what the colours mean
+    this.scale = scale; // element that explains the colours
     canvas.style.height = `${ROW * clip.joints + 4}px`;
     canvas.addEventListener("pointermove", (event) => {
       const box = canvas.getBoundingClientRect(), joint = Math.floor((event.clientY - box.top - 2) / ROW);
@@ -36,7 +36,7 @@ export class KeypointMap extends Strip {
     this.refresh();
   }
 
-  /** Return the error at which the scale ends: the 98th percentile, so that one outlier does not hide the rest. */
+  /** Return the error at which the scale ends, the 98th percentile, so that outliers do not hide the rest. */
   limits(camera) {
     if (this.limitsOf && this.limitsOf.camera === camera) return this.limitsOf.ends;
     const errors = [];
@@ -118,7 +118,7 @@ export class KeypointMap extends Strip {
     if (joint < 0 || !camera.known) return "";
     const error = camera.error(row, joint), likelihood = camera.likelihood[row * clip.joints + joint];
     const how = camera.stateOf(row, joint) === MISSING ? "no detection used"
-      : `${Number.isNaN(error) ? "no pose" : `${error.toFixed(1)} px off`}${
+      : `${Number.isNaN(error) ? "no pose" : `${error.toFixed(1)} px from the pose`}${
         Number.isNaN(likelihood) ? "" : `, likelihood ${likelihood.toFixed(2)}`}`;
     return `${clip.keypoints[joint]}, frame ${clip.frames[row]}: ${how}`;
   }

@@ -5,7 +5,7 @@ import { FITS, OUTLIER, median } from "./data.js";
 import { ON_PICTURE, gestures, label, penOf } from "./theme.js";
 
 const READY_AHEAD = 6; // pictures decoded in advance while it plays
-const SMALL = 0.35, FILLS = 0.6; // shares of the canvas: an animal below the first is followed until it fills the second
+const SMALL = 0.35, FILLS = 0.6; // fractions of the canvas: an animal smaller than the first is followed until it fills the second
 
 export class PictureView {
   constructor(canvas, clip, cursor) {
@@ -32,21 +32,19 @@ export class PictureView {
 
   setFollow(on) {
     this.follow = on;
-    if (this.followed) this.followed(on); // the box that says so
+    if (this.followed) this.followed(on); // the checkbox "follow the animal"
   }
 
   get camera() {
     return this.clip.cameras[this.cursor.camera];
   }
 
-  /** Return the page's pictures, which are of one camera; null for other cameras, and for a video that was opened. */
+  /** Return the page's pictures, or null for a camera without pictures and for a video that the reader opened. */
   get pictures() {
     return this.cursor.camera === this.clip.chosen && !this.video ? this.clip.pictures : null;
   }
 
-  // -- which picture ---------------------------------------------------------------------------------------------
-
-  /** Return the picture of a row, or the nearest one: its number, or -1. */
+  /** Return the number of the picture of a row, or of the nearest picture, or -1. */
   pictureOf(row) {
     const { rows } = this.pictures;
     let low = 0, high = rows.length - 1;
@@ -69,7 +67,7 @@ export class PictureView {
     return image;
   }
 
-  /** Show a video that the reader has opened, in place of the page's pictures. */
+  /** Show a video that the reader opened instead of the page's pictures. */
   openVideo(file, done) {
     const video = document.createElement("video");
     Object.assign(video, { muted: true, playsInline: true, preload: "auto", src: URL.createObjectURL(file) });
@@ -82,14 +80,12 @@ export class PictureView {
     if (!this.video || this.seeking) return;
     const first = this.clip.pictures ? this.clip.pictures.first_frame : 0;
     const count = Math.round(this.video.duration * this.clip.fps);
-    // A file whose frame rate differs from the clip's is played at its own rate: frames have to match, not times.
+    // A file whose frame rate differs from the clip's is played at its own rate, because frames have to match, not times.
     const rate = this.rate || (count ? count / this.video.duration : this.clip.fps);
     this.due = this.cursor.row;
     this.seeking = true;
     this.video.currentTime = Math.max(0, (this.clip.frames[this.due] - first + 0.5) / rate);
   }
-
-  // -- what is shown -----------------------------------------------------------------------------------------------
 
   /** Return the part of the picture to show, px of the video. */
   wholeWindow() {
@@ -104,7 +100,7 @@ export class PictureView {
     return this.boxes.get(camera);
   }
 
-  /** Return the box around the pose of a row, px: its middle and its sides; or null. */
+  /** Return the middle and the sides, px, of the box around the pose of a row, or null. */
   poseBox(row) {
     const { camera } = this, box = [Infinity, Infinity, -Infinity, -Infinity];
     if (!camera.known) return null;
@@ -136,7 +132,7 @@ export class PictureView {
     this.follow = this.length < SMALL * this.wholeWindow()[2];
   }
 
-  /** Return the scale and the corner of what is shown: canvas = scale * (px - corner). */
+  /** Return the scale and the corner of the part that is shown, with canvas = scale * (px - corner). */
   fit(wide, high) {
     const box = this.follow ? this.poseBox(this.shownRow === undefined ? this.cursor.row : this.shownRow) : null;
     if (box) {
@@ -185,8 +181,6 @@ export class PictureView {
     }
     return best;
   }
-
-  // -- drawing -----------------------------------------------------------------------------------------------------
 
   draw() {
     const { canvas, clip, cursor, camera } = this, { pen, wide, high } = penOf(canvas);
@@ -271,7 +265,7 @@ export class PictureView {
     for (const j of named) this.drawName(pen, row, j, wide);
   }
 
-  /** Name a keypoint where it is seen, and where the pose has it. */
+  /** Name a keypoint at its detection, and mark its position in the pose. */
   drawName(pen, row, j, wide) {
     const { clip, camera, place } = this;
     const found = camera.point(camera.detected, row, j), joint = camera.point(camera.reprojected, row, j);
@@ -283,7 +277,7 @@ export class PictureView {
     pen.beginPath();
     pen.arc(x, y, 9, 0, 2 * Math.PI);
     pen.stroke();
-    const how = Number.isNaN(error) ? (found ? "no pose" : "not detected") : `${error.toFixed(error < 10 ? 1 : 0)} px off`;
+    const how = Number.isNaN(error) ? (found ? "no pose" : "not detected") : `${error.toFixed(error < 10 ? 1 : 0)} px from the pose`;
     label(pen, `${clip.keypoints[j]}: ${how}`, x + 14, Math.max(12, y - 12), wide);
     if (camera.notes[j]) label(pen, camera.notes[j], x + 14, Math.max(32, y + 8), wide);
   }

@@ -1,4 +1,4 @@
-// View: the pose in 3D. Turned, zoomed and moved by hand, by keys, or to a preset side.
+// View: the pose in 3D, which can be turned, zoomed and moved by hand or keys, or seen from preset sides.
 
 import { FONT, colours, gestures, penOf } from "./theme.js";
 
@@ -24,11 +24,9 @@ export class SceneView {
       else if (zooms) this.zoomBy(zooms);
       else return;
       event.preventDefault();
-      event.stopPropagation(); // arrows elsewhere step through the frames
+      event.stopPropagation(); // elsewhere, arrow keys step through the frames
     });
   }
-
-  // -- where it is seen from ------------------------------------------------------------------------------------------
 
   /** Look from the side, the front, above, or from where the camera stands. */
   preset(name) {
@@ -62,7 +60,7 @@ export class SceneView {
     return Math.atan2(y, x);
   }
 
-  /** Return whether the camera sees the animal run to the left; then the view from the side shows it so, too. */
+  /** Return whether the animal runs to the left in the camera's picture, as it then does in the view from the side. */
   seenFromLeft() {
     const pose = this.clip.cameraPose(this.cursor.camera, this.cursor.row), angle = this.heading();
     return pose !== null && Math.cos(angle) * pose.right[0] + Math.sin(angle) * pose.right[1] < -0.2;
@@ -109,8 +107,6 @@ export class SceneView {
     }
     return best;
   }
-
-  // -- drawing --------------------------------------------------------------------------------------------------------
 
   draw() {
     const { canvas, clip, cursor, show } = this;
@@ -204,7 +200,7 @@ export class SceneView {
     }
   }
 
-  /** Draw ellipses that contain a joint with 90 % probability, relative to the pose, from the factor of its covariance. */
+  /** Draw the ellipses that contain each joint, relative to the pose, with a probability of 90 %. */
   drawUncertainty(pen, paint) {
     const { clip, cursor } = this, { right, up, scale } = this.axes;
     const at = Math.min(Math.floor(cursor.row / clip.spreadEvery), clip.spread.length / 6 / clip.joints - 1);

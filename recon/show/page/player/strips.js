@@ -1,5 +1,5 @@
 // Views: strips over time under the pictures. All have one time axis, show the cursor, and move it when clicked.
-// What does not move is drawn once; the cursor is a line over it, so that scrubbing redraws nothing else.
+// The curves are drawn once. The cursor is a line over them, so that scrubbing redraws nothing else.
 import { FONT, colours, penOf } from "./theme.js";
 
 const DASHES = { left: [5, 3], right: [], middle: [] };
@@ -17,7 +17,7 @@ export class Strip {
     canvas.addEventListener("pointermove", (event) => { if (event.buttons && canvas.hasPointerCapture(event.pointerId)) scrub(event); });
   }
 
-  /** Return the width at the last drawing: asking the page is slow, and a curve has thousands of points. */
+  /** Return the width at the last drawing, because asking the page for it is slow and a curve has thousands of points. */
   get width() {
     return this.wide || this.canvas.clientWidth;
   }
@@ -39,7 +39,7 @@ export class Strip {
     return this.clip.rowOfFrame(frames[0] + share * span);
   }
 
-  /** Go to the frame that was clicked; some subclasses go to the beginning of the bar that was hit. */
+  /** Show the frame that was clicked; some subclasses show the first frame of the bar that was hit. */
   clicked(x) {
     this.cursor.go(this.rowAt(x));
   }
@@ -49,7 +49,7 @@ export class Strip {
     this.draw();
   }
 
-  /** Draw it if it is on the screen, and write its value; `always` for paper. */
+  /** Draw the strip if it is on the screen (or `always`, for paper), and write its value. */
   draw(always = false) {
     this.paint(always);
     this.write();
@@ -96,9 +96,9 @@ export class Strip {
 }
 
 const SIDES = ["left", "right", "middle"];
-const FILLED = 0.8; // share of a panel above which a band says only that the value is unknown
+const FILLED = 0.8; // fraction of a panel above which a band only shows that the value is unknown
 
-/** Return the unit after a number, as in all texts: no blank before a degree sign. */
+/** Return the unit as it follows a number, without a blank before a degree sign. */
 const unitOf = ({ unit }) => (unit === "°" ? unit : ` ${unit}`);
 
 /** Return the known values of a panel, their ends, and the range of its axis. */
@@ -182,7 +182,7 @@ export class CurveStrip extends Strip {
     }
   }
 
-  /** Return the points to draw, row and value; for a long clip, the least and the greatest in each half pixel. */
+  /** Return the points to draw as row and value; in a long clip, the least and the greatest in each half pixel. */
   thinned(values, wide) {
     const every = Math.floor(this.clip.count / (2 * wide)), points = [];
     if (every < 2) { values.forEach((value, row) => points.push([row, value])); return points; }
@@ -233,7 +233,7 @@ export function withBand(value, band) {
   return Number.isNaN(band) ? fixed(value, digits) : `${fixed(value, digits)} ± ${fixed(band, digits)}`;
 }
 
-/** Return a text of a number with a minus sign, as in the figures, in place of a hyphen. */
+/** Return a number's text with a minus sign instead of a hyphen, as in the figures. */
 function withMinus(text) {
   return text.replace("-", "\u2212");
 }
@@ -273,7 +273,7 @@ function errorPanel(camera, clip) {
   return { title: "median keypoint error", unit: "px", least: 0, curves: [{ side: "middle", values, band: null, measured: true }] };
 }
 
-/** Bars: when each foot stands. A click goes to the touch-down. */
+/** Bars of the stances of each foot. A click shows the touch-down. */
 export class FootStrip extends Strip {
   y(foot, high) {
     return 4 + (this.clip.feet.indexOf(foot) * (high - 8)) / this.clip.feet.length;
@@ -309,7 +309,7 @@ export class FootStrip extends Strip {
   }
 }
 
-/** Flagged frames, with a row for each flag. A click goes to the first frame of a run. */
+/** Flagged frames, with a row for each flag. A click shows the first frame of a run. */
 export class FlagStrip extends Strip {
   constructor(canvas, clip, cursor, output) {
     super(canvas, clip, cursor, output);

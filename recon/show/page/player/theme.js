@@ -7,7 +7,7 @@ export function colours(element) {
     "strong"].map((name) => [name, colour(name)]));
 }
 
-/** Colours on a picture of any brightness: those of the sides, drawn with a dark edge, and of marks. */
+/** Colours of the sides and of marks on a picture of any brightness, drawn with a dark edge. */
 export const ON_PICTURE = { left: "#56b4e9", right: "#e69f00", middle: "#2fc495", outlier: "#ff4d3d", ring: "#ffffff",
   shadow: "rgba(0,0,0,.75)", paper: "#12151b", doubt: "#ffc83c" };
 
@@ -23,7 +23,7 @@ export function penOf(canvas) {
 
 export const FONT = "12px system-ui, sans-serif";
 
-/** Write a text on a background that keeps it legible on any picture. */
+/** Write a text on a background, so that it is legible on any picture. */
 export function label(pen, text, x, y, wide, colour = "#fff") {
   pen.font = FONT;
   pen.textBaseline = "middle";
@@ -36,7 +36,7 @@ export function label(pen, text, x, y, wide, colour = "#fff") {
 
 /**
  * Let a canvas be dragged, pinched and zoomed. drag(dx, dy, pans), zoom(factor, x, y), hover(x, y) and leave() are called.
- * The wheel zooms when the canvas has the focus or Ctrl is held: otherwise it scrolls the page.
+ * The wheel zooms if the canvas has the focus or Ctrl is held. Otherwise it scrolls the page.
  */
 export function gestures(canvas, { drag, zoom, hover, leave, tap }) {
   const fingers = new Map();
