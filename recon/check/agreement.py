@@ -394,7 +394,7 @@ class _Sight:
 _Points = tuple[Array, Array]
 """Positions (T, J, 3) and their covariances (T, J, 3, 3); NaN if fewer than two rays meet."""
 _PointsOf = Callable[[tuple[_Sight, ...]], _Points]
-"""`_points`, which keeps its last results: several comparisons need the points of the same cameras."""
+"""Form of `_points` that keeps its last results, because several comparisons need the points of the same cameras."""
 
 
 def _shifted(values: Array, frames: float) -> Array:
@@ -717,7 +717,9 @@ def solve_time_offsets(
     unmatched = [name for name, frames in zip(names, search_result, strict=True) if np.isnan(frames)]
     if unmatched:
         expected = "30 or more points that this camera and another see together"
-        raise InputError(Problem("--set find-offsets", f"camera {name}", "too few", expected) for name in unmatched)
+        raise InputError(
+            Problem("--set find-offsets", f"camera {name}", "too few points in common", expected) for name in unmatched
+        )
     offsets = offsets + search_result
     sources = align_cameras(sources_apart, offsets.tolist())
     solution = solve(sources)
@@ -779,7 +781,7 @@ def why_not_refined(
 
 
 def pair_is_turned(refined: TrajectorySolution) -> bool:
-    """Return whether one of two refined cameras is turned by more than usual errors of calibrations."""
+    """Return whether one of two refined cameras is turned by more than twice the usual error of a calibration."""
     return bool(np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1).max() > 2.0 * constants.CALIBRATED_RAD)
 
 

@@ -43,7 +43,7 @@ class Roles:
     trunk: tuple[int, int] | None = None
     """Rear and front end of the trunk."""
     joints: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    """Joints of `[anatomy]`: the points above, at and below each joint."""
+    """Points above, at and below each joint of the skeleton's section `[anatomy]`, by the joint's name."""
     limbs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     bones_m: Mapping[tuple[int, int], float] = field(default_factory=dict)
     """Distances between successive points of the limbs in the skeleton's expected pose, by pair."""

@@ -63,7 +63,7 @@ TAILS = 3.0
 TESTED_S = 1.0
 """Seconds of a clip that are tested at once."""
 TRIANGULATED_S = 4.0
-"""Seconds of a clip, approximately, that are triangulated at once; enough to estimate the noise of each keypoint."""
+"""Approximate number of seconds that are triangulated at once; enough to estimate the noise of each keypoint."""
 LOOSE = 2.0
 """Factor on the noise for a fit in which a keypoint may belong to either side."""
 
@@ -543,7 +543,7 @@ SPEEDS = 1.25
 An animal that stands or turns therefore does not count as slow motion.
 """
 FAR = 1.5
-"""Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.
+"""Factor from which a different frame rate is an error, because speeds are wrong by this factor for any poses.
 
 Below it, a different rate is at most a warning unless poses or positions change as well. Animals that turn swing their
 legs 1.45 times slower than animals that run straight ahead.
@@ -595,7 +595,7 @@ def frame_rate_finding(
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
-    if not 1 / FAR < factor < FAR:  # speeds are wrong by this factor, whatever the pose is
+    if not 1 / FAR < factor < FAR:  # speeds are wrong by this factor for any pose
         return item
     return by_effect(item, trunk_m, is_gross=True)
 

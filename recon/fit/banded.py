@@ -119,7 +119,9 @@ class Window:
         See `_Factor.unwhiten`.
         """
         if len(white) != self.rows_with_following.stop - self.rows.start:
-            raise ValueError(f"{len(white)} frames for the rows {self.rows_with_following}")
+            raise ValueError(
+                f"white has {len(white)} frames, which are not those of the rows {self.rows_with_following}"
+            )
         n = len(self.whitened)
         return self._unwhiten(white[:n], white[n:])
 

@@ -183,12 +183,12 @@ NOISE_ROUNDS = 3
 A fast fit has one round.
 """
 TOLERANCE = 1e-5
-"""Relative decrease of the cost, expected of the next step, at which the search ends; ten times as large in a fast fit.
+"""Relative decrease of the cost that the next step must be expected to bring; otherwise the search ends.
 
-Joints of five real runs are then 0.01 to 0.02 standard deviations (root mean square) from those of a search with 1e-7.
+A fast fit uses ten times this value. Joints of five real runs are then 0.01 to 0.02 standard deviations (root mean
+square) from those of a search with 1e-7.
 """
 ROUGH_TOLERANCE = 1e-3
-"""The same in rounds before the last one, from which only the noise, the contacts and the shape's spread are estimated.
-"""
+"""The same tolerance in rounds before the last one, which only serve to estimate noise, contacts and shape spread."""
 MAX_ITERATIONS = 30
 """Largest number of iterations of one search."""

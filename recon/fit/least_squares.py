@@ -230,9 +230,9 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum reached from a start.
 
-        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps
-        it also stops if the next one is expected to do so: the decreases fall at least as fast as from the last but one
-        to the last.
+        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps,
+        the search also stops if the decrease that is expected of the next step, from the ratio of the last two
+        decreases, is that small.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
@@ -252,7 +252,7 @@ class LeastSquares:
     def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, bool, float]:
         """Return a point of lower cost along a damped step, whether it is the whole step or more, and the next damping.
 
-        The point is None if there is none. Decreases below `enough` are not searched for.
+        The point is None if there is none. The method does not search for decreases below `enough`.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:

@@ -247,7 +247,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         if self.keypoints.fps is None:
-            raise ValueError("keypoints without a frame rate")
+            raise ValueError("the keypoints have no frame rate")
         expected = self.body.keypoint_names(self.side)
         if self.keypoints.names != expected:
             raise ValueError(f"keypoints {self.keypoints.names} are not those of the joints {expected}")

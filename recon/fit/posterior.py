@@ -329,7 +329,7 @@ def _with_reestimated_noise(
 
 
 def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
-    """Return the problem with the variance of all detections times a factor."""
+    """Return the problem with the variance of all detections multiplied by a factor."""
     reprojections = [
         replace(term, view=replace(term.view, confidence=term.view.confidence / factor))
         for term in problem.terms
@@ -359,7 +359,7 @@ class _EquationsByNoise:
         return cls(problem.normal(estimate.states, shared), undetected.normal(estimate.states, shared))
 
     def normal(self, factor: float) -> Normal | None:
-        """Return the normal equations with the variance of all detections times a factor."""
+        """Return the normal equations with the variance of all detections multiplied by a factor."""
         whole, undetected = self.whole, self.undetected
         if whole is None or undetected is None:
             return None

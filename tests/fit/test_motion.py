@@ -208,7 +208,7 @@ def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):
         with_first(small_trajectory, keypoints=small_motion.keypoints)
     with pytest.raises(ValueError, match="are not those of the joints"):
         replace(small_motion, side="left")
-    with pytest.raises(ValueError, match="without a frame rate"):
+    with pytest.raises(ValueError, match="no frame rate"):
         with_first(small_motion, keypoints=replace(small_motion.keypoints, fps=None))
 
 
