@@ -1,4 +1,4 @@
-"""An animal on a treadmill: the finding at any speed, and speeds, strides and forces over the belt."""
+"""Test an animal on a treadmill: the finding at any speed, and speeds, strides and forces relative to the belt."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fitted(whole_results) -> Motion:
 
 
 def on_treadmill(fitted: Motion, gait: SteadyGait) -> tuple[Motion, Motion]:
-    """The same animal over ground and on a treadmill at the gait's speed."""
+    """Return the same animal over ground, and on a treadmill at the speed of the gait."""
     fps = len(fitted.frames) / (3.5 * gait.stride_s)
     over_ground = with_exact_states(fitted, gait.states(fitted.body, fitted.frames / fps), fps)
     path_m = belt_path_m(over_ground.solution, over_ground.time_s, -gait.speed_m_s)
@@ -73,7 +73,10 @@ def test_the_belt_is_given_once_and_the_verdict_says_where(fitted):
 
 
 def test_the_solve_over_the_belt_begins_at_the_poses_on_it(fitted, monkeypatch):
-    """From the beginning, a dog's runs and a slow walk ended at poses that do not explain the detections."""
+    """The solve on the belt starts from the first poses.
+
+    If it started again, a dog's runs and a slow walk would end at poses that do not explain the detections.
+    """
     begun = []
 
     def solve(views, *_, start=None):

@@ -1,4 +1,4 @@
-"""Centre of mass, energy and forces: against what is known of them without the code that makes them."""
+"""Test centre of mass, energy and forces against values that are known without the tested code."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(f
     known, quarter_s = gait.stances[i], gait.stances[i].duration_s / 4
 
     def first_force(stance: Stance) -> StanceForce:
-        """Return the first of the forces, with this stance in place of the known one."""
+        """Return the first of the forces, with this stance instead of the known one."""
         stance_forces, _ = _forces(replace(gait, stances=(*gait.stances[:i], stance, *gait.stances[i + 1 :])))
         return stance_forces[0]
 

@@ -1,4 +1,4 @@
-"""The boundaries of strides by a chain's end effector."""
+"""Test the boundaries of strides by a chain's end effector."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STRIDES_HZ = 3.0
 
 
 def swing(wobble_m: float = 0.0):
-    """A foot that swings 0.5 m either way about a body that runs along y."""
+    """Return a foot that swings 0.5 m to and fro about a body that runs along y."""
     body = np.stack([0 * TIME_S, 10.0 * TIME_S, 0 * TIME_S + 0.7], axis=1)
     forward = -0.5 * np.cos(2 * np.pi * STRIDES_HZ * (TIME_S - 0.1)) + wobble_m * np.sin(2 * np.pi * 20 * TIME_S)
     up = -0.6 + 0.1 * np.sin(2 * np.pi * STRIDES_HZ * (TIME_S - 0.1))

@@ -1,4 +1,4 @@
-"""Metrics of a reconstruction against the truth."""
+"""Test the errors of a reconstruction against the truth."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ def test_the_truth_itself_has_no_error():
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("fps", [25.0, 60.0, 200.0])
 def test_a_reference_of_another_frame_rate(fps, first):
-    """It is compared at the same times; a point between a known and an unknown one is unknown. TRC counts from 1."""
+    """A reference of another frame rate is compared at the same times.
+
+    A point between a known and an unknown one is unknown. TRC counts frames from 1.
+    """
     start, speed = RNG.normal(0, 0.5, (6, 3)), RNG.normal(0, 1, (6, 3))
 
     def run_at(fps: float) -> Pose3D:
@@ -213,7 +216,11 @@ def test_to_dict_is_json_in_millimetres():
 
 
 def test_stated_doubt_is_compared_with_the_errors():
-    """Intervals of 50 and 90 % are 0.60 and 1.60 standard deviations; an error that all joints share is the place's."""
+    """Stated uncertainty is compared with the errors.
+
+    Intervals of 50 and 90 % are 0.60 and 1.60 standard deviations; an error that all joints share is that of the
+    position.
+    """
     off = np.zeros(TRUTH.shape)
     off[:, :, 0], off[:, :, 1], off[:, :, 2] = 0.05, 0.11, 0.17
     sigma = np.full(TRUTH.shape, 0.1)
@@ -243,7 +250,7 @@ TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
     ],
 )
 def test_what_is_probably_wrong(change, code, number):
-    """One change of the whole clip on top of a fit's own errors, and a joint that is missing here and there."""
+    """A fault of the reference is named: one change of the whole clip, besides errors and missing joints."""
     fit = RUN + RNG.normal(0, 0.03, RUN.shape)
     fit[1, 4] = NAN
     assert evaluate(pose(fit, NAMES), pose(RUN, NAMES)).notes == ()
@@ -255,7 +262,10 @@ def test_what_is_probably_wrong(change, code, number):
 
 
 def test_poor_fits_and_depths_are_no_mistakes():
-    """Errors of every frame's own, a place that is 1 m off, and an animal that is 20 % too large."""
+    """Poor fits and wrong depths are not taken for faults of the reference.
+
+    Each frame has its own errors, a position is 1 m off, or an animal is 20 % too large.
+    """
     turns = Rotation.from_rotvec(RNG.normal(0, 0.1, (4, 3))).as_matrix()
     turned = np.einsum("tij,tkj->tki", turns, RUN - RUN.mean(axis=1, keepdims=True))
     for fit in (RUN + RNG.normal(0, 0.1, RUN.shape), RUN + np.array([0.0, 1.0, 0.0]), turned, 1.2 * RUN):
@@ -268,7 +278,7 @@ def test_another_clip():
 
 
 def test_a_result_folder(whole_results, level_results, tmp_path):
-    """The same clip in the world's frame and, without a calibration, in the camera's."""
+    """A folder of results is compared in the frame of the world and, without a calibration, of the camera."""
     truth = SAMPLES / "whole_truth.csv"
     found = evaluate_files(whole_results, truth)
     of_table = evaluate_files(whole_results / "pose3d.csv", truth)  # which says nothing of its uncertainty
@@ -287,7 +297,7 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
 
 
 def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
-    """As TRC files and plain tables of other programs do."""
+    """A reference that counts frames from 1 and states no unit and no up axis is read, as TRC and plain tables are."""
     pose = read_pose3d(SAMPLES / "whole_truth.csv")
     pose = replace(pose, frames=pose.frames - pose.frames[0], fps=60.0)
     write_trc(pose, tmp_path / "pose.trc")

@@ -1,4 +1,4 @@
-"""Joint angles by anatomy: their signs, their curves over the stride, their bands, and what skeleton files may say."""
+"""Test joint angles by anatomy: signs, curves over the stride, bands, and the table in skeleton files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def fitted(whole_results) -> Motion:
 
 
 def states(**angles: float) -> np.ndarray:
-    """One state of the cheetah with all angles 0 but these."""
+    """Return one state of the cheetah with all angles 0 except these."""
     row = np.zeros(len(BODY.state_names))
     for name, angle in angles.items():
         row[BODY.state_names.index(name)] = angle
@@ -60,7 +60,10 @@ def test_every_built_in_skeleton_has_an_anatomy(name):
     ],
 )
 def test_a_straight_joint_has_0_degrees_and_flexes_to_its_own_side(joint, angle):
-    """A positive pitch turns what hangs down backwards, and the front of what lies ahead down."""
+    """A straight joint has 0 degrees and flexes to its own side.
+
+    A positive pitch turns what hangs down backwards, and lowers the front of what lies ahead.
+    """
     if joint in ("right_carpus", "right_hock"):  # the markers above the others are not on the bone's axis
         assert of(joint, states()) == pytest.approx(0.0, abs=1e-6)
     sign = FLEXES_CAUDALLY[joint.split("_")[-1]]
@@ -141,7 +144,7 @@ def test_tables_have_every_frame_and_every_percent(fitted):
 
 
 def test_without_a_stride_a_table_has_its_columns(fitted):
-    """So that programs which read it find them."""
+    """A table without a stride still has its columns, so that programs find them."""
     empty = SimpleNamespace(flexion_curves=(), fields={})
     assert [*joint_flexion_stride(empty)] == [*joint_flexion_stride(ClipAnalysis(fitted))]
     assert [*vector_field(empty)] == [*vector_field(ClipAnalysis(fitted))]

@@ -1,4 +1,4 @@
-"""Stances, strides and names of gaits against simulated motion with known footfalls, and on real runs."""
+"""Test stances, strides and names of gaits on simulated motion with known footfalls and on real runs."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def runner(
     slope: float = 0.05,
     height_m: float = -0.4,
 ) -> Pose3D:
-    """Feet that stand still for `duty` of a stride and swing forwards smoothly otherwise, on sloping ground.
+    """Return feet that stand for `duty` of a stride and then swing forwards smoothly, on sloping ground.
 
-    Phase: of each foot's touchdown. The swing's speed is half a sine.
+    phase: of each foot's touch-down. The speed of the swing is half a sine.
     """
     t = np.arange(n) / FPS
     step = speed_m_s * stride_s
@@ -105,7 +105,7 @@ def test_footfall_order():
 
 
 def test_events_of_still_feet():
-    """Stances enclose the times of standing still, tightly."""
+    """Stances enclose the times in which feet stand still, tightly."""
     phase, duty = PATTERNS["trot"]
     moved = pose_tracks(runner(phase, duty), FPS)
     whole = [s for s in stances(moved) if s.begins and s.ends and s.foot == "LF"]
@@ -134,7 +134,7 @@ def test_ground_is_found_where_it_lies():
 
 
 def test_every_spell_has_its_own_ground():
-    """The animal comes back 0.3 m lower, which is nearly half a leg: its stances are what they are without that."""
+    """Every segment has its own ground: the animal comes back 0.3 m lower, nearly half a leg, with the same stances."""
     whole = runner(*PATTERNS["trot"])
     n = len(whole.frames)
     first, second = slice(0, n // 2 - 10), slice(n // 2 + 10, n)
@@ -162,7 +162,7 @@ def test_default_feet_are_the_cheetahs():
 
 
 def test_stances_of_the_simulated_gallop():
-    """At 90 fps, against the slow phases of the formula at 3600 fps, within one frame."""
+    """Stances of the simulated gallop at 90 fps are those of the formula at 3600 fps, within one frame."""
     moved = pose_tracks(simulated(90.0, 90), 90.0)
     truth = simulated(3600.0, 3560)
     where = {name: i for i, name in enumerate(truth.names)}
@@ -182,7 +182,7 @@ def test_stances_of_the_simulated_gallop():
 
 
 def test_the_simulated_gallop_is_transverse():
-    """The far leg follows the near one by 0.08 of a stride behind and 0.11 in front: the same side leads."""
+    """The simulated gallop is transverse: the same side leads behind (by 0.08 of a stride) and in front (0.11)."""
     found = gait(pose_tracks(simulated(90.0, 90), 90.0))
     assert found.name.name == "transverse gallop"
     assert (found.name.phase["LH"] - found.name.phase["RH"]) % 1 == pytest.approx(0.08, abs=0.01)
@@ -275,7 +275,7 @@ def test_only_complete_strides_count():
 
 @pytest.mark.parametrize("name", PATTERNS)
 def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
-    """Windows of 0.33 and 0.42 s of strides of 0.4 s."""
+    """Gaits in less than a stride are named correctly or not at all: 0.33 and 0.42 s of strides of 0.4 s."""
     whole, names = runner(*PATTERNS[name]), set()
     for first in range(30, 66, 4):
         for n in (30, 38):
@@ -291,7 +291,7 @@ def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
 
 
 def test_a_stride_across_standing_still_is_none():
-    """The animal stops for a second while all its feet stand, and goes on."""
+    """A stride across standing still does not count: the animal stops on all feet for a second."""
     pose, at = runner(PATTERNS["trot"][0], 0.65), 56
     assert np.ptp(pose.xyz_m[at - 1 : at + 2, :4], axis=0).max() < 1e-9
     stops = np.concatenate([pose.xyz_m[:at], np.repeat(pose.xyz_m[at : at + 1], 90, axis=0), pose.xyz_m[at:]])
@@ -334,7 +334,10 @@ def test_the_foot_that_lands_second_leads():
 
 @pytest.mark.parametrize(("duty", "name"), [(0.45, "transverse gallop"), (0.7, "unknown")])
 def test_feet_that_stand_longer_than_half_a_stride_do_not_gallop(duty, name):
-    """Without a complete stride: uncertain phases of a walking horse looked like those of a gallop."""
+    """Feet that stand longer than half a stride do not gallop.
+
+    Without a complete stride, uncertain phases of a walking horse looked like those of a gallop.
+    """
     phases = PATTERNS["transverse gallop"][0]
     all_stances = [Stance(foot, p, p + duty, 30 * p, 30 * (p + duty), ends=p < 0.5) for foot, p in phases.items()]
     all_stances.append(Stance("LH", 0.95, 1.0, 28.5, 30.0, ends=False))  # the clip cuts it
@@ -371,7 +374,10 @@ def test_the_period_of_less_than_a_stride_is_told(name, share):
 
 
 def test_half_a_stance_is_no_stride_in_a_clip_without_others():
-    """A foot that seems to slide for a moment has one stride of a fraction of the motion's period."""
+    """Half a stance is not a stride in a clip without other strides.
+
+    A foot that seems to slide for a moment would have a stride of a fraction of the motion's period.
+    """
     phase, duty = PATTERNS["trot"]
     pose, t = runner(phase, duty), np.arange(150) / FPS
     xyz, foot = pose.xyz_m.copy(), NAMES.index(FEET["RF"])
@@ -385,8 +391,11 @@ def test_half_a_stance_is_no_stride_in_a_clip_without_others():
 
 
 def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
-    """A foot that is seen in the air in one of its stances has no stride of twice the time, and one that seems to slide
-    for a moment in another has no half ones, also where the other feet are not seen yet."""
+    """Strides with a stance too few or too many do not count.
+
+    A foot that is seen in the air during a stance would have a stride of twice the time, and a foot that seems to slide
+    during a stance would have two short ones. This also holds if the other feet are not seen yet.
+    """
     phase, duty = PATTERNS["trot"]
     pose, t = runner(phase, duty), np.arange(150) / FPS
     xyz, foot = pose.xyz_m.copy(), NAMES.index(FEET["RF"])
@@ -427,7 +436,10 @@ def test_bad_input():
 
 
 def test_stances_are_those_of_the_force_plates(shared_data: Path):
-    """Reconstructions of several cameras at 200 Hz have every stance, touch-downs to two frames, lift-offs to four."""
+    """Stances are those of the force plates: all are found, touch-downs to two frames, lift-offs to four.
+
+    The reconstructions come from several cameras at 200 Hz.
+    """
     folders = sorted(p.parent for p in (shared_data / "plate-trials").glob("*/stances.csv"))
     if not folders:
         pytest.skip("no plate trials")
@@ -442,7 +454,7 @@ def test_stances_are_those_of_the_force_plates(shared_data: Path):
 
 
 def test_a_walking_dog_walks(shared_data: Path):
-    """At a walk a dog's foot stands 55 to 65 % of the time, whatever the speed that the body has."""
+    """A foot of a walking dog stands for 55 to 65 % of the time, at any speed of the body."""
     folder = shared_data / "dog-mocap"
     if not folder.is_dir():
         pytest.skip("no dog")
@@ -461,7 +473,7 @@ def test_a_walking_dog_walks(shared_data: Path):
 
 @pytest.mark.slow
 def test_a_led_horse_walks(shared_data: Path):
-    """Its labels were set by hand, and the skeleton is only roughly this horse's."""
+    """A led horse walks, although its labels were set by hand and the skeleton fits it only roughly."""
     labels = shared_data / "horse-side" / "CollectedData_Byron.csv"
     given = FitSettings(keypoints=(labels,), skeleton="horse-22", fps=24.0, hfov_deg=50.0, image_size_px=(288, 162))
     motion = fit_clip(given)

@@ -1,4 +1,4 @@
-"""Velocities, accelerations and joint angles against motions known in closed form."""
+"""Test velocities, accelerations and joint angles against motions known in closed form."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ TIME_S = np.arange(60) / FPS
 
 
 def circle(time_s: np.ndarray) -> np.ndarray:
-    """Radius 2 m, 1.5 rad/s: 3 m/s, 4.5 m/s^2."""
+    """Return a circle of radius 2 m at 1.5 rad/s: 3 m/s, 4.5 m/s^2."""
     return 2.0 * np.stack([np.cos(1.5 * time_s), np.sin(1.5 * time_s), 0 * time_s], axis=1)
 
 
 def parabola(time_s: np.ndarray) -> np.ndarray:
-    """Thrown at (4, 0, 3) m/s, falling with 9.81 m/s^2."""
+    """Return a parabola: thrown at (4, 0, 3) m/s, falling with 9.81 m/s^2."""
     return np.stack([4 * time_s, 0 * time_s, 3 * time_s - 0.5 * 9.81 * time_s**2], axis=1)
 
 
@@ -109,7 +109,7 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
 
 
 def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
-    """Worked out in pieces, against the operator on all values at once; errors add up, and one lasts."""
+    """Deviations of a long clip, computed in pieces, are those of the whole spline; errors add up, and one lasts."""
     rng = np.random.default_rng(1)
     time_s = np.arange(450) / FPS
     errors = [Errors(rng.uniform(0.01, 0.02, (450, 1))), Errors(rng.uniform(0.1, 0.2, (450, 1)), 0.1)]
@@ -126,7 +126,7 @@ def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
 
 
 def test_deviations_of_an_exact_spline_in_numbers():
-    """What the module says: 1.2 s fps and 6 s fps^2 at frames, and how much worse the ends are."""
+    """Deviations of an exact spline are 1.2 s fps and 6 s fps^2 at frames, and larger at the ends, as stated."""
     moved = series_kinematics(TIME_S, circle(TIME_S), [Errors(np.full((60, 3), 0.01))])
     rate, acceleration = moved.rate_sigma[::10, 0], moved.acceleration_sigma[::10, 0]
     assert rate[30] == pytest.approx(1.2 * 0.01 * FPS, rel=0.03)
@@ -154,7 +154,7 @@ def test_smoothing_a_straight_line_gives_a_straight_line():
 
 
 def test_a_cosine_angle():
-    """0.8 + 0.5 cos(6 t) rad, both ends of its swing reached."""
+    """An angle of 0.8 + 0.5 cos(6 t) rad has its range and its rate, with both ends of its swing reached."""
     time_s = np.arange(120) / 60
     angle = angle_kinematics(time_s, 0.8 + 0.5 * np.cos(6 * time_s))
     np.testing.assert_allclose(angle.series.rate[20:-20, 0], -3.0 * np.sin(6 * angle.series.time_s[20:-20]), atol=1e-3)
@@ -165,7 +165,10 @@ def test_a_cosine_angle():
 
 
 def test_a_joint_that_goes_on_through_a_straight_line_has_no_peak_there():
-    """A link that turns on by 5 rad/s, from bent to one side to bent to the other: the angle between 0 and pi folds."""
+    """A joint that passes through a straight line has no peak there.
+
+    A link turns at 5 rad/s from one side to the other, and the angle between 0 and pi folds.
+    """
     turn = np.linspace(-1.0, 1.0, 25)
     tip = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
     pose = Pose3D(("a", "b", "c"), np.stack([0 * tip - [1, 0, 0], 0 * tip, tip], axis=1), np.arange(25))
@@ -183,7 +186,7 @@ def test_an_angle_that_turns_round_does_not_jump():
 
 
 def leg(bend_rad: np.ndarray) -> Pose3D:
-    """Hip, knee, foot with a knee angle of bend; links of 1 m, in a tilted plane."""
+    """Return hip, knee and foot with a knee angle of `bend`; links of 1 m, in a tilted plane."""
     hip, knee = np.zeros((len(bend_rad), 3)), np.tile([0.0, 0.6, -0.8], (len(bend_rad), 1))
     across = np.array([1.0, 0.0, 0.0])
     foot = knee + np.cos(bend_rad)[:, None] * (hip - knee) + np.sin(bend_rad)[:, None] * across
@@ -225,7 +228,7 @@ def test_spine_flexion_is_positive_when_arched_up(heading):
 
 
 def test_peak_speed_of_the_simulated_gallop():
-    """Every joint at 90 fps against the formula's own speed, from central differences of 3600 fps."""
+    """The peak speed of every joint of the simulated gallop at 90 fps is that of the formula at 3600 fps."""
     fine = gallop(fps=3600.0, n_frames=3600)
     coarse = gallop(fps=90.0, n_frames=90)
     true = np.linalg.norm(fine.truth_m[2:] - fine.truth_m[:-2], axis=2) * 1800

@@ -1,4 +1,4 @@
-"""The mixed model of animals, runs and strides, and the plan of an experiment."""
+"""Test the mixed model of animals, runs and strides, and the plan of an experiment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Speed, acceleration and distance of a path against motions known in closed form."""
+"""Test speed, acceleration and distance of a path against motions known in closed form."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ DIRECTION = np.array([2.0, -1.0, 2.0]) / 3.0
 
 
 def straight(time_s: np.ndarray) -> np.ndarray:
-    """Starts at 5 m/s, accelerates with 4 m/s^2."""
+    """Return a straight path that starts at 5 m/s and accelerates at 4 m/s^2."""
     return (5.0 * time_s + 2.0 * time_s**2)[:, None] * DIRECTION + [1.0, 2.0, 3.0]
 
 
 def circle(time_s: np.ndarray) -> np.ndarray:
-    """Radius 2 m, 1.5 rad/s."""
+    """Return a circle of radius 2 m at 1.5 rad/s."""
     return 2.0 * np.stack([np.cos(1.5 * time_s), np.sin(1.5 * time_s), 0 * time_s], axis=1)
 
 
@@ -54,7 +54,11 @@ def test_accelerated_straight_motion_is_exact():
 
 @pytest.mark.slow
 def test_a_peak_that_is_the_jitters_is_known_to_be_uncertain():
-    """In straight runs that jitter in depth a peak known to a tenth is right to one, and most of those are known."""
+    """A peak that jitter causes is uncertain.
+
+    In straight runs that jitter in depth, a peak known to a tenth is right to a tenth, and most peaks of that kind are
+    known.
+    """
     rng, true = np.random.default_rng(0), 5 + 4 * TIME_S[-1]
     known, unknown = [], []
     for depth_m in (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) * 8:
@@ -90,7 +94,7 @@ def test_a_spline_needs_four_finite_values_at_increasing_times(t, values):
 
 @pytest.mark.parametrize("points", [4, 5, 6, 60])
 def test_the_spline_of_a_path_is_scipys(points):
-    """With gaps of the longest kind that is bridged."""
+    """The spline of a path is scipy's, with gaps of the longest bridged duration."""
     rng = np.random.default_rng(points)
     time_s = np.cumsum(rng.choice([1 / 120, 1 / 60, 0.19], points))
     path = rng.normal(size=(points, 3))
@@ -204,7 +208,10 @@ def test_times_must_increase():
 
 
 def test_errors_that_last_are_in_the_deviations_of_speeds():
-    """Noise that each frame takes over in part from the one before, as a method does that starts there."""
+    """Errors that last are part of the deviations of speeds.
+
+    The noise of each frame partly continues that of the frame before, as in a method that starts from it.
+    """
     rng, points = np.random.default_rng(3), np.zeros((120, 3))
     points[:, 0] = 12 * np.arange(120) / 90
     noise = rng.normal(0, 0.05, points.shape)

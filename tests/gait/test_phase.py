@@ -1,4 +1,4 @@
-"""Vector fields of links, phase portraits and degrees of closure."""
+"""Test vector fields of links, phase portraits and degrees of closure."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TIME_S = np.arange(90) / FPS
 
 
 def chain(angles: list[np.ndarray], lengths: list[np.ndarray], heading: float, place: np.ndarray) -> np.ndarray:
-    """Links at inclinations (T,) to the level, upwards positive, of lengths (T,), from a moving place (T, 3)."""
+    """Return a chain of links of these lengths and inclinations (T,) above the level, from a moving point (T, 3)."""
     ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
     joints = [place]
     for angle, length in zip(angles, lengths, strict=True):
@@ -37,7 +37,7 @@ def chain(angles: list[np.ndarray], lengths: list[np.ndarray], heading: float, p
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 def test_a_rotating_link(heading):
-    """Whatever the parent does, the tip of a rigid link of 0.3 m that turns at w relative to it moves at 0.3 |w|."""
+    """The tip of a rigid link of 0.3 m that turns at w moves at 0.3 |w|, for any motion of the parent."""
     parent = -1.2 + 0.8 * np.sin(9 * TIME_S)
     relative = 0.4 + 0.5 * np.sin(6 * TIME_S)
     rate = 3.0 * np.cos(6 * TIME_S)
@@ -106,9 +106,11 @@ def test_a_parent_across_the_travel_has_no_frame():
 
 
 def test_closure_of_a_full_and_of_a_half_turn():
-    """0.3 cos(w t), a turn in 72 frames. Half a turn from the least to the greatest angle, in the scaled plane, runs
-    from (0, 0) to (1, 0) over the half ellipse (u, 2 sqrt(u (1 - u))), whose farthest point from an end is at u = 2/3:
-    d_max = sqrt(4/9 + 8/9)."""
+    """The closures of a full and of half a turn of 0.3 cos(w t), 72 frames, are those by hand.
+
+    Half a turn from the least to the greatest angle, in the scaled plane, runs from (0, 0) to (1, 0) over the half
+    ellipse (u, 2 sqrt(u (1 - u))), whose farthest point from an end is at u = 2/3: d_max = sqrt(4/9 + 8/9).
+    """
     angle = angle_kinematics(TIME_S, 0.3 * np.cos(2 * np.pi * 1.25 * TIME_S))
     full, half = (closure(phase_portrait(angle, a / FPS, b / FPS)) for a, b in ((5, 77), (36, 72)))
     assert full.angle == pytest.approx(100.0, abs=0.01)
@@ -118,8 +120,11 @@ def test_closure_of_a_full_and_of_a_half_turn():
 
 
 def test_deviation_of_a_closure_by_hand():
-    """A full turn whose ends err on their own, each by sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
-    and the deviation of |n| is that of n times sqrt(1 - 2 / pi)."""
+    """The deviation of a closure is that by hand.
+
+    The ends of a full turn have independent errors of sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
+    and the deviation of |n| is that of n times sqrt(1 - 2 / pi).
+    """
     sigma, error_time_s = 0.006, 0.05
     time_s = np.linspace(0.0, 0.8, 201)
     turn = 2 * np.pi * time_s / 0.8
@@ -131,7 +136,7 @@ def test_deviation_of_a_closure_by_hand():
 
 
 def test_deviations_of_a_link_that_turns():
-    """Turned about the joint by 2 rad/s, known to 0.1: the speed errs by the length times that, its radius not."""
+    """A link that turns at 2 ± 0.1 rad/s has a speed with the error of its length times 0.1, and an exact radius."""
     angle = 0.5 + 2.0 * TIME_S
     tip = 0.4 * np.column_stack([np.cos(angle), np.zeros(90), np.sin(angle)])
     joints = np.stack([np.tile([-1.0, 0, 0], (90, 1)), np.zeros((90, 3)), tip], axis=1)

@@ -1,4 +1,4 @@
-"""Quantities of a gait: one value with one interval everywhere, by footfalls or by the period of the motion."""
+"""Test quantities of a gait: one value with one interval everywhere, by footfalls or by the period of the motion."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def make_camera(lens: str, **pose) -> Camera:
 
 
 def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Pixels of points in the camera frame from OpenCV, whose radial-tangential projection ignores the skew."""
+    """Return pixels of points in the camera frame from OpenCV, whose radial-tangential projection ignores the skew."""
     if camera.model not in ("pinhole", "radtan", "fisheye"):
         pytest.skip("OpenCV has no such lens")
     skew = camera.matrix[0, 1]
@@ -63,7 +63,7 @@ class TestEveryLens:
 
     @pytest.fixture
     def points(self, camera, rng):
-        """200 points all over the lens's range, up to 65 degrees off the axis and clear of its edge."""
+        """Return 200 points all over the lens's range, up to 65 degrees off the axis and clear of its edge."""
         widest = min(0.9 * np.arctan(camera.lens.max_radius), np.deg2rad(65))
         angle, around = rng.uniform(0, widest, 200), rng.uniform(-np.pi, np.pi, 200)
         direction = np.stack((np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1)
@@ -180,7 +180,10 @@ def test_rational_lens_ends_at_its_pole():
 
 
 def test_tangential_distortion_folds_before_the_radial_limit():
-    """Where the true map folds, the point is invalid although its radius is below the limit, and so is its ray."""
+    """Tangential distortion folds before the radial limit.
+
+    Where the true map folds, the point and its ray are invalid although the radius is below the limit.
+    """
     camera = make_camera("radtan 5")
     around = np.linspace(-np.pi, np.pi, 400)
     radius = 0.999 * camera.lens.max_radius
@@ -250,7 +253,7 @@ def test_up_follows_the_world_only_where_its_z_points_up():
 
 @pytest.mark.parametrize("tilt", [0.2, np.pi / 2])
 def test_a_camera_without_a_pose_may_look_down_by_a_known_angle(tilt):
-    """Also straight down, as from a drone."""
+    """A camera without a pose may look down by a known angle, also straight down, as from a drone."""
     camera = make_camera("pinhole", tilt_rad=tilt)
     # The same camera in a world: its axis, level at first, is lowered about its x axis.
     level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -325,7 +328,10 @@ def test_a_pickle_is_the_same(posed):
 
 
 def test_points_that_no_detector_can_have_found_are_not_seen():
-    """A picture's size outside the picture is the limit, and the lens's range; no size of a number is too much."""
+    """Points that no detector can have found are not seen.
+
+    The limits are one size of the picture outside the picture, and the range of the lens; huge numbers cause no error.
+    """
     wide = Camera.from_hfov(60.0, (1920, 1080))
     points = np.array(
         [[0, 0], [-1900, 500], [-1930, 500], [3830, 500], [500, 2170], [np.nan, 1], [1e300, 1], [1, -np.inf]],

@@ -1,4 +1,4 @@
-"""Trees of segments: poses by hand, exact derivatives for every kind of joint, rigidity."""
+"""Test trees of segments: poses by hand, exact derivatives for every kind of joint, rigidity."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Seg
 
 
 def tree(*joints: Joint) -> Tree:
-    """A root, one segment per joint, each on the one before, and a branch off the root; a marker on each of them."""
+    """Return a tree of a root, a segment for each joint, each on the one before, and a branch, with markers on all."""
     names = ["root", *(f"s{i}" for i in range(len(joints)))]
     offset = (0.3, 0.1, -0.2)
     chain = [Segment(n, p, j, offset) for n, p, j in zip(names[1:], names, joints, strict=False)]
@@ -55,7 +55,7 @@ def test_jacobian_against_central_differences(some_tree: Tree):
 
 
 def test_frames_are_rotations_and_segments_keep_their_lengths(some_tree: Tree):
-    """A marker on each segment's origin: its distance from the parent's is the offset's length times the size."""
+    """Frames are rotations, and segments keep their lengths: the offset's length times the size."""
     origins = Tree(some_tree.segments, tuple(Marker(s.name, s.name) for s in some_tree.segments))
     states, sizes = states_and_sizes(some_tree, 20)
     R = some_tree.orientations(states)
@@ -70,7 +70,7 @@ def test_frames_are_rotations_and_segments_keep_their_lengths(some_tree: Tree):
 
 
 def test_a_pose_by_hand():
-    """x forwards, y left, z up: yaw turns to the left, pitch lowers the front, roll lowers the right side."""
+    """A pose by hand: yaw turns to the left, pitch lowers the front, roll lowers the right side."""
     root = Tree(
         (Segment("root", None, "free"),), tuple(Marker("xyz"[i], "root", tuple(np.eye(3)[i])) for i in range(3))
     )
@@ -120,7 +120,7 @@ def test_names_of_the_state():
 
 
 def test_many_frames_and_none(some_tree: Tree):
-    """Frames do not depend on each other, however many are posed at once."""
+    """Many frames are posed like single ones, and no frames give empty arrays."""
     states, sizes = states_and_sizes(some_tree, 150)
     many, one = some_tree.pose_with_jacobian(states, sizes), some_tree.pose_with_jacobian(states[-1:], sizes[-1:])
     np.testing.assert_allclose(many.points_m[-1:], one.points_m, rtol=0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Chains of animals and their angles: the 8U skeleton's spine and front leg, whole animals, planes."""
+"""Test chains of animals and their angles: the 8U skeleton's spine and front leg, whole animals, planes."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def cheetah():
 
 
 def random_states(body, count=6, seed=0):
-    """Around the expected pose, the root anywhere."""
+    """Return states around the expected pose, with the root anywhere."""
     rng = np.random.default_rng(seed)
     states = rng.normal(size=(count, body.n_state))
     states[:, 4:] = body.mean_rad + 0.7 * body.sigma_rad * states[:, 4:]

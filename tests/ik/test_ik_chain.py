@@ -1,4 +1,4 @@
-"""Chains whose angles add up, their derivatives, costs, and the two-link arm."""
+"""Test chains whose angles add up, their derivatives, costs, and the two-link arm."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}
 
 
 def differences(function, q, step=1e-6):
-    """Central differences (..., n)."""
+    """Return central differences (..., n)."""
     h = step * np.eye(len(q))
     return np.stack([(function(q + e) - function(q - e)) / (2 * step) for e in h], axis=-1)
 
@@ -155,7 +155,10 @@ def test_chains_of_every_kind_of_joint_have_the_jacobian_of_their_end():
 
 
 def test_mobility_by_gruebler():
-    """The 8U chain: eight links and the ground, the first link free in space, seven universal joints."""
+    """The mobility by Grübler is that of the 8U chain.
+
+    It has eight links and the ground; the first link is free in space, and seven joints are universal.
+    """
     skeleton = load_chain("cheetah-8u")
     joints = [2 for link in skeleton.links if link.free] + [6]
     assert mobility(len(skeleton.links) + 1, joints) == 20 == skeleton.n_state - 1

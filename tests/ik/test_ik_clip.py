@@ -1,4 +1,4 @@
-"""`recon ik`: the chain of a result against its joints, the jobs, and what is written and said."""
+"""Test `recon ik`: the chain of a result against its joints, the tasks, and its files and messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ pytestmark = pytest.mark.usefixtures("small_pictures")
 
 @pytest.fixture
 def folder(whole_results, tmp_path) -> Path:
-    """A copy of the whole animal's results, to write into."""
+    """Return a copy of the whole animal's results, to write into."""
     return Path(shutil.copytree(whole_results, tmp_path / "fit"))
 
 
@@ -55,7 +55,7 @@ def compared_in(dim: int, whole_results: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def compared(whole_results, tmp_path_factory) -> Path:
-    """Results of the whole animal with both jobs of all methods in the plane. Not to be written to."""
+    """Return both tasks of the whole animal in the plane by all methods. Not to be written to."""
     return compared_in(2, whole_results, tmp_path_factory.mktemp("compared") / "fit")
 
 
@@ -65,7 +65,7 @@ def ends(limb) -> np.ndarray:
 
 @pytest.mark.parametrize("foot", ["LF", "r_front_paw", "LH"])
 def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
-    """Relative to the root, along and across the travel, from the joints in pose3d.csv."""
+    """The chain of a whole animal ends at its foot, relative to the root, along and across the direction of travel."""
     results = Motion.load(whole_results)
     limb = limb_of(results, foot)
     name = results.foot_names.get(foot, foot)
@@ -109,7 +109,10 @@ def test_chain_of_the_8u_skeleton(frame_results, dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_joints_of_the_8u_chain_are_called_as_in_the_analysis(frame_results, tmp_path, dim):
-    """A stride starts in the animal's pose, so that its first row is that of `recon analyse` under the same names."""
+    """Joints of the 8U chain are named as in the analysis.
+
+    A stride starts in the animal's pose, so its first row is that of `recon analyse` under the same names.
+    """
     ask = ("--method", "damped", "--follow", "stride", "--dim", dim, "--stride", "0.4333:0.735", "--no-figures")
     assert run("ik", frame_results, *ask, "--out", tmp_path / "ik").code == 0
     start, motion = pd.read_csv(tmp_path / "ik" / "follow_damped.csv").iloc[0], Motion.load(frame_results)
@@ -189,7 +192,7 @@ def test_both_jobs_with_all_methods(dim, whole_results, request, tmp_path):
 
 
 def test_rates_for_control(compared):
-    """Every method and joint has rates over the animal's time; on a path that closes they meet at its ends."""
+    """Every method and joint has rates over the animal's time; on a closed path, they meet at the ends."""
     motion = Motion.load(compared)
     limb = limb_of(motion, dim=2)
     stride = stride_of(motion, limb)
@@ -215,7 +218,7 @@ def test_rates_for_control(compared):
 
 @pytest.mark.slow
 def test_a_comparison_has_a_figure_of_each_method(of_results):
-    """Only two methods are drawn."""
+    """A comparison has a figure of each method that is drawn, here of two."""
     _, ran_in = of_results("recon ik results/clip --compare")
     for name in METHODS[:2]:
         assert (ran_in / "results" / "clip" / "ik" / f"follow_phase_{name}.svg").is_file()
@@ -251,7 +254,10 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
 
 @pytest.mark.slow
 def test_parameters_refitted_on_the_way(folder):
-    """At every frame those of the three before, which the animal's own pose and rates of this one are held against."""
+    """Parameters that are refitted during the stride are those of the three frames before, at every frame.
+
+    The pose and the rates of the animal in the frame itself test them.
+    """
     asked = {"follow": "stride", "compare": True, "dim": 2, "figures": False, "limits": False}
     done = run_ik(IkSettings(folder=folder, **asked, online=True))
     limb, stride, series = done.limb, done.stride, done.series
@@ -294,7 +300,7 @@ def test_one_method_to_a_place_of_ones_own(folder):
 
 
 def true_stride_s(start_s: float) -> float:
-    """The stride's time in the samples' simulated gallop, from its formula."""
+    """Return the time of a stride in the samples' simulated gallop, s, from its formula."""
     time_s = np.linspace(0, 3, 30001)
     phase = TOP_STRIDES_HZ * time_s + RISE_S * (TOP_STRIDES_HZ - START_STRIDES_HZ) * (np.exp(-time_s / RISE_S) - 1)
     return float(np.interp(np.interp(start_s, time_s, phase) + 1, phase, time_s)) - start_s
@@ -317,7 +323,7 @@ def true_stride_s(start_s: float) -> float:
     ],
 )
 def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, request):
-    """Both skeletons, both methods, all feet that have a chain."""
+    """The stride has its true duration and can be followed, for both skeletons, methods and all feet with a chain."""
     results = Motion.load(request.getfixturevalue(fit))
     feet = ["RF"] if len(results.foot_names) == 2 else list(results.foot_names)
     for foot in feet:
@@ -351,7 +357,10 @@ def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request,
     ("frames", "how"), [(slice(0, 13), "return"), (slice(2, 14), "gait"), (slice(0, 8), "whole clip")]
 )
 def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame_results, frames, how):
-    """Without a complete stride the nearest return, with the same sentence; the whole clip if there is none."""
+    """Analysis and both dimensions show the same frames of a short clip.
+
+    Without a complete stride, this is the nearest return, or the whole clip if there is none, with the same sentence.
+    """
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
     states[frames], joints_m[frames] = motion.states[frames], motion.solution.joints_m[frames]
@@ -370,7 +379,10 @@ def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame
 
 
 def test_a_foot_that_jitters_across_the_travel_has_not_returned(frame_results, monkeypatch):
-    """One camera hardly shows the motion across: only the plane of travel counts."""
+    """A foot that jitters across the direction of travel has returned or not by the plane of travel alone.
+
+    One camera hardly shows the motion across.
+    """
     monkeypatch.setattr(ClipAnalysis, "gait", None)  # the jitter would be a footfall
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
@@ -413,7 +425,7 @@ def test_a_stride_of_ones_own(frame_results, tmp_path):
 
 
 def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
-    """The gallop of the samples, cut: 0.31 s for a stride at first."""
+    """A stride of a clip without a complete one lasts as long as it may: 0.31 s at first in the cut gallop."""
     for frames, at_most in ((16, 0.4), (11, np.inf)):
         clip = gallop(fps=30, n_frames=frames)
         gait = pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30)
@@ -475,7 +487,10 @@ def test_earlier_results_are_kept(compared):
 
 @pytest.mark.slow
 def test_costs_and_closures_of_the_animal(frame_results, tmp_path, monkeypatch):
-    """Appendices B and C: the distance from a pose closes, and the harmonic map does not: it is singular or chaotic."""
+    """Costs and closures of the animal are as published in appendices B and C.
+
+    The distance from a pose closes; the harmonic map does not, but is singular or chaotic.
+    """
     shorten_cost_study(monkeypatch)
     options = {"costs": True, "follow": "stride", "dim": 2, "figures": False, "out": tmp_path / "a"}
     solved = run_ik(IkSettings(folder=frame_results, **options))

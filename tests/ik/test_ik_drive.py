@@ -1,4 +1,4 @@
-"""Driving to targets, following closed paths, and moving along the null space."""
+"""Test driving to targets, following closed paths, and moving along the null space."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def front_leg(dim, limited=False):
 
 
 def random_tasks(dim, count=STARTS, seed=0):
-    """Starts and the targets of other random poses, all within the expected ranges."""
+    """Return starts, and targets from other random poses, all within the expected ranges."""
     chain, rng = front_leg(dim, limited=True), np.random.default_rng(seed)
     starts, ends = rng.uniform(chain.lower_rad, chain.upper_rad, (2, count, chain.n))
     return starts, np.array([chain.end(q) for q in ends])
@@ -130,7 +130,7 @@ def test_measures_of_a_drive():
 
 
 def circle(chain, q, radius_m=0.15, points=400):
-    """A closed circle that starts at the end effector; in three dimensions tilted out of the sagittal plane."""
+    """Return a closed circle that starts at the end effector; in 3D it is tilted out of the sagittal plane."""
     a, start = np.linspace(0, 2 * np.pi, points + 1), chain.end(q)
     u = np.array([1.0, 0.0, 0.0])[: chain.dim]
     v = np.array([0.0, 0.8, 0.6])[: chain.dim]
@@ -140,7 +140,7 @@ def circle(chain, q, radius_m=0.15, points=400):
 
 
 def bent(chain):
-    """In the middle of its ranges, in three dimensions bent to the side."""
+    """Return angles in the middle of their ranges, in 3D bent to the side."""
     limited = front_leg(chain.dim, limited=True)
     q = (limited.lower_rad + limited.upper_rad) / 2
     q[5:] = [0.1, 0.15, -0.1, 0.2, 0.15][: len(q[5:])]

@@ -1,4 +1,4 @@
-"""Chains of joints that turn or slide, in space."""
+"""Test chains of joints that turn or slide, in space."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def random_chain(seed=0, **more):
 
 
 def differences(function, q, step=1e-6):
-    """Central differences (..., n)."""
+    """Return central differences (..., n)."""
     h = step * np.eye(len(q))
     return np.stack([(function(q + e) - function(q - e)) / (2 * step) for e in h], axis=-1)
 

@@ -1,4 +1,4 @@
-"""Rates of the methods, and their parameters from given rates."""
+"""Test the rates of the methods, and parameters that are fitted to given rates."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_selectively_damped_holds_each_direction():
 
 
 def extended_jacobian(chain, cost, q, N, full=True):
-    """The matrix [J; dG/dq] (n, n) with a basis N (n, n - dim) of the null space."""
+    """Return the matrix [J; dG/dq] (n, n) with a basis N (n, n - dim) of the null space."""
     J, curvature = chain.derivatives(q)
     _, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature if full else None)
     return np.concatenate([J, N.T @ M])
@@ -123,7 +123,7 @@ def test_extended_jacobian_solves_the_square_system(chain, full):
 
 @EACH
 def test_full_derivative_of_g(chain):
-    """dG/dq against differences of G = N' grad g with the basis that does not turn."""
+    """The full derivative of G = N' grad g is that by differences with a basis that does not turn."""
     cost = user_cost(lambda q: float(np.sum(np.cos(q)) + q[0] * q[2] ** 2))
     q, _ = configuration(chain)
     N = null_basis(chain.jacobian(q))
@@ -299,7 +299,10 @@ def test_a_scaled_method_is_nearest_or_as_told():
 
 
 def test_no_damping_explains_rates_best_whatever_they_are():
-    """With dx = J dq, least norm gives the rates' part in the row space of J: damping only takes from it."""
+    """No damping explains any rates best.
+
+    If dx = J dq, least norm gives the part of the rates in the row space of J, and damping only reduces it.
+    """
     chain, rng = CHAINS["planar"], np.random.default_rng(11)
     q, dq = rng.uniform(0.2, 1.0, (20, 5)), rng.normal(0.0, 2.0, (20, 5))
     dx = np.einsum("tij,tj->ti", chain.jacobian(q), dq)

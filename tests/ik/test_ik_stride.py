@@ -1,4 +1,4 @@
-"""Strides of a chain as tasks."""
+"""Test strides of a chain as tasks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CHAIN = planar_chain((0.5, 0.4, 0.3))
 
 
 def swings(frames, period=20.0, drift=0.0):
-    """Joint angles (T, 3), periodic but for their drift."""
+    """Return joint angles (T, 3), rad, that are periodic except for their drift."""
     phase = 2 * np.pi * np.arange(frames)[:, None] / period
     mean, size, shift = np.array([0.9, 0.8, -0.6]), np.array([0.3, 0.4, 0.5]), np.array([0.0, 1.0, 2.0])
     return mean + size * np.sin(phase + shift) + drift * np.arange(frames)[:, None]
@@ -51,7 +51,7 @@ def test_the_gap_is_spread_over_the_path():
 
 @pytest.mark.parametrize("period", [9.3, 9.5, 20.4])
 def test_a_stride_ends_between_frames(period):
-    """Both as it is given, after a touchdown between two frames, and as the return that is found."""
+    """A stride can end between frames, as given after a touch-down between two frames, and as a return."""
     q = swings(40, period)
     given = find_stride(CHAIN, q, 30, (3.4 / 30, (3.4 + period) / 30))
     assert (given.start_s, given.end_s) == pytest.approx((3 / 30, (3 + period) / 30))
@@ -67,7 +67,10 @@ def test_a_stride_ends_between_frames(period):
 
 
 def test_a_return_takes_as_long_as_a_stride_may():
-    """A foot that comes back near to where it was half-way, and exactly after a stride."""
+    """A return takes as long as a stride may.
+
+    The foot comes back near to its position half-way, and exactly after a stride.
+    """
     phase = 2 * np.pi * np.arange(50)[:, None] / 30
     q = [0.9, 0.8, -0.6] + [0.4, 0.4, 0.5] * np.sin(2 * phase + [0, 1, 2]) + 0.05 * np.sin(phase)
     half, whole = (

@@ -21,7 +21,7 @@ SIZE = (1920, 1080)
 
 
 def opencv_text(suffix: str, **values) -> str:
-    """A file as OpenCV writes it; arrays and numbers by key."""
+    """Return a file as OpenCV writes it; arrays and numbers by key."""
     storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for key, value in values.items():
         storage.write(key, np.asarray(value, dtype=float) if isinstance(value, list | np.ndarray) else value)
@@ -63,13 +63,13 @@ def write(tmp_path):
 
 
 def refuses(path, *expected, name=None, **options) -> None:
-    """expected: each problem as for `refusal`, without the file."""
+    """Check that a file is refused; expected: problems as for `refusal`, without the file."""
     with refusal(*((path, *one) for one in expected)):
         read_camera(path, name, **options)
 
 
 def both(field: str, *values):
-    """The same problem of both cameras of `scene`."""
+    """Return the same problem for both cameras of `scene`."""
     return [(f"cameras[{i}].{field}", *values) for i in (0, 1)]
 
 
@@ -198,7 +198,7 @@ class TestAcinoSet:
 
 class TestOpenDroneMap:
     def test_by_hand(self, write):
-        """Shares of the longer side, from the middle of the picture; a reconstruction has them among the rest."""
+        """Intrinsics in fractions of the longer side, from the picture's middle, are read, also in a reconstruction."""
         lens = {"width": 1600, "height": 1000, "focal_x": 0.75, "focal_y": 0.5, "c_x": 0.01, "c_y": -0.02}
         brown = lens | {"projection_type": "brown", "k1": -0.2, "k2": 0.1, "p1": 0.001, "p2": 0.002, "k3": -0.03}
         old = {"width": 1600, "height": 1000, "projection_type": "perspective", "focal": 0.75, "k1": -0.2, "k2": 0.1}
@@ -362,7 +362,7 @@ class TestImageSize:
 
 class TestLayoutsOfLabs:
     def test_jarvis(self, write):
-        """MATLAB's matrices: intrinsics and rotation are transposed."""
+        """JARVIS's matrices are MATLAB's: intrinsics and rotation are transposed."""
         values = {"intrinsicMatrix": np.transpose(K), "distortionCoefficients": [RADTAN], "R": R.T}
         path = write("left.yaml", opencv_text(".yml", **values, T=[[x] for x in T]))
         camera = read_camera(path, image_size_px=SIZE)
@@ -386,7 +386,7 @@ class TestLayoutsOfLabs:
         refuses(path.with_name("extri.yml"), ("camera", "poses", "intri.yml"), image_size_px=SIZE)
 
     def test_caliscope(self, write):
-        """Cameras without a calibration are left out."""
+        """Caliscope's cameras without a calibration are left out."""
         posed = anipose("0")["0"] | {"fisheye": False}
         del posed["name"]
         cameras = {"0": posed, "3": {"size": list(SIZE), "port": 3}}
@@ -407,7 +407,7 @@ class TestLayoutsOfLabs:
         "ends", [("_left", "_right"), ("0", "1"), ("L", "R")], ids=["left and right", "from 0", "letters"]
     )
     def test_ends_of_keys_of_stereo_files(self, write, ends):
-        """The size may be a list, and the translation `tvec`."""
+        """Stereo files may end their keys in several ways; the size may be a list, and the translation `tvec`."""
         values = {f"K{end}": K for end in ends} | {f"D{end}": RADTAN for end in ends}
         first, second = read_cameras(write("a.json", {**values, "R": R.tolist(), "tvec": T, "image_size": SIZE}))
         np.testing.assert_array_equal(first.centre_world, [0, 0, 0])
@@ -428,7 +428,7 @@ class TestLayoutsOfLabs:
         assert_camera(read_camera(write("a.json", values)), RADTAN, "radtan", world_z_up=False)
 
     def test_yaml_of_python(self, write):
-        """PyYAML does not indent a list below its key; a file may have a table for each camera."""
+        """YAML of Python is read: lists without indentation, and a table for each camera."""
 
         def block(rows, indent):
             return "".join(
@@ -448,7 +448,7 @@ class TestLayoutsOfLabs:
 
     @pytest.mark.parametrize("by_table", [False, True])
     def test_tables_inside_a_camera(self, write, by_table):
-        """Such JSON is no AcinoSet scene, although it has `cameras`."""
+        """JSON with tables inside a camera is not taken for an AcinoSet scene, although it has `cameras`."""
         inner = {"intrinsics": {"K": K, "dist": RADTAN, "size": SIZE}, "extrinsics": {"R": R.tolist(), "t": T}}
         path = write("a.json", {"cameras": {"A": inner}} if by_table else inner)
         assert_camera(read_camera(path), RADTAN, "radtan", posed=True, world_z_up=False)
@@ -456,7 +456,7 @@ class TestLayoutsOfLabs:
         refuses(write("b.json", foreign), ("A.k", "shape"), ("A.distortions", "the file has k, c, f"))
 
     def test_rotation_without_translation_is_a_rectification(self, write):
-        """ROS 2 writes the keys of camera_info in lower case."""
+        """A rotation without a translation is a rectification, in camera_info of ROS 2 with keys in lower case."""
         values = {
             "k": np.ravel(K).tolist(),
             "d": RADTAN,
@@ -471,7 +471,7 @@ class TestLayoutsOfLabs:
     @pytest.mark.parametrize("key", ["extrinsics", "camera_to_world"])
     @pytest.mark.parametrize("name", ["a.json", "cameras.json", "a.toml"])
     def test_a_pose_in_one_matrix_is_not_left_out(self, write, key, name):
-        """Its direction differs between programs."""
+        """A pose in one matrix is refused, because its direction differs between programs."""
         pose = np.vstack([np.column_stack([R, T]), [0, 0, 0, 1]]).tolist()
         table = {"matrix": K, "distortions": RADTAN, "size": SIZE, key: pose}
         alone = name == "a.json"
@@ -480,7 +480,7 @@ class TestLayoutsOfLabs:
 
     @pytest.mark.parametrize("by_name", [False, True])
     def test_tables_in_json(self, write, by_name):
-        """As CMU Panoptic's: a stated lens counts, and only AcinoSet's own keys mean a fisheye and z up."""
+        """JSON tables such as CMU Panoptic's have the stated lens; only AcinoSet's keys mean fisheye and z up."""
         table = {"resolution": SIZE, "K": K, "distCoef": RADTAN, "R": R.tolist(), "t": [[x] for x in T]}
         tables = {"a": table} if by_name else [{"name": "a", "type": "hd"} | table]
         path = write("panoptic.json", {"cameras": tables})
@@ -518,7 +518,7 @@ class TestLayoutsOfLabs:
         refuses(write("a.json", values), expected)
 
     def test_region_and_binning_of_ros(self, write):
-        """As image_geometry: the corner is taken off the principal point, and binning divides."""
+        """Region and binning of ROS are applied as in image_geometry: the corner shifts the principal point."""
         text = f"width: 1920\nheight: 1080\nK: {np.ravel(K).tolist()}\nD: {RADTAN}\nbinning_x: 2\nbinning_y: 0\n"
         text += "roi:\n  x_offset: 320\n  y_offset: 180\n  width: 1280\n  height: 720\n"
         camera = read_camera(write("roi.yaml", text))
@@ -650,7 +650,7 @@ class TestRealFiles:
 
     @pytest.mark.slow
     def test_cheetah_runs_project_their_truth_onto_their_detections(self, shared_data):
-        """The published 3D truth is itself a fit, which lies 10 to 25 px from the detections."""
+        """Cheetah runs project their truth onto their detections, within the 10 to 25 px of that published fit."""
         runs = sorted((shared_data / "cheetah-runs").glob("*/scene.json"))
         assert len(runs) == 5
         for scene_file in runs:

@@ -1,4 +1,4 @@
-"""Cameras that move: their tracks, which are read, filled and refused, and clips that were made with them."""
+"""Test tracks of moving cameras, which are read, filled and refused, and clips of these cameras."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LEVEL = level_pose([1.0, 2.0, 3.0], 0.3)
 
 
 def write_model(out: Path, lenses: list[str], frames: np.ndarray, poses: np.ndarray, of: list[int]) -> Path:
-    """A COLMAP model as text; every other image has points."""
+    """Write a COLMAP model as text, in which every other image has points."""
     out.mkdir(exist_ok=True)
     (out / "cameras.txt").write_text("# Camera list\n" + "\n".join(lenses) + "\n")
     lines = ["# Image list with two lines of data per image:"]
@@ -53,7 +53,7 @@ def turning(T: int, by_rad: float = 0.01, centre_m: tuple[float, float, float] =
 
 
 def refuses(text: str, path: Path, *expected: tuple[object, ...]) -> None:
-    """expected: each problem as for `refusal`, without the file."""
+    """Check that a track is refused; expected: problems as for `refusal`, without the file."""
     path.write_text(text)
     with refusal(*((path, *one) for one in expected)):
         read_camera_track(path)
@@ -75,7 +75,7 @@ def test_a_table(tmp_path):
 
 
 def test_a_table_of_poses_from_the_camera_to_the_world(tmp_path):
-    """The camera's place stands in x, y, z."""
+    """A table can have poses from the camera to the world, with the camera's position in x, y, z."""
     poses, frames = turning(4), np.arange(4)
     path = write_track(tmp_path / "track.csv", frames, inverse(poses))
     path.write_text(path.read_text().replace("tx,ty,tz", "x,y,z"))
@@ -85,7 +85,10 @@ def test_a_table_of_poses_from_the_camera_to_the_world(tmp_path):
 
 @pytest.mark.parametrize("name", ["reconstruction.json", "shots.geojson"])
 def test_poses_of_opendronemap(name, tmp_path):
-    """By hand, as OpenSfM has them: turns as vectors from the world to the camera; shots.geojson has places."""
+    """Poses of OpenDroneMap are read.
+
+    OpenSfM stores rotations as vectors from the world to the camera; shots.geojson has positions.
+    """
     poses, frames = turning(3), [7, 8, 11]
     shots = {}
     for frame, T in zip(frames, poses, strict=True):
@@ -118,7 +121,7 @@ def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):
 
 
 def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
-    """Turned and moved evenly, about the way's middle: at 30 frames a second over 3 frames, not over 4."""
+    """Gaps of 3 frames at 30 Hz are filled by an even turn and motion, and gaps of 4 frames are not."""
     poses, kept = turning(12, 0.05), np.array([0, 3, 7, 8])
     poses[:, :3, 3] = -(poses[:, :3, :3] @ np.array([[t, 0.1 * t, 1.0] for t in range(12)])[..., None])[..., 0]
     zoom = np.column_stack([1000.0 + 10 * np.arange(12), 1000.0 + 10 * np.arange(12), np.zeros((12, 2))])
@@ -149,7 +152,7 @@ def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
     ],
 )
 def test_lenses_of_a_colmap_model(tmp_path, line, model, distortion):
-    """Its pixels begin at the corner of the first one, ours in the middle."""
+    """Lenses of a COLMAP model are converted: its pixels begin at the corner of the first pixel, ours at its centre."""
     out = write_model(tmp_path / "phone", [line, "2 FOV 640 480 1 1 1 1 1"], np.arange(4), turning(4), [1] * 4)
     for path in (out, out / "images.txt"):
         track = read_camera_track(path)
@@ -184,7 +187,7 @@ def test_a_colmap_model_that_zooms(tmp_path):
 
 
 def test_how_exact_its_turns_are(tmp_path):
-    """Read with a table, held over short gaps, and refused where it is none."""
+    """The standard deviation of rotations is read, kept over short gaps, and refused if it is no number."""
     path = write_track(tmp_path / "track.csv", np.array([3, 5, 6]), turning(3))
     head, *rows = path.read_text().splitlines()
     said = [f"{row},{sigma}" for row, sigma in zip(rows, (0.02, 0.05, 0.01), strict=True)]
@@ -197,7 +200,7 @@ def test_how_exact_its_turns_are(tmp_path):
 
 
 def test_what_a_doubtful_turn_does_to_points():
-    """Against points that turn about the camera with it."""
+    """An uncertain rotation makes points uncertain as if they turned about the camera with it."""
     points, sigma = np.random.default_rng(0).normal([0.0, 9.0, 0.0], 1.0, (2, 3, 3)), np.radians([0.3, 0.1])
     pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), rotation_sigma_rad=sigma)
     turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))
@@ -245,7 +248,10 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
 
 
 def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
-    """As COLMAP leaves it: y down. Leaning by less than 60 degrees in most frames passes."""
+    """A world whose z does not point up is refused, such as COLMAP's with y down.
+
+    Cameras that lean by less than 60 degrees in most frames pass.
+    """
     down = np.tile(np.eye(4), (3, 1, 1))
     with refusal(("track.csv", "poses", ["not upright, taking z as up", "3 of 3 frames"], "z up")):
         read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down))
@@ -255,7 +261,7 @@ def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path):
-    """At 12 m; where in the picture up is may be anything. The depth is known to the animal's size."""
+    """A drone that looks down from 12 m and follows the animal has a track; the depth is known to the animal's size."""
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
     truth = replace(truth, xyz_m=truth.xyz_m[:16], frames=truth.frames[:16])
     turn = Rotation.from_euler("xz", [-180, 130], degrees=True).as_matrix()
@@ -299,7 +305,7 @@ def test_settings_that_do_not_fit(runs, tmp_path):
 
 
 def test_whose_track_it_is(runs, tmp_path):
-    """The second of two cameras moves: its track's name has the camera's in it."""
+    """A track belongs to the camera whose name its own name contains, here the second of two."""
     aside = np.tile(ASIDE, (40, 1, 1))
     track = write_track(tmp_path / "cam2_track.csv", np.arange(40), aside)
     first, second = prepare(settings(runs, 1, 2, camera_track=track)).sources
@@ -344,7 +350,7 @@ def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(runs, tm
 
 
 def test_frames_without_a_pose_have_no_detections(runs, tmp_path):
-    """From 12 frames without one: at 90 Hz no more than 9 frames apart is 0.1 s."""
+    """Frames without a camera pose have no detections, unless a gap of up to 0.1 s (9 frames at 90 Hz) was filled."""
     frames = np.array([t for t in range(35) if not 10 < t < 23 and t not in (3, 4)])
     track = write_track(tmp_path / "track.csv", frames, np.tile(AHEAD, (len(frames), 1, 1)))
     (source,) = prepare(settings(runs, 1, camera_track=track)).sources
@@ -362,7 +368,7 @@ def test_frames_without_a_pose_have_no_detections(runs, tmp_path):
 
 
 def panned(runs: Path) -> dict[str, Any]:
-    """The sample as seen by a camera that turns to and fro about its centre: keypoints and track, for settings."""
+    """Write the sample as a camera that turns to and fro sees it: keypoints and track, for settings."""
     (view,) = views_of(
         prepare(FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)).sources
     )
@@ -388,7 +394,7 @@ def panned(runs: Path) -> dict[str, Any]:
 
 
 def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
-    """Its ground is not known from the camera's height, and so it is not looked for in either."""
+    """A camera that pans gives the motion of a still one, if neither uses the height of the camera."""
     options: dict[str, Any] = {"ground": "none"}
     pan = fit_clip(FitSettings(**panned(tmp_path), **options))
     still = fit_clip(
@@ -404,7 +410,7 @@ def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
 
 @pytest.mark.slow
 def test_command(tmp_path):
-    """From end to end, read back, scored, analysed, converted and fitted again."""
+    """The command works from end to end: read back, evaluated, analysed, converted and fitted again."""
     given, out = panned(tmp_path), tmp_path / "out"
     track = Path(str(given["camera_track"]))
     lines = track.read_text().splitlines()

@@ -1,4 +1,4 @@
-"""Every format keeps what it should, and is what independent readers of it expect."""
+"""Test that every format keeps what it should, and that independent readers read it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def label(f: Format) -> str:
 
 
 def a_clip(frames: np.ndarray = FRAMES) -> Keypoints:
-    """Three keypoints; a frame and single points are missing, one likelihood is not known."""
+    """Return three keypoints with a missing frame, missing points and one unknown likelihood."""
     rng = np.random.default_rng(0)
     xy, confidence = rng.uniform(0, 1000, (len(frames), 3, 2)), rng.uniform(0.1, 1, (len(frames), 3))
     xy[-1, 2], confidence[-1, 2] = NAN, 0.0
@@ -96,7 +96,7 @@ def files_3d(tmp_path_factory) -> dict[str, Path]:
 
 
 def pairs(formats: Sequence[Format]) -> list[tuple[Format, Format]]:
-    """Each format into the next and into itself, the last into the first: what is read is written."""
+    """Return pairs of formats: each format to the next and to itself, and the last to the first."""
     return [pair for i, one in enumerate(formats) for pair in ((one, one), (one, formats[(i + 1) % len(formats)]))]
 
 
@@ -207,7 +207,7 @@ def test_deeplabcut_by_pandas(files_2d, files_3d, name):
 
 
 def test_deeplabcut_h5_for_every_pandas(files_2d):
-    """pandas 2 reads a table format that says it is of an old version, and whose header is of plain text."""
+    """DeepLabCut's H5 is read by every pandas; pandas 2 reads an old version with a header of plain text."""
     import tables  # slow to import
 
     with tables.open_file(str(files_2d["deeplabcut.h5"])) as file:
@@ -311,7 +311,7 @@ def test_parquet_by_pandas(files_3d):
 
 
 def test_c3d_by_ezc3d(files_3d):
-    """A point is missing where its residual is -1; the frames of the gap are there, all missing."""
+    """ezc3d reads our C3D: a point with residual -1 is missing, and frames of the gap are there, all missing."""
     import ezc3d
 
     file = ezc3d.c3d(str(files_3d["c3d.c3d"]))
@@ -340,7 +340,7 @@ def test_more_points_than_one_list_of_labels_holds(tmp_path):
 
 
 def test_trc_by_its_layout(files_3d):
-    """x forwards, y up, z right is x, z, -y of ours; metres; a missing point is three empty cells."""
+    """A TRC file has its documented layout: x, z, -y of ours, in metres; a missing point is three empty cells."""
     lines = files_3d["trc.trc"].read_text(encoding="utf-8").splitlines()
     assert lines[0].split("\t")[:3] == ["PathFileType", "4", "(X/Y/Z)"]
     header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
@@ -471,7 +471,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
 
 
 def test_folder_of_results(results, tmp_path):
-    """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
+    """A folder of results gives the joints with z up, the frame rate of the report and the limbs of the skeleton."""
     from recon.fit.motion import Motion
 
     notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb")).data["notes"]

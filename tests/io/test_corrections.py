@@ -1,4 +1,4 @@
-"""Detections that were corrected by hand: their file, and what it does to keypoints."""
+"""Test files of detections that were corrected by hand, and their effect on keypoints."""
 
 from __future__ import annotations
 
@@ -81,7 +81,10 @@ def test_frames_that_a_spreadsheet_writes(tmp_path: Path):
 
 
 def test_corrections_of_another_clip_are_refused(keypoints: Keypoints):
-    """It has the same keypoints and frames; where left and right were exchanged, a detection is another keypoint's."""
+    """Corrections of another clip are refused, although it has the same keypoints and frames.
+
+    If left and right were exchanged, a detection is that of another keypoint.
+    """
     other = [Correction(4 + i % 3, "", "nose", (50.0 + i, 60.0), (9.0, 8.0)) for i in range(5)]
     with pytest.raises(InputError) as refusal:
         with_corrections([keypoints], ["cam"], other, Path("corrections.csv"))

@@ -1,4 +1,4 @@
-"""DeepLabCut's project folder, given as such or by its config.yaml, and poses of FMPose3D as DeepLabCut writes them."""
+"""Test DeepLabCut's project, given as a folder or by its config.yaml, and FMPose3D's poses from DeepLabCut."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_configuration(project):
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_labels_of_a_project(project, name):
-    """The labels are the scorer's, where others labelled a folder, too."""
+    """The labels of a project are those of its scorer, even if others labelled a folder too."""
     with refusal((project, "label files", "none", "labeled-data")):
         read_labels(project / name)
     for folder, people in (("run1", ("another", "me")), ("run2", ("another",))):
@@ -139,8 +139,11 @@ AS_WRITTEN = split_names(
 
 @pytest.fixture
 def of_fmpose3d(tmp_path: Path) -> Path:
-    """The sample's truth as FMPose3D has it: Animal3D's points by DeepLabCut's names, relative to the tail's base, in a
-    camera's axes, in another unit; nothing in frame 5."""
+    """Write the sample's truth as FMPose3D has it.
+
+    Animal3D's points have DeepLabCut's names, are relative to the tail's base, in a camera's axes and in another unit;
+    frame 5 is empty.
+    """
     truth, by = read_pose3d(SAMPLE.with_name("whole_truth.csv")), load_names("animal3d").names
     xyz = 3.0 * truth.of_joints([by.get(name, name) for name in ANIMAL3D])
     xyz = (xyz - xyz[:, [ANIMAL3D.index("tail_base")]]) @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -178,7 +181,7 @@ def test_poses_of_fmpose3d(of_fmpose3d, suffix):
 
 
 def test_poses_of_the_demo_of_fmpose3d(of_fmpose3d, tmp_path):
-    """A file a picture, as `pose3D/0000_3D.npz`, with Animal3D's points."""
+    """Poses of FMPose3D's demo are read: a file per picture, such as `pose3D/0000_3D.npz`, of Animal3D's points."""
     truth, poses = SAMPLE.with_name("whole_truth.csv"), read_pose3d(of_fmpose3d)
     xyz = poses.xyz_m[:, [poses.names.index(name) for name in ANIMAL3D]]
     for frame in (3, 4, 7):

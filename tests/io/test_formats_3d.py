@@ -1,4 +1,4 @@
-"""3D points of other programs: TRC, C3D, BVH, npz, Parquet."""
+"""Test 3D points of other programs: TRC, C3D, BVH, npz, Parquet."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from recon.io.positions import read_pose3d
 
 
 def test_real_trc(shared_data):
-    """Commas for tabs, millimetres, a header that announces more frames than there are."""
+    """A real TRC file is read: commas for tabs, millimetres, and fewer frames than its header announces."""
     path = shared_data / "importer-files" / "c3d-trc" / "markers.trc"
     pose = read_pose3d(path, up="z")
     table = pd.read_csv(path, skiprows=6, header=None)
@@ -32,8 +32,10 @@ def test_real_trc(shared_data):
 
 
 def c3d_bytes(processor: int, integers: bool) -> bytes:
-    """Two frames, 5 and 6, of two points and one analog channel, on the computer of choice (84 Intel, 86 MIPS); the
-    second point is missing in the first frame."""
+    """Return C3D bytes of two frames, 5 and 6, of two points and one analog channel.
+
+    The computer is given by its number (84 Intel, 86 MIPS). The second point is missing in the first frame.
+    """
     order = ">" if processor == 86 else "<"
 
     def floats(*values: float) -> bytes:
@@ -112,9 +114,12 @@ Frame Time: 0.0333333
 
 
 def test_bvh_by_hand(tmp_path):
-    """At rest the knee is 2 below, its end 1 along x. In the second frame the hips, at (1, 2, 3), turn by 90 degrees
-    about z, so that -y becomes x: the knee is at (3, 2, 3). A turn of the knee about its own x leaves its end, which
-    lies on that axis, 1 along what x has become, y."""
+    """A BVH file has the positions computed by hand.
+
+    At rest the knee is 2 below, its end 1 along x. In the second frame the hips, at (1, 2, 3), turn by 90 degrees about
+    z, so that -y becomes x: the knee is at (3, 2, 3). A turn of the knee about its own x leaves its end, which lies on
+    that axis, 1 along the turned x axis, y.
+    """
     pose = read_pose3d(save(tmp_path / "a.bvh", BVH), unit="m", up="z")
     assert pose.names == ("hips", "knee", "knee_end")
     expected = [[[0, 0, 0], [0, -2, 0], [1, -2, 0]], [[1, 2, 3], [3, 2, 3], [3, 3, 3]]]

@@ -1,4 +1,4 @@
-"""Reading keypoints and 3D positions from files."""
+"""Test the reading of keypoints and 3D positions from files."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def save(folder: Path, text: str, name: str = "clip.csv") -> Path:
 
 
 def refuses(path: Path, *expected: tuple[object, ...], individual: str | None = None) -> None:
-    """expected: each problem as for `refusal`, without the file."""
+    """Check that a file is refused; expected: problems as for `refusal`, without the file."""
     with refusal(*((path, *one) for one in expected)):
         read_keypoints(path, individual)
 
 
 def naive_csv(path: Path, individual: str | None = None) -> dict[str, np.ndarray]:
-    """Column by column: "bodypart/coord" -> values, and "frame"."""
+    """Return a CSV column by column: "bodypart/coord" -> values, and "frame"."""
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     start = next(i for i, row in enumerate(rows) if row[0] == "coords") + 1
@@ -279,7 +279,7 @@ def test_animals_told_apart_by_the_beginning_of_names(tmp_path, names, animals):
 
 @pytest.mark.parametrize("nothing", ["", "0.0"])
 def test_animals_without_points_are_no_choice(tmp_path, nothing):
-    """DeepLabCut has columns for as many animals as there may be, empty or 0 for those that it never saw."""
+    """Animals without points need no choice: DeepLabCut has empty or zero columns for animals that it never saw."""
     text = "scorer,n,n,n,n,n,n,n,n,n\nindividuals,m1,m1,m1,m2,m2,m2,m3,m3,m3\nbodyparts" + ",nose" * 9
     text += "\ncoords" + ",x,y,likelihood" * 3
     none = ",".join([nothing, nothing, "0.0"])
@@ -360,7 +360,7 @@ def test_stray_blanks_in_names_are_noted(tmp_path):
 
 
 def test_likelihoods_that_mean_something_else_are_refused(tmp_path):
-    """In per cent, every one would pass the cut-off."""
+    """Likelihoods in per cent are refused, because all of them would pass the threshold."""
     for text, *expected in (
         (SINGLE.replace("0.9", "37"), "likelihood", ["0 to 37", "above 1 in 20 % of the points"], "0 to 1"),
         (SINGLE.replace("0.9", "-1"), "likelihood", "-1 to 1", "0 to 1"),
@@ -384,13 +384,13 @@ def test_a_calibration_in_place_of_keypoints_is_named(text, tmp_path):
 
 
 def test_odd_likelihoods_are_noted(tmp_path):
-    """As of networks whose scores are no probabilities."""
+    """Likelihoods of networks whose scores are no probabilities are noted."""
     (note,) = read_keypoints(save(tmp_path, SINGLE.replace("0.9", "1.2"))).notes
     assert says(note, "Likelihoods", "0 to 1.2", "0 and 1")
 
 
 def test_names_that_command_a_terminal(tmp_path):
-    """They are refused, in one line that commands nothing."""
+    """Names that would control a terminal are refused, in one line that controls nothing."""
     for path, *said in (
         (save(tmp_path, SINGLE.replace("nose", "\x1b[31mnose")), "column \\x1b[31mnose/x: found"),
         (save(tmp_path, "frame,bodypart,x,y\n0,no\x1b]0;se,1,2\n", "b.csv"), "names of points: found 'no\\x1b]0;se'"),
@@ -405,7 +405,7 @@ def test_names_that_command_a_terminal(tmp_path):
 
 
 def test_missing_header_row_is_noted(tmp_path):
-    """The names of the columns are there without it."""
+    """A missing header row is noted, and the names of the columns are known without it."""
     whole, headless = (read_keypoints(save(tmp_path, text)) for text in (SINGLE, SINGLE.split("\n", 1)[1]))
     assert whole.notes == ()
     (note,) = headless.notes

@@ -1,4 +1,4 @@
-"""Formats beside DeepLabCut's: layouts that occur in the field, and files that are broken."""
+"""Test formats other than DeepLabCut's: layouts that occur in practice, and damaged files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SLEAP_AXES = {"f": "frame", "t": "track", "n": "node", "c": "xy"}
 
 
 def sleap_file(path: Path, tracks="tcnf", scores="tnf", occupancy="ft", dims: bool = True, **more) -> Path:
-    """An analysis file with its axes in this order; `more` replaces datasets, None leaves one out."""
+    """Write an analysis file of SLEAP with its axes in this order; `more` replaces datasets, None leaves one out."""
     occupied = np.ones((5, 2), np.uint8)
     occupied[0, 1] = 0
     arrays = {
@@ -164,7 +164,7 @@ def test_movement(tmp_path, plural):
 
 
 def test_movement_attributes_of_other_kinds(tmp_path):
-    """They say nothing."""
+    """Attributes of unexpected kinds in a movement file are ignored."""
     data = movement_data(False, fps=[1.0, 2.0], time_unit=[1, 2], ds_type=[1, 2])
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     found = read_keypoints(tmp_path / "a.nc", "a")
@@ -172,7 +172,10 @@ def test_movement_attributes_of_other_kinds(tmp_path):
 
 
 def test_movement_without_numbers_of_its_dimensions(tmp_path):
-    """Other programs than h5netcdf say only in each dimension which variables it belongs to."""
+    """A movement file is read without numbers of its dimensions.
+
+    Other programs than h5netcdf store only in each dimension which variables it belongs to.
+    """
     data = movement_data(True)
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     with h5py.File(tmp_path / "a.nc", "a") as file:
@@ -192,7 +195,7 @@ def test_movement_in_frames(tmp_path):
 
 
 def test_movement_3d(tmp_path):
-    """The unit is not part of movement's format: it has to be given, unless the file is ours."""
+    """The unit of 3D positions in a movement file has to be given, unless recon wrote the file."""
     data = movement_data(False, "xyz")
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     refuses(tmp_path / "a.nc", ("coords", "x, y, z: 3D positions", "2D keypoints"), individual="a")
@@ -242,7 +245,7 @@ def test_real_nwb(shared_data):
 
 
 def nwb_file(path: Path, edit=None) -> Path:
-    """Two animals, a and b, of our own writer, which `edit` may change."""
+    """Write two animals, a and b, with our own writer; `edit` may change the file."""
     write = next(f.write for f in FORMATS if f.name == "nwb")
     clip = Keypoints(("nose", "tail"), XY[:, 0, :2], SCORE[:, 0, :2], np.arange(5), fps=20.0, individual="a")
     write(clip, path)
@@ -416,7 +419,7 @@ def written(folder: Path) -> list[tuple[Path, object]]:
 
 
 def test_cut_off_files_are_refused(tmp_path):
-    """But for a text table that happens to end with a full row, which cannot be told from a shorter one."""
+    """Files that were cut off are refused, except a text table that happens to end with a full row."""
     for path, read in written(tmp_path):
         content = path.read_bytes()
         for share in (0.02, 0.3, 0.6):
@@ -464,7 +467,7 @@ def test_a_bvh_file_of_infinite_size(tmp_path):
 
 
 def test_the_help_of_a_fit_names_what_it_reads():
-    """Both of keypoints and of cameras."""
+    """The help of a fit names every format of keypoints and cameras that it reads."""
     infos = FitSettings.infos()
     for f in FORMATS:
         for kind, name in (("2D", "keypoints"), ("cameras", "camera")):
@@ -525,7 +528,7 @@ def test_openpose_with_two_persons_and_other_lists(tmp_path):
 
 
 def dannce_file(path: Path, packed: bool = True, **changes) -> Path:
-    """As Label3D writes it, two cameras, two frames of two points."""
+    """Write a file as Label3D does, of two cameras and two frames of two points."""
     points = np.array([[[1.0, 2, 3], [4, 5, 6]], [[7, 8, 9], [NAN, NAN, NAN]]])
     label = {"data_3d": points.reshape(2, 6), "data_frame": np.array([[10], [20]], np.int32)}
     lens = {
@@ -554,7 +557,7 @@ TURN = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]).as_matrix()
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_dannce(tmp_path, packed):
-    """A point is projected as DANNCE does it: rows, K and r on the right, the first pixel (1, 1)."""
+    """DANNCE's camera projects a point as DANNCE does: rows, K and r on the right, the first pixel (1, 1)."""
     path = dannce_file(tmp_path / "run_dannce.mat", packed)
     pose = read_pose3d(path, unit="mm")
     assert (pose.names, pose.frames.tolist()) == (("point1", "point2"), [10, 20])

@@ -1,4 +1,4 @@
-"""Files that were made to harm: none runs anything, none takes the memory, and each is answered in words."""
+"""Test that files made to do harm run nothing and take little memory, and that each gets a clear message."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3,
 
 @dataclass(frozen=True)
 class Touch:
-    """Unpickled, it makes a file."""
+    """An object that creates a file when it is unpickled."""
 
     path: str
 
@@ -52,12 +52,12 @@ class Touch:
 
 
 def harm(marker: Path) -> np.bytes_:
-    """As PyTables stores an attribute that is no text or number: a pickle, which ends in a dot."""
+    """Return a pickle that PyTables would store as an attribute, which ends in a dot."""
     return np.bytes_(pickle.dumps(Touch(str(marker)), 0))
 
 
 def attribute_of(where: str, name: str) -> Callable[[Path, Path], None]:
-    """A table of DeepLabCut's with one attribute replaced."""
+    """Write a table of DeepLabCut's with one attribute replaced."""
 
     def make(path: Path, marker: Path) -> None:
         write_deeplabcut(CLIP, path)
@@ -113,7 +113,7 @@ def test_hostile_hdf5_runs_nothing(tmp_path, name):
 
 
 def test_the_hostile_files_are_hostile(tmp_path):
-    """PyTables runs what is in them, so that the test above can fail."""
+    """The hostile files are hostile: PyTables runs the code in them, so that the test above can fail."""
     ran = []
     for name in ("root.h5", "group.h5", "labels.h5", "cells.h5"):
         marker, path = tmp_path / f"ran-{name}", tmp_path / name
@@ -191,7 +191,7 @@ def test_a_key_whose_parts_take_the_square_of_their_number(tmp_path):
 
 
 def archive_of(path: Path, header: bytes | None = None, size_mb: int = 0, method: int = ZIP_DEFLATED) -> Path:
-    """Positions, with a header that is none, or as large as that once unpacked."""
+    """Write an archive of positions with a broken header, or one that is very large when unpacked."""
     with ZipFile(path, "w", method, compresslevel=1) as archive, archive.open("xyz_m.npy", "w") as member:
         if header is None:
             of = {"descr": "<f8", "fortran_order": False, "shape": (size_mb << 17,)}
@@ -258,7 +258,7 @@ def test_a_text_in_every_row_that_takes_room_once(tmp_path):
 
 
 def many_names(folder: Path) -> dict[str, Path]:
-    """Small files, each of 50 frames of 50 points, of which hardly any is there."""
+    """Write small files of 50 frames of 50 points each, which are nearly empty."""
     names = [f"p{i}" for i in range(50)]
     content = {
         "long.csv": "frame,bodypart,x,y\n" + "".join(f"{i},{name},1,2\n" for i, name in enumerate(names)),
@@ -292,7 +292,7 @@ def many_names(folder: Path) -> dict[str, Path]:
 
 
 def test_frames_times_points_that_fill_the_memory(tmp_path, monkeypatch):
-    """30,000 names in as many frames are a file of less than 1 MB, and would be 20 GB."""
+    """Files of less than 1 MB with 30,000 frames of 30,000 points are refused, because they would take 20 GB."""
     files = many_names(tmp_path)
     monkeypatch.setattr("recon.io.common.POINTS_MAX", 1000)
     for name, path in files.items():
@@ -330,7 +330,7 @@ def test_a_cell_that_is_too_long(read, tmp_path):
 
 
 def test_heap_without_an_end(tmp_path):
-    """The library would look for the next object for ever."""
+    """A heap without an end is refused; the library would search for the next object for ever."""
     write_movement(CLIP, tmp_path / "a.nc")
     content = bytearray((tmp_path / "a.nc").read_bytes())
     heap = content.index(b"GCOL")
@@ -341,7 +341,7 @@ def test_heap_without_an_end(tmp_path):
 
 
 def test_data_in_other_files(tmp_path):
-    """A file does not say which other files are opened."""
+    """Data in other files are refused, because a file must not choose which other files are opened."""
     (tmp_path / "secret").write_bytes(np.arange(30.0).tobytes())
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
@@ -397,7 +397,7 @@ def test_a_skeleton_that_extends_a_name_too_long_for_a_file(tmp_path):
 
 
 def test_a_prior_with_numbers_that_signal(tmp_path):
-    """A NaN of four bytes that is damaged: wider numbers cannot hold it, of which NumPy warns."""
+    """A prior with a signalling NaN of four bytes is refused, although NumPy warns when it is converted."""
     content = resources.files("recon") / "animal" / "priors" / "running-cheetah.npz"
     with np.load(BytesIO(content.read_bytes())) as file:
         arrays = dict(file)

@@ -1,4 +1,4 @@
-"""Labels of a video's frames as files: DeepLabCut's own layout, as pandas reads it, and COCO's."""
+"""Test files of labels of a video's frames: DeepLabCut's layout, as pandas reads it, and COCO."""
 
 from __future__ import annotations
 

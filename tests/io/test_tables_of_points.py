@@ -1,4 +1,4 @@
-"""Tables of points: columns, units of times, what spreadsheets leave, crops, lost markers, text as frames."""
+"""Test tables of points: columns, units of times, traces of spreadsheets, crops, lost markers, text as frames."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_columns_that_mean_nothing_are_named(tmp_path):
 
 
 def test_anipose_3d_csv(tmp_path):
-    """Its unit is the calibration board's, which the file does not say."""
+    """Anipose's 3D CSV needs a unit, because the file does not state that of the calibration board."""
     header = "nose_x,nose_y,nose_z,nose_error,nose_ncams,nose_score,M_00,M_01,center_0,fnum"
     path = save(tmp_path / "a.csv", f"{header}\n10,20,30,1,2,0.9,1,0,0,7\n,,,,,,1,0,0,8\n")
     pose = read_pose3d(path, unit="mm")
@@ -125,7 +125,7 @@ def test_frames_of_times():
 
 @pytest.mark.parametrize("fps", [24, 29.97, 60, 90])
 def test_times_rounded_to_hundredths(fps):
-    """The rate comes from the whole duration: the median step is 0.01 or 0.02 s, whatever the rate is."""
+    """Times rounded to hundredths have the rate of the whole duration, although the median step is 0.01 or 0.02 s."""
     times = np.round(np.arange(100) / fps, 2)
     found, rate = frames_of_times(Path("a"), times, None)
     assert found.tolist() == list(range(100))
@@ -134,7 +134,7 @@ def test_times_rounded_to_hundredths(fps):
 
 @pytest.mark.parametrize("gaps", [(), (20, 21, 60)])
 def test_times_of_a_jittering_clock(gaps):
-    """With frames missing, too, and with the rate given every time gets its nearest frame."""
+    """Times of a jittering clock with missing frames have a rate; if one is given, each time gets its nearest frame."""
     frames = np.setdiff1d(np.arange(200), gaps)
     times = 12.3 + (frames + np.random.default_rng(1).normal(0, 0.12, len(frames))) / 60
     found, rate = frames_of_times(Path("a"), times, None)
@@ -145,8 +145,10 @@ def test_times_of_a_jittering_clock(gaps):
 
 
 def test_times_of_a_variable_rate():
-    """A telephone that goes from 30 to 24 frames a second: refused without a rate, and with one each time has the
-    nearest frame of it."""
+    """Times of a variable rate are refused unless a rate is given.
+
+    A telephone goes from 30 to 24 frames per second. If a rate is given, each time belongs to the nearest frame.
+    """
     times = np.cumsum(1 / np.linspace(30, 24, 120))
     with refusal(("a", "time", ["variable frame rate: 33.4 to 41.7 ms"])):
         frames_of_times(Path("a"), times, None)
@@ -164,8 +166,10 @@ def test_times_of_a_variable_rate():
     ],
 )
 def test_a_table_of_times(stamp, tmp_path):
-    """ISO 8601 as Bonsai writes them, with milliseconds only, and seconds of which several are the same; --fps counts
-    in place of the rate that rounded times say."""
+    """A table of times in ISO 8601 is read.
+
+    Bonsai writes it; others have only milliseconds, or seconds that repeat. `--fps` replaces the rate of rounded times.
+    """
     fps = 150 if "59" not in stamp else 30
     rows = [stamp.format(2 + k / fps) + f",{k},{2 * k},0.9" for k in range(40)]
     (tmp_path / "clip.csv").write_text("\n".join(["timestamp,nose_x,nose_y,nose_likelihood", *rows]))
@@ -187,7 +191,7 @@ def test_a_table_of_times(stamp, tmp_path):
     ],
 )
 def test_times_that_cannot_be_read(column, times, found, expected, tmp_path):
-    """Milliseconds without a unit, frames in a time code, and midnight in a date of which the format is not known."""
+    """Times that cannot be read are refused: milliseconds without a unit, time codes, and dates of unknown format."""
     path = tmp_path / "a.csv"
     path.write_text("\n".join([f"{column},nose_x,nose_y", *(f"{time},1,2" for time in times)]))
     with refusal((path, column, [found], expected)):
@@ -196,8 +200,10 @@ def test_times_that_cannot_be_read(column, times, found, expected, tmp_path):
 
 @pytest.mark.parametrize("index", ["", "Unnamed: 0"])
 def test_an_index_of_pandas(index, tmp_path):
-    """DeepLabCut's table, read by pandas and written again, has a column of row numbers; a wide one has the frames
-    there."""
+    """A table with an index of pandas is read.
+
+    If pandas wrote DeepLabCut's table again, it has a column of row numbers; a wide table has the frames there.
+    """
     path = tmp_path / "a.csv"
     path.write_text("\n".join([f"{index},{TABLE[0]}", *(f"{i},{row}" for i, row in enumerate(TABLE[1:]))]))
     assert read_keypoints(path).xy_px[:, 0].tolist() == [[1.5, 2.25], [5, 6]]
@@ -225,7 +231,7 @@ TABLE = ["scorer,net,net,net,net", "bodyparts,nose,nose,tail,tail", "coords,x,y,
 )
 @pytest.mark.parametrize("wide", [False, True])
 def test_a_table_that_excel_saved(saved, wide, tmp_path):
-    """Decimal commas, a line that states the separator, empty columns behind the last, a byte order mark."""
+    """A table that Excel saved is read: decimal commas, a line with the separator, empty columns, a byte order mark."""
     rows = ["frame,nose_x,nose_y,tail_x,tail_y", *TABLE[3:]] if wide else TABLE
     (tmp_path / "a.csv").write_text(saved("\n".join(rows) + "\n"), encoding="utf-8")
     found = read_keypoints(tmp_path / "a.csv")
@@ -234,7 +240,7 @@ def test_a_table_that_excel_saved(saved, wide, tmp_path):
 
 
 def test_headers_that_spreadsheets_leave(tmp_path):
-    """Merged cells, and the tables of two networks side by side, are named."""
+    """Headers with merged cells, and the tables of two networks side by side, are named in the message."""
     path = tmp_path / "a.csv"
     path.write_text("\n".join([TABLE[0], "bodyparts,nose,,tail,", *TABLE[2:]]))
     with refusal((path, "header row bodyparts", ["empty cells after 'nose'", "merged"], "unmerge")):
@@ -245,7 +251,7 @@ def test_headers_that_spreadsheets_leave(tmp_path):
 
 
 def test_a_column_that_is_repeated(tmp_path):
-    """As pandas leaves an index: it is named where its cells are the same, and refused where they differ."""
+    """A repeated column, as pandas leaves an index, is named if its cells are equal, and refused if they differ."""
     path = tmp_path / "a.csv"
     path.write_text("frame,nose_x,nose_y,frame\n0,1,2,0\n1,3,4,1\n")
     found = read_keypoints(path)
@@ -257,8 +263,10 @@ def test_a_column_that_is_repeated(tmp_path):
 
 
 def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
-    """Blank columns anywhere are left out, equal columns read once, and a number below 1 in quotes has a decimal
-    comma."""
+    """Blank and repeated columns of DeepLabCut's tables are left out.
+
+    A number below 1 in quotes has a decimal comma.
+    """
     path = tmp_path / "a.csv"
     rows = [
         ",scorer,net,,net,net",
@@ -291,7 +299,7 @@ def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
     ],
 )
 def test_units_of_times(column, write, first_s, tmp_path):
-    """Stamps since 1970 count from the first, whatever their unit."""
+    """Time stamps since 1970 in any unit count from the first one."""
     rows = [f"{write(2 + k / 50)},{k},{2 * k}" for k in range(20)]
     (tmp_path / "a.csv").write_text("\n".join([f"{column},nose_x,nose_y", *rows]))
     found = read_keypoints(tmp_path / "a.csv")
@@ -326,7 +334,7 @@ CROPPED = "clipDLC_resnet50_runAug1shuffle1_1000"
     ],
 )
 def test_the_crop_that_deeplabcut_states_beside_its_table(end, about, shift, tmp_path):
-    """Missing points stay (0, 0)."""
+    """The crop that DeepLabCut states next to its table is applied, and missing points stay (0, 0)."""
     rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9", "1,0,0,0"]
     path = tmp_path / f"{CROPPED}{end}"
     path.write_text("\n".join(rows))
@@ -337,7 +345,7 @@ def test_the_crop_that_deeplabcut_states_beside_its_table(end, about, shift, tmp
 
 
 def test_nothing_in_a_pickle_is_run(tmp_path):
-    """A file of metadata that would do something is not used."""
+    """Nothing in a pickle of metadata is run, and a file that would run something is ignored."""
     rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9"]
     (tmp_path / f"{CROPPED}.csv").write_text("\n".join(rows))
     harm = tmp_path / "harm"
@@ -411,7 +419,7 @@ LOST = [
 
 
 def test_lost_markers_that_are_written_as_zeros(tmp_path):
-    """A point that is zero throughout is an origin, and stays."""
+    """Lost markers that are written as zeros are missing, but a point that is zero throughout is an origin."""
     rows = ["0\t0.0\t1\t2\t3\t0\t0\t0", "1\t0.0167\t0\t0\t0\t0\t0\t0", "2\t0.0333\t0\t2\t3\t0\t0\t0"]
     (tmp_path / "a.trc").write_text("\n".join([*LOST, *rows]))
     found = read_pose3d(tmp_path / "a.trc", up="z")
@@ -421,7 +429,7 @@ def test_lost_markers_that_are_written_as_zeros(tmp_path):
 
 
 def test_another_number_for_lost_markers(tmp_path):
-    """A number three times counts if it occurs again; a table of positions is read as TRC is."""
+    """Another number three times marks lost markers if it occurs again; a table is read as a TRC file is."""
     rows = ["0,-9999,-9999,-9999,1,2,3", "1,1,2,4,-9999,-9999,-9999", "2,5,5,5,0,0,0"]
     (tmp_path / "a.csv").write_text("\n".join(["frame,paw_x,paw_y,paw_z,nose_x,nose_y,nose_z", *rows]))
     found = read_pose3d(tmp_path / "a.csv", unit="m", up="z")
@@ -438,7 +446,7 @@ def test_another_number_for_lost_markers(tmp_path):
     ],
 )
 def test_the_upward_axis_of_positions(up, expected, tmp_path):
-    """DeepLabCut's are those of its first camera, y down. Every choice is a rotation."""
+    """The up axis of positions can be stated: DeepLabCut's first camera has y down. Every choice is a rotation."""
     path = tmp_path / "a.csv"
     path.write_text("scorer,DLC_3D,DLC_3D,DLC_3D\nbodyparts,a,a,a\ncoords,x,y,z\n0,1,2,3\n")
     found = read_pose3d(path, unit="m", up=up)
@@ -453,7 +461,7 @@ def test_the_upward_axis_of_positions(up, expected, tmp_path):
 
 @pytest.mark.parametrize(("scorer", "asked"), [("DLC_3D", True), ("recon", False), (None, False)])
 def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
-    """DeepLabCut's are in units of the board; recon's, and tables without a scorer, are metres."""
+    """Triangulated positions of DeepLabCut are in the unit of the board; those of recon are in metres."""
     rows = [] if scorer is None else [f"scorer,{scorer},{scorer},{scorer}"]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([*rows, "bodyparts,nose,nose,nose", "coords,x,y,z", "0,100,200,3000"]))
@@ -469,8 +477,11 @@ BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"
 
 
 def test_tracks_of_one_animal_are_joined(tmp_path):
-    """A track that broke, and frames that were corrected and have none: their names are offered together, because they
-    never overlap in time; a third animal is there all the time."""
+    """Tracks of one animal are joined.
+
+    The message offers a broken track and a track of corrected frames together, because they never overlap in time. A
+    third animal is there all the time.
+    """
     rows = [f"track_0,{k},{k},1,0.9,{k},2,0.8" for k in range(5)]
     rows += [f",{k},{k},1,0.9,{k},2,0.8" for k in range(5, 8)] + [f"other,{k},9,9,0.9,9,9,0.8" for k in range(8)]
     (tmp_path / "a.csv").write_text("\n".join([BROKEN, *rows]))

@@ -1,4 +1,4 @@
-"""Videos in and out: which frame is which, and nothing half written."""
+"""Test videos that are read and written: frame numbers, and no incomplete files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def grey(level: int) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=[".avi", ".mp4"])
 def counted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twenty frames, the number times ten as their grey level."""
+    """Write twenty frames, whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("video") / f"counted{request.param}"
     with video_writer(path, (64, 48), 25.0) as write:
         for number in range(20):
@@ -97,7 +97,7 @@ def test_a_suffix_without_a_codec_is_an_input_error(tmp_path):
 
 
 def test_names_that_look_like_addresses(tmp_path, monkeypatch, counted):
-    """ffmpeg takes what stands before a colon for a protocol, and asks the network for http:/x."""
+    """Names that look like addresses are read as files; ffmpeg would take the text before a colon for a protocol."""
     monkeypatch.chdir(tmp_path)
     Path("http:").mkdir()
     for name in (f"run10:30{counted.suffix}", f"http:/run{counted.suffix}"):

@@ -1,4 +1,4 @@
-"""Augmented pictures: the labels go with the pixels, the sides change their names in a mirror, and draws repeat."""
+"""Test augmented pictures: labels move with the pixels, mirrored sides change names, and draws repeat."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GEOMETRY_ONLY = {"contrast": 0.0, "brightness": 0.0, "gamma": 0.0, "colour": 0.0
 
 
 def blobs(xy: np.ndarray, size: tuple[int, int] = SIZE) -> Image:
-    """The k-th point is a blob in the k-th colour."""
+    """Return pictures in which the k-th point is a blob of the k-th colour."""
     y, x = np.mgrid[: size[1], : size[0]]
     spots = [255 * np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 2.0**2) for px, py in xy]
     return np.stack([np.zeros_like(s) if np.isnan(s).any() else s for s in spots], axis=2).astype(np.uint8)
@@ -108,7 +108,7 @@ def test_motion_blur_keeps_the_light_and_the_place():
 
 
 def walk(moving_camera: bool = False) -> tuple[list[Image], Image, np.ndarray]:
-    """A dark square that crosses a textured scene, the scene, and the square's left edge in each frame."""
+    """Return frames of a dark square that crosses a textured scene, the scene, and the left edge of the square."""
     rng = np.random.default_rng(2)
     scene = np.repeat(rng.integers(120, 220, (60, 200, 1)), 3, axis=2).astype(np.uint8)
     left = np.arange(0, 60, 3)

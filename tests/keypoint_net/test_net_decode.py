@@ -1,4 +1,4 @@
-"""From scores to points: exact for the Gaussians that the network is trained on; missing labels change nothing."""
+"""Test the points that are computed from scores: exact for Gaussians, and unchanged by missing labels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = needs_torch
 
 
 def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> Any:
-    """Logarithms of Gaussians (1, K, h, w)."""
+    """Return logarithms of Gaussians (1, K, h, w)."""
     y, x = np.mgrid[: size[0], : size[1]]
     d2 = (x - xy[:, 0, None, None]) ** 2 + (y - xy[:, 1, None, None]) ** 2
     return torch.from_numpy(-0.5 * d2 / sigma**2).float()[None]
@@ -39,7 +39,7 @@ def test_a_broad_peak_beats_a_sharp_one_of_less_weight():
 
 
 def test_the_raw_likelihood_is_the_probability_within_the_tolerance():
-    """A Gaussian of two dimensions has 1 - exp(-r^2 / 2 sigma^2) within a radius r."""
+    """The raw likelihood is the probability within the tolerance r, 1 - exp(-r^2 / 2 sigma^2) for a 2D Gaussian."""
     sigma, radius = 2.0, 3.0
     _, within = decode(probabilities(gaussian_scores(np.array([[20.3, 19.6]]), (40, 40), sigma)), radius)
     assert float(within) == pytest.approx(1 - math.exp(-0.5 * (radius / sigma) ** 2), abs=0.01)

@@ -1,4 +1,4 @@
-"""Scores, calibration and suspicious labels, against cases done by hand."""
+"""Test scores, calibration and suspicious labels against values by hand."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ NAN = float("nan")
 
 
 def test_expected_calibration_error_by_hand():
-    """Three bins: 2 points at 0.05 of which none is right, 4 at 0.55 (3 right), 4 at 1.0 (3 right):
-    (2 * 0.05 + 4 * 0.2 + 4 * 0.25) / 10."""
+    """The expected calibration error is that by hand.
+
+    There are three bins: 2 points at 0.05 (0 right), 4 at 0.55 (3 right), 4 at 1.0 (3 right): (2 * 0.05 + 4 * 0.2 + 4 *
+    0.25) / 10.
+    """
     likelihood = np.array([0.05, 0.05, *[0.55] * 4, *[1.0] * 4])
     right = np.array([0, 0, 1, 1, 1, 0, 1, 1, 1, 0], bool)
     table = reliability(likelihood, right)
@@ -43,7 +46,7 @@ def test_calibration_stays_finite_where_all_points_are_right():
 
 
 def test_scores_by_hand():
-    """Errors 3, 4 and 12 px of four labelled points, one not found; one unlabelled point, which counts for nothing."""
+    """Scores are those by hand: errors of 3, 4 and 12 px, a point not found, and an unlabelled one, ignored."""
     label = np.array([[[0, 0], [10, 0], [0, 10]], [[0, 0], [10, 0], [NAN, NAN]]], float)
     xy = np.array([[[3, 0], [10, 4], [NAN, NAN]], [[0, 12], [10, 0.5], [5, 5]]], float)
     xy[1, 1] = [10, 0.5]
@@ -111,7 +114,7 @@ def test_the_command_prints_a_table(tmp_path):
 
 
 def marching(n: int = 40) -> Labels:
-    """Four keypoints of an animal 30 px long that moves 2 px a frame and swings a little."""
+    """Return four keypoints of an animal 30 px long that moves 2 px per frame and swings a little."""
     t = np.arange(n, dtype=float)
     shape = np.array([[0, 0], [30, 0], [5, 15], [25, 15]], float)
     xy = np.repeat(shape[None], n, axis=0) + np.stack([2 * t, np.zeros(n)], axis=1)[:, None]

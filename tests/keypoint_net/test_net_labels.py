@@ -1,4 +1,4 @@
-"""Labels and their pictures: which belongs to which, what is missing, and every kind of input that cannot be used."""
+"""Test labels and their pictures: which belong together, what is missing, and every unusable input."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from recon.keypoint_net.labels import (
 
 @pytest.fixture
 def clip(tmp_path: Path) -> tuple[Path, Path]:
-    """A video of ten frames whose level is ten times the frame, and labels 50 to 57 for frames 0 to 7."""
+    """Write a video of ten frames, whose level is ten times the frame, and labels 50 to 57 for frames 0 to 7."""
     video = tmp_path / "run.avi"
     with video_writer(video, (64, 48), 25.0) as write:
         for number in range(10):

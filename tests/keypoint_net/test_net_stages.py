@@ -1,4 +1,4 @@
-"""Animals that are large in their pictures: found in small ones, and then point by point at full size."""
+"""Test networks in two stages: large animals are found in small pictures, then point by point at full size."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BRIEF = replace(SETTINGS, steps=2)
 
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only what is in it on threads."""
+    """Leave out the report, except what it says about threads."""
     monkeypatch.setattr(
         "recon.keypoint_net.train.write_training_report",
         lambda run, state, folder: {"threads": state.threads},
@@ -51,14 +51,14 @@ class Killed(Exception):
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Narrow networks, for which an animal of 24 px is large."""
+    """Make narrow networks, for which an animal of 24 px is large."""
     narrow_networks(monkeypatch)
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
 
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three discs of one colour each, with labels in every frame."""
+    """Write a clip of three discs of one colour each, with labels in every frame."""
     folder = tmp_path_factory.mktemp("clip")
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
     rows = ["scorer" + ",me" * 6, "bodyparts," + ",".join(n for n in NAMES for _ in "xy"), "coords" + ",x,y" * 3]
@@ -96,7 +96,10 @@ def test_what_is_small_has_one_stage_and_what_is_large_two():
 
 @pytest.mark.slow
 def test_two_stages_from_labels_to_points(clip, tmp_path):
-    """A run that is killed and goes on ends in the same weights; the points are in pixels of the clip."""
+    """Two stages are trained from labels, and predict points in pixels of the clip.
+
+    A run that is killed and resumed ends in the same weights.
+    """
 
     def stop(stage: str, share: float) -> None:
         if share >= 0.8:
@@ -164,7 +167,7 @@ def test_a_network_whose_description_cannot_be(field, value, tmp_path):
 
 
 def bright_stage() -> Any:
-    """A stage that is sure of what is bright."""
+    """Return a stage that is certain about bright pixels."""
 
     class Stage(torch.nn.Module):
         def forward(self, x: Any) -> Any:
@@ -174,7 +177,10 @@ def bright_stage() -> Any:
 
 
 def test_the_second_stage_looks_near_the_first_ones_points():
-    """Each stage sees the brightest: the first a large spot, the second would see a small one, which is too far."""
+    """The second stage looks only near the points of the first.
+
+    Both find the brightest spot: the first a large one; a smaller, brighter one is too far away for the second.
+    """
     picture = np.full((200, 400, 3), 100, np.uint8)
     y, x = np.mgrid[:200, :400]
     for at, level, radius in (((305.5, 97.5), 210, 6), ((60, 50), 250, 3)):

@@ -1,4 +1,4 @@
-"""Training, resuming and predicting on a small clip of three coloured blobs, and the ways in which they can fail."""
+"""Test training, resuming and predicting on a small clip of three coloured blobs, and failures."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ COLOURS = ((250, 60, 60), (60, 250, 60), (60, 60, 250))
 
 
 def places(frame: int) -> np.ndarray:
-    """(3, 2): of the three points in a frame of the clip, px."""
+    """Return the three points (3, 2) in a frame of the clip, px."""
     x = 20.0 + 2.5 * frame
     swing = 4 * np.sin(0.7 * frame)
     return np.array([[x, 20.0], [x - 8 + swing, 40.0], [x + 8 - swing, 42.0]])
@@ -48,7 +48,7 @@ def places(frame: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """clip.avi, and labels.csv with frames 50, 52, ... for 0, 2, ...; the label of l_paw in frame 54 is missing."""
+    """Write clip.avi, and labels.csv with frames 50, 52, ... for 0, 2, ...; l_paw of frame 54 has no label."""
     folder = tmp_path_factory.mktemp("clip")
     rng = np.random.default_rng(0)
     scene = rng.integers(90, 130, (SIZE[1], SIZE[0], 3)).astype(float)
@@ -83,7 +83,7 @@ def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: boo
 
 @pytest.fixture(scope="module")
 def model(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A network of the users' size that knows the blobs."""
+    """Return a network of the users' size that knows the blobs."""
     out = tmp_path_factory.mktemp("model")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(train_module, "EVALUATIONS", EVALUATIONS)
@@ -102,7 +102,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def quick_training(patch: pytest.MonkeyPatch) -> None:
-    """Narrow networks, and no report."""
+    """Make networks narrow, and leave out the report."""
     narrow_networks(patch)
     patch.setattr("recon.keypoint_net.train.write_training_report", lambda run, state, folder: {})
 
@@ -113,7 +113,7 @@ class Killed(Exception):
 
 @pytest.fixture(scope="module")
 def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short run of a narrow network that nobody stopped."""
+    """Return a short run of a narrow network that was not interrupted."""
     out = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
         quick_training(patch)
@@ -123,7 +123,10 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("at", [pytest.param(0.5, marks=pytest.mark.slow), 0.85])
 def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
-    """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
+    """A run that is killed and resumed ends in the same weights.
+
+    It is killed between two checkpoints, before and after learning from the validation pictures.
+    """
 
     def stop(stage: str, share: float) -> None:
         if share >= at:
@@ -155,7 +158,7 @@ def test_the_video_is_never_written_over(clip, whole, quick, tmp_path):
 
 
 def test_no_file_of_a_user_s_is_replaced(clip, whole, quick, tmp_path):
-    """Under the names that the commands write; each is refused before any work."""
+    """No file of a user under the names that the commands write is replaced; each is refused before any work."""
     train_it = ("train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", 50, "--steps", 3)
     names = (predict_module.MODEL_FILE, train_module.CHECKPOINT_FILE, *train_module.REPORT_FILES)
     require_untouched((*train_it, "--out", tmp_path / "net"), tmp_path / "net", names)
@@ -166,7 +169,7 @@ def test_no_file_of_a_user_s_is_replaced(clip, whole, quick, tmp_path):
 
 @pytest.mark.slow
 def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
-    """The checkpoint that is left is known as this command's: it is gone on from, or replaced."""
+    """After Ctrl-C the message says how to continue; the checkpoint can be continued or replaced."""
 
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
@@ -200,7 +203,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
 
 
 def test_training_and_prediction_on_cuda(clip, tmp_path):
-    """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""
+    """Training and prediction work on CUDA, a stopped run ends in the same weights, and a CPU reads the network."""
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     settings = TrainSettings(steps=110, batch=4, seed=1)
@@ -281,7 +284,7 @@ def test_training_states_the_accuracy_that_so_many_labels_gave(count: int, sente
 
 
 def test_the_stated_accuracy_is_the_measured_one() -> None:
-    """The rows of benchmarks/results/net.json give the errors, as ranges over seeds or one value."""
+    """The stated accuracy is the measured one in benchmarks/results/net.json: ranges or single values."""
     path = Path(__file__).parents[2] / "benchmarks" / "results" / "net.json"
     tables = json.loads(path.read_text(encoding="utf-8"))["tables"]
     measured = [
