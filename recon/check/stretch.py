@@ -24,7 +24,7 @@ SPREAD = 0.04
 SIGMA_SHARE = 0.5
 """Factor on the posterior's standard deviation, which is twice the spread of the estimates."""
 LIMITS = -1.6, 3.3
-"""Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.
+"""Deviations, in standard deviations, beyond which a picture counts as compressed or stretched along x.
 
 The deviations are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x is scaled by 0.75, and 2.1 to 4.7
 (median 3.7) if x is scaled by 1.33 (`benchmarks/wrong_inputs.py --only limits`).

@@ -189,6 +189,6 @@ A fast fit uses ten times this value. Joints of five real runs are then 0.01 to 
 square) from those of a search with 1e-7.
 """
 ROUGH_TOLERANCE = 1e-3
-"""The same tolerance in rounds before the last one, which only serve to estimate noise, contacts and shape spread."""
+"""Value of `TOLERANCE` in rounds before the last, which only serve to estimate noise, contacts and shape spread."""
 MAX_ITERATIONS = 30
 """Largest number of iterations of one search."""

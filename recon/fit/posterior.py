@@ -62,7 +62,10 @@ _NEARLY_FREE = 1e-3
 _FRAMES_AT_ONCE = 256
 """Number of frames whose covariances are computed at once if the lengths are known; it bounds the memory."""
 _FRAMES_OF_SHAPE = 32
-"""The same number if lengths and offsets are unknown, which needs many more derivatives."""
+"""Number of frames whose covariances are computed at once if lengths and offsets are unknown.
+
+These unknowns need many more derivatives.
+"""
 _BIAS_ROUNDS = 10
 """Number of rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
