@@ -417,7 +417,7 @@ def test_frames_that_cannot_be_decoded_are_counted(tmp_path):
     decoded = sum(1 for _ in read_frames(film))
     note = missing_note(film, np.array([stamp_s for _, stamp_s, _ in timed_frames(film)]))
     assert note is not None
-    assert f"states 30 frames, {decoded} can be decoded" in note
+    assert f"states 30 frames, but {decoded} can be decoded" in note
 
 
 def test_a_video_for_browsers_is_whole_or_an_error(tmp_path, capfd):
