@@ -1,4 +1,4 @@
-"""The benchmarks' scripts: what they name is there, and the docs' tables are those of their results."""
+"""Test that the names in the benchmarks' scripts exist, and that the docs' tables are those of their results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ QUESTIONS = (
 
 
 def script(name: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The names that a script defines."""
+    """Return the names that a script defines."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     try:
         return runpy.run_path(str(BENCHMARKS / f"{name}.py"))

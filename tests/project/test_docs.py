@@ -1,8 +1,8 @@
-"""Every command and every piece of Python in README.md and docs/ is run, and what they print is what the pages show.
+"""Test that every command and Python block in README.md and docs/ runs, and prints what the pages show.
 
-Each page is run from its top to its bottom, each command going on in a copy of the folder that the one before left; a
-file that the page names is made when it is first named (`docs_files`). Commands are run in this process. What cannot be
-run is in `NOT_RUN`, with the reason.
+Each page is run from top to bottom; each command continues in a copy of the folder that the command before it left. A
+file that the page names is made when it is first named (`docs_files`). Commands are run in this process. `NOT_RUN` has
+what cannot be run, with the reason.
 """
 
 from __future__ import annotations
@@ -118,14 +118,14 @@ FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 
 
 class Workshop:
-    """A folder in which the files of `docs_files` appear when they are named."""
+    """A folder in which the files of `docs_files` are made when they are named."""
 
     def __init__(self, folder: Path, page: str, results: Path, of_results: Callable[[str], tuple[str, Path]]) -> None:
         self.folder, self.results, self.of_results = folder, results, of_results
         self.files = FILES | OF_PAGE.get(page, {})
 
     def provide(self, text: str) -> None:
-        """Every file that the text names, unless it is there."""
+        """Make every file that the text names and that does not exist."""
         for name, make in self.files.items():
             path = self.folder / name
             if re.search(rf"(?<![\w./-])(?<!--out ){re.escape(name)}(?![\w-]|\.\w)", text) and not path.exists():
@@ -137,7 +137,7 @@ class Workshop:
             make_herd(self.folder / "herd", self.results)
 
     def shell(self, command: str) -> str:
-        """What it prints."""
+        """Run a shell command, and return what it prints."""
         words = shlex.split(command)
         if words[0] != "recon":
             pytest.fail(f"{command}: neither a command of recon nor named in NOT_RUN")
@@ -171,13 +171,13 @@ def same_pose(*results: Path) -> bool:
     ],
 )
 def test_command_of_several_pages(command, of_results):
-    """By itself, so that no page takes long."""
+    """Run a command that several pages show on its own, so that no page takes long."""
     printed, _ = of_results(command)
     assert printed
 
 
 class Step(NamedTuple):
-    """One command (None: none), and what stands on the page between it and the next."""
+    """One command (None: none), and the text of the page between it and the next."""
 
     command: str | None
     blocks: list[Block]
@@ -195,7 +195,7 @@ def steps(page: Path) -> list[Step]:
 
 
 def do(step: Step, workshop: Workshop) -> None:
-    """In the workshop's folder, where we are."""
+    """Run a step in the workshop's folder, which is the current one."""
     printed, names = workshop.shell(step.command) if step.command is not None else "", {"__name__": "page"}
     for block in step.blocks:
         where = f"{block.page.name}, line {block.line}"
@@ -219,7 +219,7 @@ def do(step: Step, workshop: Workshop) -> None:
 
 @pytest.fixture(scope="session")
 def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], Path]:
-    """`folder_after(page, n)` is the folder in which the page's first n steps were done, one after the other."""
+    """Return the folder after the page's first n steps, one after the other: `folder_after(page, n)`."""
 
     def after(page: Path, count: int) -> Path:
         def make(folder: Path) -> None:
@@ -267,12 +267,12 @@ def takes_long(page: Path, number: int) -> bool:
     ],
 )
 def test_page(page: Path, count: int, folder_after) -> None:
-    """Each step by itself, so that none takes long."""
+    """Each step of a page runs on its own, so that none takes long."""
     folder_after(page, count)
 
 
 def alike(text: str) -> str:
-    """A text without its numbers, blanks and line ends: those differ between machines."""
+    """Return a text without its numbers, blanks and line ends, which differ between machines."""
     return re.sub(r"\s+", " ", re.sub(r"\d+(\.\d+)?", "0", text)).strip()
 
 
@@ -306,7 +306,7 @@ def test_blocks_have_a_language_that_is_checked():
 
 
 def test_toml_blocks_can_be_read():
-    """Their fields are checked with the readers in the tests of skeletons."""
+    """TOML blocks can be read; the tests of skeletons check their fields with the readers."""
     for page in PAGES:
         for block in blocks(page):
             if block.language == "toml" and not SNIPPET.fullmatch(block.text):
@@ -320,7 +320,7 @@ def test_reasons_are_used():
 
 
 def not_run(page: Path) -> Iterator[str]:
-    """The commands of recon in the blocks of a page that are not run."""
+    """Yield the commands of recon in the blocks of a page that are not run."""
     everything = (command for block in blocks(page) if block.language == "sh" for command in commands(block))
     return (one for one in everything if one.startswith("recon ") and reason_not_to_run(one))
 
@@ -371,7 +371,7 @@ def test_commands_and_scripts_in_the_text_exist():
 
 
 def test_links_of_the_readme_lead_somewhere():
-    """The links of docs/ are checked when the site is built."""
+    """Links of the README lead somewhere; links of docs/ are checked when the site is built."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for link in re.findall(r"\]\((?!https?://)([^)#]+)", text):
         assert (ROOT / link).exists(), link
@@ -389,7 +389,7 @@ cli(prog_name="zensical")
 
 
 def built_site(folder: Path) -> Path:
-    """As `make docs` does, in a folder of its own, in which Zensical also keeps its cache."""
+    """Build the site as `make docs` does, in a folder of its own, which also holds Zensical's cache."""
     shutil.copytree(DOCS, folder / "docs", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md"):
         shutil.copy(ROOT / name, folder)
@@ -405,7 +405,7 @@ def built_site(folder: Path) -> Path:
 
 
 def lost_links(pages: dict[Path, str]) -> Iterator[str]:
-    """Also those of pictures, of other files and in snippets, which Zensical does not check."""
+    """Yield links that lead nowhere, also those of pictures, of other files and in snippets, which Zensical skips."""
     names = {page: {"", *re.findall(r'\s(?:id|name)="([^"]*)"', text)} for page, text in pages.items()}
     for page, text in pages.items():
         for link in re.findall(r'\s(?:href|src)="([^"]*)"', text):

@@ -1,4 +1,4 @@
-"""A sample of the spoilt files of `tests/fuzz`: none is anything but read or refused in words."""
+"""Test that a sample of the damaged files of `tests/fuzz` is read, or refused with a message."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def cases(kinds: str, folder: Path, count: int) -> Tally:
 
 
 def of_the_command(folder: Path) -> tuple[int, str]:
-    """How `python -m tests.fuzz` of cameras and their tracks ends, and what it prints."""
+    """Return how `python -m tests.fuzz` of cameras and their tracks ends, and what it prints."""
     from tests.fuzz import __main__ as fuzz
     from tests.fuzz import corpus
 
@@ -54,7 +54,7 @@ def of_the_command(folder: Path) -> tuple[int, str]:
 
 @pytest.fixture(scope="module")
 def pool() -> Iterator[ProcessPoolExecutor]:
-    """A process that has no threads, so that it can be forked, and in which the good files are made once."""
+    """Return a process without threads, which can be forked, and in which the valid files are made once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT)
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
@@ -64,7 +64,7 @@ def pool() -> Iterator[ProcessPoolExecutor]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", CASES)
 def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
-    """More than a tenth is read, as not all are spoilt beyond recognition."""
+    """Damaged files are read or refused, and more than a tenth is read, as the damage is often small."""
     count = CASES[kinds]
     tally = pool.submit(cases, kinds, tmp_path / kinds, count).result()
     assert tally.causes == {}

@@ -1,4 +1,4 @@
-"""docs/how-to/new-species.md, step by step: every file of a simulated animal, and what one camera gains by them."""
+"""Test docs/how-to/new-species.md step by step: all files of a simulated animal, and the gain for one camera."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LINKS = {
 
 @pytest.fixture(scope="session")
 def after(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
-    """`after(n)`: a folder in which the page's first n steps were done, and perhaps more."""
+    """Return a folder after the page's first n steps, or more: `after(n)`."""
     folder = tmp_path_factory.mktemp("new-species")
     cat_file(folder / "my-cat.toml")
     with pytest.MonkeyPatch.context() as patch:
@@ -82,7 +82,7 @@ def test_the_lengths_mend_the_poses(after):
 
 
 def test_the_prior_knows_other_runs(after):
-    """Each run under a prior from the others: the trot is more than one Gaussian."""
+    """The prior knows other runs: under a prior from the others, a mixture fits each run better than a Gaussian."""
     runs = [f"tom/run{n}" for n in (1, 2, 3)]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(after(4))
@@ -93,7 +93,7 @@ def test_the_prior_knows_other_runs(after):
 
 
 def test_one_camera_is_enough_afterwards(after):
-    """The page's figures, and that both files help."""
+    """One camera has the errors that the page states, and both files reduce them."""
     rows = re.findall(r"^\| (?:the .*) \| ([\d.]+) \| ([\d.]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     scores = [errors(after(5), f"one/{name}", 4) for name in ("file", "lengths", "both")]
     found = [(1e3 * score.mpjpe_m.mean, 1e3 * score.mpe_m.mean) for score in scores]

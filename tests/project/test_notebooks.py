@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom, and what is saved in them is what they give."""
+"""Test that the notebooks run from top to bottom and give their saved outputs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 
 @pytest.fixture(scope="module")
 def script() -> Iterator[ModuleType]:
-    """notebooks/run.py, where also the processes that it starts find it."""
+    """Return notebooks/run.py as a module that the processes it starts can also find."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(FOLDER)
         yield import_module("run")
@@ -38,7 +38,7 @@ def script() -> Iterator[ModuleType]:
 
 @pytest.fixture(scope="module")
 def forked(script: ModuleType) -> ModuleType:
-    """The same, with the process that kernels are forked from."""
+    """Return the script with the process from which kernels are forked."""
     first = script.FORKS.Process(target=int)
     first.start()
     first.join()
@@ -67,7 +67,7 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
 
 @pytest.mark.usefixtures("undrawn", "no_playback")
 def test_the_cells_give_what_is_saved(monkeypatch: pytest.MonkeyPatch):
-    """In this process and without drawing, which takes a third of the time of a kernel."""
+    """The cells give what is saved, run in this process without drawing, in a third of a kernel's time."""
     monkeypatch.setenv("RECON_SHARED_DATA", "")
     monkeypatch.chdir(FOLDER)
     names: dict[str, Any] = {"__name__": "notebook"}
@@ -135,7 +135,7 @@ def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, sam
 
 
 def printed_by(source: str, names: dict[str, Any]) -> str:
-    """What a cell prints, with its last value unless that is a figure."""
+    """Return what a cell prints, with its last value unless that is a figure."""
     tree = ast.parse(re.sub(r"^%.*$", "", source, flags=re.MULTILINE))
     last = tree.body[-1] if tree.body else None
     shown = last.value if isinstance(last, ast.Expr) else None
@@ -153,7 +153,7 @@ def figures(outputs: list[Any]) -> int:
 
 
 def kinds(cell: Any) -> list[tuple[str, ...]]:
-    """What each output is: text, a table, a figure."""
+    """Return the kind of each output: text, a table, a figure."""
     return [tuple(sorted(output.get("data", {"text": ""}))) for output in cell.outputs]
 
 
@@ -163,7 +163,7 @@ def text_of(cell: Any) -> str:
 
 
 def difference(was: str, now: str) -> str:
-    """The first difference beyond blanks and the rounding of numbers, "" without one."""
+    """Return the first difference beyond blanks and the rounding of numbers, or ""."""
     words = [NUMBER.sub("#", text).split() for text in (was, now)]
     if words[0] != words[1]:
         return f"{' '.join(words[0])!r} is now {' '.join(words[1])!r}"

@@ -1,4 +1,4 @@
-"""The distribution's name, and the text that says how to add an extra."""
+"""Test the distribution's name, and the text that says how to add an extra."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def installed(monkeypatch, tmp_path):
-    """Says where the package comes from, as pip notes it: None is the index."""
+    """Write where the package comes from, as pip notes it; None is the index."""
     monkeypatch.setattr(sys, "executable", "/opt/python")
 
     def note(direct_url: dict | None) -> None:
@@ -43,7 +43,7 @@ def test_the_name_of_the_distribution_is_that_of_pyproject():
 
 
 def test_one_version_everywhere():
-    """The package, the citation, the recipe and the changelog's latest section agree, and so does what they require."""
+    """The version is the same in the package, the citation, the recipe and the changelog, and so are requirements."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = (ROOT / "packaging" / "meta.yaml").read_text(encoding="utf-8")
     cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
@@ -59,7 +59,7 @@ def test_one_version_everywhere():
 
 
 def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_path):
-    """The command is the same in every folder: also in one with a folder that is called like the package."""
+    """Extras are installed from the origin of the package, also if a folder has the package's name."""
     checkout = tmp_path / "my checkout"
     (checkout / "recon" / "base").mkdir(parents=True)
     wheel = tmp_path / "recon_motion-0.1.0-py3-none-any.whl"
@@ -91,7 +91,7 @@ def test_a_python_in_a_folder_with_a_space_can_be_copied_into_a_shell(installed,
 
 
 def test_no_text_names_the_package_of_somebody_else():
-    """`pip install recon`, with or without an extra, would fetch it."""
+    """No text contains `pip install recon`, with or without an extra, which would fetch another project."""
     texts = [
         ROOT / "README.md",
         *(
@@ -108,7 +108,7 @@ def test_no_text_names_the_package_of_somebody_else():
 
 
 def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
-    """Line, name and text of every docstring of a file, those beneath constants and fields included."""
+    """Return line, name and text of every docstring of a file, also those below constants and fields."""
     nodes: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
     while nodes:
         body = getattr(node := nodes.pop(), "body", [])
@@ -127,7 +127,7 @@ MAY_BE_POOR = re.compile(r"""^\s*r?["']+\s*((Of|That of|Those)\b|[^\s"']\S*(\s+\
 
 
 def test_docstrings_are_understood_by_themselves():
-    """None leaves out its noun, and none of a public name is but a word or two."""
+    """Docstrings are understood without context: all have a noun, and those of public names have several words."""
     poor = [
         f"{path.relative_to(ROOT)}:{line}: {text}"
         for folder in ("recon", "tests", "benchmarks", "pipelines", "docs", "data")

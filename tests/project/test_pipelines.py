@@ -1,4 +1,4 @@
-"""Each script of pipelines/ runs with the settings beside it on the samples, and says and writes what it should."""
+"""Test that each script of pipelines/ runs with its settings on the samples, and prints and writes what it should."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MOST_LINES = 50
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A copy of pipelines/, beside the samples and the skeletons as in the repository."""
+    """Return a copy of pipelines/ next to the samples and the skeletons, as in the repository."""
     shutil.copytree(PIPELINES, tmp_path / "pipelines", ignore=shutil.ignore_patterns("results", "__pycache__"))
     for name in ("data", "recon"):
         (tmp_path / name).symlink_to(ROOT / name)
@@ -42,7 +42,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def said(folder: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """`said(name, {old: new, ...})`: what a script prints, in whose settings these texts are replaced before."""
+    """Return what a script prints after texts of its settings are replaced: `said(name, {old: new, ...})`."""
 
     def run(name: str, changes: dict[str, str] | None = None) -> str:
         file = folder / f"{name}.toml"
@@ -101,7 +101,7 @@ def test_batch(said, folder, in_process):
 
 @pytest.mark.slow
 def test_calibration(said, folder):
-    """Pictures of a board in all corners make a camera; four of them are refused, with where boards are missing."""
+    """Pictures of a board in all corners make a camera; four of them are refused, with the missing regions."""
     camera, board = BOARD_CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
@@ -133,7 +133,7 @@ def test_analysis(said, folder, whole_results):
 
 @pytest.mark.slow
 def test_new_species(said, folder):
-    """The sample animal's lengths are the skeleton's."""
+    """The lengths of the sample animal are those of the skeleton."""
     for name in ("several_cameras", "one_clip"):
         with (folder / f"{name}.toml").open("a", encoding="utf-8") as file:
             file.write("fast = true\n")
@@ -147,7 +147,7 @@ def test_new_species(said, folder):
 
 
 def small_film(folder: Path) -> None:
-    """film.mp4, the first frames of the rendered video at a quarter of its size, and labels.csv with theirs."""
+    """Write film.mp4, the first frames of the rendered video at a quarter of its size, and their labels.csv."""
     labels = (SAMPLES / "rendered_labels.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.split(",") for line in labels[3:9]]
     small = [",".join([name, *(f"{float(cell) / 4:.2f}" if cell else "" for cell in cells)]) for name, *cells in rows]
@@ -160,7 +160,7 @@ def small_film(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimiser", "undrawn")
 def test_video_to_3d(said, folder, monkeypatch):
-    """With a network that learned next to nothing."""
+    """The pipeline runs from the video to 3D with a network that learned next to nothing."""
     narrow_networks(monkeypatch)
     monkeypatch.setattr("recon.keypoint_net.train.EVALUATIONS", 1)
     small_film(folder)
@@ -178,7 +178,7 @@ def test_video_to_3d(said, folder, monkeypatch):
 
 
 def test_all_of_it_is_on_the_page():
-    """By reference, so that it cannot be out of date."""
+    """The page contains every script by reference, so that it cannot be out of date."""
     page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
     shown = re.findall(r'--8<-- "(pipelines/.*)"', page)
     assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in PIPELINES.iterdir() if path.is_file())

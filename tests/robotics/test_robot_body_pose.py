@@ -1,4 +1,4 @@
-"""The body's pose with planted feet against the published trigonometry, and there and back."""
+"""Test the pose of a body on planted feet against the published trigonometry, forward and back."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_pitch():
 
 
 def test_yaw():
-    """Published for the right front leg, x to the right and y forwards, a clockwise, in ground axes."""
+    """The yaw is as published for the right front leg: x right, y forwards, a clockwise, in ground axes."""
     width, length, a = C, A, ANGLES
     r, b = np.hypot(width, length), np.arctan(length / width)
     E, D = r * np.sin(b - a), r * np.cos(b - a)
@@ -38,7 +38,7 @@ def test_yaw():
 
 
 def test_roll_is_pitch_from_the_side():
-    """Right side down is nose down with the width for the length."""
+    """A roll is a pitch seen from the side: right side down is nose down with width and length exchanged."""
     turned = leg_targets(body_pose(np.zeros((25, 3)), ANGLES, 0.0, 0.0), HIPS, FEET)
     s, c = np.sin(ANGLES), np.cos(ANGLES)
     right = L - C * s

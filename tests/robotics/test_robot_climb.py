@@ -1,4 +1,4 @@
-"""Climbing by potential fields: fields against their formula and differences, equilibria, paths, margins, climbs."""
+"""Test climbing by potential fields: fields against formulas and differences, equilibria, paths, margins, climbs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [
 
 
 def well(*numbers: float) -> _Well:
-    """The same for all legs."""
+    """Return the same well for all legs."""
     of_legs = ((number, number, number, number) for number in numbers)
     return _Well.model_construct(**dict(zip(_Well.model_fields, of_legs, strict=True)))
 
@@ -109,7 +109,7 @@ def test_a_leg_in_the_dead_zone_pulls_little_and_hard_beyond():
 
 
 def test_fields_act_along_the_published_directions():
-    """On the right, X is to the right and Y forwards."""
+    """Fields act along the published directions; on the right side, X is to the right and Y forwards."""
     r, x, y = np.array([0.05, -0.03, -0.1]), np.array([0, -1.0, 0]), np.array([1.0, 0, 0])
     a, b = np.cross(x, r), np.cross(r, y)
     ways = {
@@ -128,7 +128,7 @@ def test_fields_act_along_the_published_directions():
 
 
 def energy(feet_m: np.ndarray, at: np.ndarray) -> float:
-    """By quadrature of the slopes from where they are none, and of the pull."""
+    """Return the energy by quadrature of the slopes from their zero, and of the pull."""
     r = (feet_m - at[:3, 3]) @ at[:3, :3] - HIPS
     ways = zip(
         (np.linalg.norm(r, axis=1), np.arctan2(r[:, 0], -r[:, 2]), np.arctan2(LEFT * r[:, 1], -r[:, 2])),

@@ -1,4 +1,4 @@
-"""`recon robot`: what it prints is the robot's kinematics, and mistakes are said."""
+"""Test `recon robot`: it prints the robot's kinematics and reports wrong input."""
 
 import json
 from pathlib import Path
@@ -45,8 +45,10 @@ def urdf(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
 def test_chains_and_all_solutions_of_the_legs(name):
-    """Joint by joint, with the robot's own signs, a leg of each side and end is as by its closed form, which is
-    one of four."""
+    """A leg of each side and end is solved joint by joint as in closed form, with the robot's own signs.
+
+    The closed form is one of four solutions.
+    """
     rng = np.random.default_rng(3)
     legs = load_robot(name).legs
     for leg in (legs["LF"], legs["RH"]):
@@ -62,7 +64,7 @@ def test_chains_and_all_solutions_of_the_legs(name):
 
 
 def test_pose_with_planted_feet():
-    """A pitch lowers the front hips; the angles put the feet back where they stood."""
+    """A pitch on planted feet lowers the front hips, and the angles put the feet back in their positions."""
     found = answer("pose", "aibo", "--pitch", 10, "--move", "0,0,-0.01")
     robot = load_robot("aibo")
     s, c = np.sin(np.radians(10)), np.cos(np.radians(10))

@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg chains against an independent library, and driven by every method of inverse kinematics."""
+"""Test Denavit-Hartenberg chains against an independent library, and with every method of inverse kinematics."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_puma_560_against_ikpy(rows, convention, name):
 
 
 def elementary(convention, row, q):
-    """One row, multiplied out."""
+    """Return one row of a table, multiplied out."""
 
     def turn(axis, angle):
         c, s = np.cos(angle), np.sin(angle)

@@ -1,4 +1,4 @@
-"""Legs in closed form against their chains of joints, and there and back."""
+"""Test legs in closed form against their chains of joints, forward and back."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""MuJoCo as the oracle of what is written for trainers, and the checks of a motion by its inverse dynamics."""
+"""Test files for training programs against MuJoCo, and the checks of a motion by its inverse dynamics."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def a1(retargeted):
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
-    """MuJoCo has the robot from its URDF, we from its dimensions."""
+    """Bodies, velocities and contacts are those of MuJoCo, which reads the URDF; ours come from the dimensions."""
     import mujoco  # slow to import
 
     path = tmp_path / "a1.urdf"
@@ -56,7 +56,7 @@ def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
 
 
 def still(time_s: np.ndarray, way_m: np.ndarray, stand: bool = True) -> RobotMotion:
-    """The A1 on planted feet, its body (N, 3) away from where it stands."""
+    """Return the A1 on planted feet, with its body displaced by (N, 3) m."""
     robot = load_robot("a1")
     up = np.array([0, 0, robot.stand_m])
     feet = up + [leg.neutral_m for leg in robot.legs.values()]
@@ -112,7 +112,7 @@ def test_legs_that_meet():
 
 @pytest.fixture(scope="module")
 def trotting(whole_results) -> Motion:
-    """The simulated animal that trots, its poses exact."""
+    """Return the simulated animal that trots, with exact poses."""
     motion = Motion.load(whole_results)
     return with_exact_states(motion, TROT.states(motion.body, motion.frames / 60.0), 60.0)
 
@@ -146,7 +146,7 @@ def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carri
 
 @pytest.mark.parametrize(("robot", "scale"), [pytest.param("a1", 0.28, marks=pytest.mark.slow), ("go2", 0.31)])
 def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
-    """Less than half of the frames have a foot on the ground, and few have two."""
+    """The feet of the sample's gallop carry it, although less than half of the frames have a foot on the ground."""
     gallop = retarget(reference_of(Motion.load(whole_results)), load_robot(robot), scale).stride
     model = simulated(gallop.robot)
     assert kept(check(gallop, model)[1])["forces"]["share"] < 0.1

@@ -1,4 +1,4 @@
-"""The bundled robots, and files of others."""
+"""Test the bundled robots, and files of other robots."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_angles_and_feet_in_the_robots_own_joints(name, label):
 
 
 def test_signs_of_the_a1():
-    """Unitree's: a positive hip moves the foot to the left, a positive thigh back, the calf is negative."""
+    """Signs of the A1 are Unitree's: a positive hip moves a foot left, a positive thigh back; calves are negative."""
     robot = load_robot("a1")
     for leg in robot.legs.values():
         (home,) = leg.angles(leg.neutral_m[None])
@@ -68,7 +68,7 @@ def test_signs_of_the_a1():
 
 
 def test_signs_of_the_aibo():
-    """Sony's: a positive rotator swings forwards, a positive elevator outwards, a positive knee bends."""
+    """Signs of the Aibo are Sony's: a positive rotator swings forwards, elevator outwards, and knee bends."""
     robot = load_robot("aibo")
     for label, leg in robot.legs.items():
         (home,) = leg.angles(leg.neutral_m[None])

@@ -1,4 +1,4 @@
-"""A reconstruction on a robot: footholds, closed strides, and what is promised of the motion."""
+"""Test a reconstruction on a robot: footholds, closed strides, and the stated properties of the motion."""
 
 import csv
 import json
@@ -37,7 +37,7 @@ from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
 
 def hops(n=400):
-    """A path that hops forwards in half sines, sliding while it should stand."""
+    """Return a path that hops forwards in half sines and slides while it should stand."""
     t = np.linspace(0, 2, n)
     path = np.column_stack([t + 0.1 * np.sin(np.pi * t), 0.1 * np.cos(t), 0.1 * np.sin(np.pi * t) - 0.01])
     return t, path, (np.abs(np.sin(np.pi * t)) < 0.2)
@@ -93,7 +93,7 @@ def test_a_stride_of_ones_own(whole_results):
 
 
 def test_reference_of_a_whole_animal(whole):
-    """Trunk and feet are those of pose3d.csv, turned along the travel."""
+    """The reference of a whole animal has trunk and feet of pose3d.csv, turned to the direction of travel."""
     reference, results = whole.reference, whole.analysis.motion
     at = results.names.index
     rows = whole.rows[::10] // 10
@@ -231,7 +231,7 @@ def test_a_repeated_stride_goes_on(retargeted):
 
 
 def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(retargeted, tmp_path):
-    """Also a horse, whose near side is the left one."""
+    """The animal next to the robot has the colours of its sides, also a horse, whose near side is the left one."""
     solved = retargeted("a1")
     horse = load_skeleton("horse-22")
     at = {marker: j for j, marker in enumerate(horse.markers)}
@@ -322,7 +322,7 @@ def test_command(whole_results, frame_results, tmp_path):
 
 
 def test_urdf_file(whole, tmp_path):
-    """The same robot joint by joint, solved by the methods of recon.ik."""
+    """A URDF file of the same robot, joint by joint, is solved by the methods of recon.ik."""
     path = tmp_path / "a1.urdf"
     shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
     facet = np.zeros(1, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -377,7 +377,7 @@ def test_every_problem_at_once(tmp_path):
 
 @pytest.mark.slow
 def test_a_real_run(shared_data, tmp_path):
-    """A clip without a complete stride: nearest return, said so."""
+    """A real run without a complete stride uses the nearest return, and a note says so."""
     from recon import FitSettings
     from recon.api.clip_results import run_clip
 

@@ -1,4 +1,4 @@
-"""A robot's motion as programs that train policies read it: by readers written from the layouts' definitions."""
+"""Test motions in the formats of training programs, with readers written from the definitions of the layouts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def solved(retargeted) -> Retargeting:
 
 
 def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
-    """The bodies of one leg with angles (3,), in the trunk's axes, as its URDF has them, joint by joint."""
+    """Return the bodies of one leg with angles (3,), rad, in the trunk's axes, joint by joint as in its URDF."""
     side = 1 if name[1] == "L" else -1
     hip, thigh = Rotation.from_euler("x", q[0]), Rotation.from_euler("y", q[1])
     at = np.array([*HIPS[name], 0.0])
@@ -174,7 +174,7 @@ def test_the_command_writes_both_with_the_verdict(whole_results, written, tmp_pa
 
 
 def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_path):
-    """As if `recon retarget` had been asked for it."""
+    """A robot's folder is converted at any rate, with the same result as by `recon retarget`."""
     robot, out = written, tmp_path / "later.npz"
     assert run("convert", robot, out, "--to", "isaaclab", "--fps", "80").code == 0
     for at_once, later in (("isaaclab.npz", out), ("stride_isaaclab.npz", tmp_path / "stride_later.npz")):

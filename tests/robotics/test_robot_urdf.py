@@ -1,4 +1,4 @@
-"""Chains and quadrupeds from URDF against yourdfpy's own kinematics and against the same robot in closed form."""
+"""Test chains and quadrupeds from URDF against yourdfpy's kinematics and the same robot in closed form."""
 
 import sys
 
@@ -90,7 +90,7 @@ MJCF = """<mujoco model="rig"><compiler angle="radian"/><worldbody><geom type="p
 
 
 def test_chain_of_an_mjcf_file(tmp_path):
-    """Joints beside their bodies' origins, two on one body, names left out; in the axes of the body that moves."""
+    """A chain of an MJCF file is read: joints away from the origins of bodies, two on one body, and without names."""
     import mujoco
 
     path = tmp_path / "rig.xml"
@@ -116,7 +116,7 @@ def test_a_joint_without_an_axis(tmp_path):
 
 
 def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
-    """Which are shapes there, not links of their own."""
+    """Legs of an MJCF file end in their feet, which are shapes there and no links."""
     closed, path = load_robot("a1"), tmp_path / "a1.xml"
     spec = described(closed)
     spec.compile()

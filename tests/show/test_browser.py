@@ -1,6 +1,6 @@
-"""Pages in a real browser: nothing is cut or off the screen, controls do what they say, all views show one frame.
+"""Test pages in a browser: nothing is cut or off the screen, controls work, and all views show one frame.
 
-They need Chromium and the package playwright (`apt-get install chromium`), and skip without.
+The tests need Chromium and the package playwright (`apt-get install chromium`), and skip without them.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def tab(chromium) -> Any:
-    """The page in which all tests look at theirs: a process of the browser for each would take a second."""
+    """Return one browser page for all tests, because a browser process for each would take a second."""
     page = chromium.new_context().new_page()
     page.set_default_timeout(PATIENCE_MS)
     return page
@@ -108,7 +108,7 @@ def tab(chromium) -> Any:
 
 @pytest.fixture
 def messages(tab) -> Iterator[list[str]]:
-    """What the browser says about the pages that a test opens."""
+    """Return what the browser reports about the pages that a test opens."""
     texts: list[str] = []
 
     def hear(message: Any) -> None:
@@ -133,7 +133,7 @@ def show_as(page: Any, view: str) -> None:
 
 @pytest.fixture
 def opened(tab, messages) -> Iterator[Callable[..., Any]]:
-    """Opens a page in a view: the browser has nothing to say about it, and fetches nothing but the page itself."""
+    """Open a page in a view; the browser must report nothing, and fetch nothing but the page itself."""
     fetched: list[str] = []
 
     def hear(request: Any) -> None:
@@ -161,7 +161,7 @@ def level_at(page: Any, row: int) -> float:
 
 @pytest.fixture(scope="module")
 def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dict[str, Path]:
-    """Pages: with a video and names that are HTML, of two cameras, of a whole run, and of a result not to be used."""
+    """Return pages with a video and names that are HTML, of two cameras, of a whole run, and of a rejected result."""
     folder = tmp_path_factory.mktemp("browser")
     settings = {"camera": Path("camera.toml"), "fps": 30}
     source = small_trajectory.sources[0]
@@ -192,7 +192,7 @@ def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dic
 
 
 class Pages(dict[str, Path]):
-    """Pages by their names, each of which is written when a test asks for it."""
+    """Pages by name, each of which is written when a test needs it."""
 
     def __init__(self, folder: Path, clips: Sequence[str], video: Path) -> None:
         super().__init__()
@@ -448,7 +448,7 @@ def test_a_page_without_scripts_has_its_pictures(pages, chromium):
 
 @pytest.mark.slow
 def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
-    """Read through the script, as what is drawn is."""
+    """The numbers of the page are those of the result, read through the script that draws them."""
     page = opened(pages["whole"])
     motion = Motion.load(pages["whole"].parent)
     got = page.evaluate(f"(({{clip}}) => [clip.joint(30, 5), clip.cameras[0].error(30, 5), clip.count])({PLAYER})")
@@ -472,7 +472,7 @@ PLACED = """([position, x, y]) => {
 
 
 class EditorPage:
-    """The page of `recon fix` in a browser, with what is saved after each action."""
+    """The page of `recon fix` in a browser, with the corrections saved after each action."""
 
     def __init__(self, page: Any, session: CorrectionSession) -> None:
         self.page, self.session = page, session
@@ -500,7 +500,7 @@ class EditorPage:
             self.page.keyboard.press(key)
 
     def saved(self) -> dict[tuple[int, str], tuple[float, float] | None]:
-        """Wait until everything is saved, and return what the file has."""
+        """Wait until everything is saved, and return the content of the file."""
         self.evaluate("() => EDITOR.saving")
         return {(row.frame, row.keypoint): row.now_px for row in read_corrections(self.session.out)}
 
@@ -509,7 +509,7 @@ class EditorPage:
 def editor(
     tab, messages: list[str], whole_results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[EditorPage]:
-    """An editor whose fits are those that there were; the browser has nothing to say about its page."""
+    """Yield an editor whose refits return the present motion; the browser must report nothing about its page."""
     monkeypatch.setattr("recon.api.corrections.refit_clip", lambda settings, motion: motion)
     monkeypatch.setattr("recon.api.corrections.IDLE_S", 3600.0)
     session = CorrectionSession.open(whole_results, tmp_path / "corrections.csv")
@@ -527,7 +527,7 @@ def editor(
 
 @pytest.mark.parametrize("count", [8, pytest.param(30, marks=pytest.mark.slow)])
 def test_points_arrive_where_they_are_put(editor: EditorPage, count: int):
-    """Points of the list are clicked, and one is dragged: all are within half a pixel of their targets."""
+    """Points arrive where they are put: by a click or by dragging, within half a pixel of their targets."""
     targets = {}
     for position, item in enumerate(editor.session.state()["queue"][:count]):
         x, y = item["expected_px"]
@@ -569,7 +569,7 @@ def test_keys_accept_hide_clear_swap_and_undo(editor: EditorPage):
 
 
 def test_labels_from_nothing(tab, messages: list[str], tmp_path: Path):
-    """Clicks label one keypoint after the other; a drag, a skipped one, undo and the next frame do what they say."""
+    """Clicks label keypoints one after the other; dragging, skipping, undo and the next frame work."""
     pytest.importorskip("tables")
     video = tmp_path / "run.avi"
     with video_writer(video, (320, 240), 25.0) as write:

@@ -1,4 +1,4 @@
-"""Configurations in the animal's own frame: what is drawn where, at which scale, and in which colour."""
+"""Test configurations in the animal's own frame: positions, scales and colours of the drawing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TIMES = np.linspace(1.0, 2.0, 31)
 
 
 def swinging() -> np.ndarray:
-    """(31, 4, 3): U, V, W of a trunk and two legs, of which the left one swings forwards."""
+    """Return points (31, 4, 3), U, V, W in m, of a trunk and two legs, of which the left one swings forwards."""
     points = np.zeros((31, 4, 3))
     points[:, 1, 0] = 0.6
     angle = np.linspace(-0.5, 0.5, 31)
@@ -30,7 +30,7 @@ def swinging() -> np.ndarray:
 
 
 def drawn_in(axes) -> list:
-    """The collections of lines of a panel, one for each limb."""
+    """Return the collections of lines of a panel, one for each limb."""
     return [found for found in axes.collections if isinstance(found, LineCollection)]
 
 
@@ -92,7 +92,7 @@ def test_left_and_right_have_their_colours_full_at_the_end_and_pale_at_the_begin
 
 
 def test_the_animal_is_large():
-    """Ten centimetres or more of a page, from the side."""
+    """The animal is drawn large: ten centimetres or more of a page, from the side."""
     side = plots.body_fixed(swinging(), LIMBS, TIMES, SIDES).axes[0]
     assert side.get_window_extent().width / side.figure.dpi * 25.4 > 100
 
@@ -112,7 +112,7 @@ def test_without_a_pose_there_is_nothing():
     ],
 )
 def test_no_pose_is_cut_wherever_the_animal_goes(small_trajectory, drift_m):
-    """As in clips that are not to be used: the animal climbs, or runs off to the side."""
+    """No pose is cut, even if the animal climbs or runs off to the side, as in unusable clips."""
     joints_m = small_trajectory.upright.xyz_m + np.linspace(0, 1, 8)[:, None, None] * np.array(drift_m)
     figure = composites(joints_m, small_trajectory.limbs, small_trajectory.time_s)
     figure.draw_without_rendering()

@@ -1,4 +1,4 @@
-"""Written tables read back to their last decimal, in the layouts that others expect."""
+"""Test that written tables are read back to their last decimal, in standard layouts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ METRES = within(5)
 
 
 def test_last_digits_that_differ_between_processors_are_not_written(small_motion, tmp_path):
-    """Zeros have no sign, and the numbers are as long as they need to be."""
+    """Last digits that differ between processors are not written, zeros have no sign, and numbers are short."""
     states = np.array(small_motion.states)
     states[0, :3] = -1e-13, 0.1 + 1e-14, -2.5
     for name, shift in (("one.csv", 0.0), ("other.csv", 3e-14)):

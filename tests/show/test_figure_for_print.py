@@ -1,4 +1,4 @@
-"""`recon figure`: sizes, letters and fonts of figures for a paper, and their captions."""
+"""Test `recon figure`: sizes, letters and fonts of figures for a paper, and their captions."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Every figure is drawn by one style, and no text of it is cut off at its edges.
+"""Test that every figure is drawn in one style, and that its edges cut off no text.
 
-Those of an analysis: `test_clip_analysis.py`.
+`test_clip_analysis.py` tests the figures of an analysis.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def test_a_comparison_has_all_its_text(scale):
 
 
 def test_figures_are_drawn_and_saved_by_the_style_alone():
-    """A figure that is saved otherwise has ticks of a size that it was not laid out for."""
+    """Figures are drawn and saved by the style alone, because other code would draw ticks of another size."""
     strangers = []
     for path in sorted((ROOT / "recon").rglob("*.py")):
         if path.name == "style.py" and path.parent.name == "plots":

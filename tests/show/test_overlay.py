@@ -1,4 +1,4 @@
-"""The overlay: what is drawn where, in which colour, on which frame, and what does not belong together."""
+"""Test the overlay: positions, colours and frames of the drawing, and results and videos that do not match."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def overlay(folder) -> Overlay:
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory) -> Path:
-    """Twelve frames of 1920x1080, ten times the number as their grey level."""
+    """Write twelve frames of 1920x1080, whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("video") / "clip.avi"
     with video_writer(path, SIZE, 30.0) as write:
         for number in range(12):
@@ -95,7 +95,7 @@ def test_folder_holds_what_is_drawn(overlay, small_trajectory):
 
 
 def test_small_videos_are_enlarged(folder):
-    """Twice as large: the middle of pixel 10 lies between the new pixels 20 and 21."""
+    """Small videos are drawn twice as large: the centre of pixel 10 is between the new pixels 20 and 21."""
     small, large = (overlay_of(Motion.load(folder), zoom=zoom) for zoom in (1, 2))
     np.testing.assert_allclose(large.reprojected_px, 2 * small.reprojected_px + 0.5)
     np.testing.assert_allclose(large.detected_px, 2 * small.detected_px + 0.5)
@@ -158,14 +158,14 @@ def test_near_is_lighter_than_far():
 
 
 def test_views_turn_with_the_animal(overlay):
-    """A turn about the vertical changes none of them."""
+    """The views turn with the animal, so that a turn about the vertical changes none of them."""
     turned = replace(overlay, upright_m=overlay.upright_m @ Rotation.from_rotvec([0, 0, 2.1]).as_matrix().T + [5, 6, 7])
     for name, points in overlay.views.items():
         np.testing.assert_allclose(turned.views[name], points, atol=1e-9)
 
 
 def test_views_are_the_side_the_top_and_the_front(overlay, small_trajectory):
-    """The animal runs to the right, level, its left away from the camera."""
+    """The views are from the side, the top and the front, for an animal that runs to the right."""
     at = small_trajectory.names.index
     nose, left, right, tail = (at(n) for n in ("nose", "l_front_paw", "r_front_paw", "tail_base"))
     side, above, ahead = (overlay.views[name][0] for name in ("side", "from above", "from ahead"))
@@ -199,7 +199,7 @@ def test_headings_are_averaged_and_reach_into_gaps():
 
 
 def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_path):
-    """The result has frames 10 to 17; the video begins with number 7, so that they are its pictures 3 to 10."""
+    """Every frame is drawn on its own picture: frames 10 to 17 are pictures 3 to 10 of a video from frame 7 on."""
     out = tmp_path / "o.avi"
     data = draw(OverlaySettings(folder=folder, video=video, out=out, first_frame=7, speed=0.5)).data
     assert data == {"out": out, "frames": 8, "fps": 15.0, "speed": 0.5, "notes": []}
@@ -211,7 +211,7 @@ def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_
 
 
 def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
-    """Every other frame is 15 ms late."""
+    """A video of a varying rate is reported: every other frame is 15 ms late."""
     video, late = tmp_path / "film.mkv", count()
     writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)
     for _ in range(8):
@@ -219,7 +219,7 @@ def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
     writer.release()
 
     def moved(found: re.Match[bytes]) -> bytes:
-        """A block of Matroska: its time, whole milliseconds, stands before its flags and its JPEG picture."""
+        """Move a block of Matroska in time: its whole milliseconds are before its flags and its JPEG picture."""
         return found[1] + (int.from_bytes(found[2], "big") + 15 * (next(late) % 2)).to_bytes(2, "big") + found[3]
 
     content, blocks = re.subn(rb"(?s)(\xa3.{1,8}?\x81)(..)(\x80\xff\xd8)", moved, video.read_bytes())
@@ -273,7 +273,7 @@ def test_every_still_has_its_animal(folder):
 
 
 def test_rings_are_where_the_joints_were_seen(overlay):
-    """Where joints are exactly at their detections, rings lie on the skeleton."""
+    """Rings are drawn at the detections: on the skeleton, if joints are exactly at their detections."""
     (picture,) = draw_tiles(overlay, [0])
     xy = overlay.reprojected_px[0]
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
@@ -299,7 +299,10 @@ def test_the_video_is_behind_each_still(folder, video):
 def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
     folder, video, offset_s, given, levels, tmp_path
 ):
-    """3 frames earlier than the first camera, or 6 later, without pictures of the clip's first two frames."""
+    """A camera that began at another time has its own frame numbers.
+
+    It began 3 frames earlier than the first camera, or 6 frames later, without pictures of the clip's first two frames.
+    """
     with_first(Motion.load(folder), offset_s=offset_s).save(tmp_path / "result")
     told = PageSettings(folder=tmp_path / "result", video=video, first_frame=given)
     drawn, rows, _, pictures = page_pictures(*result_and_video(told), told, 2)
@@ -360,13 +363,13 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
 
 
 def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):
-    """In a corner of the picture other than the caption's, with its frame."""
+    """A small animal is shown enlarged in an empty corner of the picture, with its frame."""
     t = int(np.flatnonzero(np.isfinite(overlay.reprojected_px[:, 0, 0]))[0])
     middle, extent = np.mean(overlay.reprojected_px[t], axis=0), np.ptp(overlay.reprojected_px[t], axis=0)
     wide, high = round(CLOSE_UP * 1920), round(CLOSE_UP * 1080)
 
     def close_ups(scale: float, to: tuple[float, float]) -> list[bool]:
-        """Below right, below left, above right: whether there is one, seen by its frame's upper edge."""
+        """Return which corners (below right, below left, above right) have a close-up, by its upper edge."""
         points = {
             name: np.array(to) + scale * (getattr(overlay, name) - middle) for name in ("reprojected_px", "detected_px")
         }

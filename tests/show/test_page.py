@@ -1,4 +1,4 @@
-"""`recon report`: one file that fetches nothing, whatever names stand in it."""
+"""Test `recon report`: one file that fetches nothing, with any names in it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ GENERATED = '<meta name="generator" content="recon">'
 
 
 class Page(HTMLParser):
-    """What a browser would make of a page."""
+    """A page as a browser would parse it."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -61,7 +61,7 @@ class Page(HTMLParser):
 
 
 def require_self_contained(page: Page, folder: Path, scripts: int = 0) -> None:
-    """Nothing is fetched, or run but for the page's own scripts, and links lead to files that are there."""
+    """Check that a page fetches nothing, runs only its own scripts, and links only to existing files."""
     assert [tag for tag, _ in page.tags].count("script") == scripts
     assert len(page.html.encode()) < MOST_BYTES
     for _, attrs in page.tags:
@@ -78,7 +78,7 @@ def require_self_contained(page: Page, folder: Path, scripts: int = 0) -> None:
 
 @pytest.fixture(scope="module")
 def folder(small_trajectory, tmp_path_factory) -> Path:
-    """The results of a keypoint file with a name that is HTML."""
+    """Return the results of a keypoint file with a name that is HTML."""
     path = tmp_path_factory.mktemp("page") / "a & <b>"
     source = small_trajectory.sources[0]
     motion = with_first(small_trajectory, keypoints=replace(source.keypoints, source=f"/tmp/{EVIL}"))
@@ -277,7 +277,7 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
 
 @pytest.fixture(scope="module")
 def batch(folder, tmp_path_factory) -> Path:
-    """The folder of a batch of five clips: one has failed, one has no word of its frames, one is doubtful."""
+    """Return the folder of a batch of five clips: to be used, doubtful, not to be used, failed and unsolved."""
     out = tmp_path_factory.mktemp("batch")
     names = {"good": "done", EVIL: "done", "gone": "done earlier", "bad": "failed", "dark": "unsolved"}
     verdicts = {"good": "use", EVIL: "check", "gone": "do not use"}
@@ -345,7 +345,7 @@ def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folde
 
 
 def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch, in_process):
-    """What is not a result any more is said, and the others are made."""
+    """Pages of a batch are made independently: what is no longer a result is reported, and the others are made."""
     pages = []
 
     monkeypatch.setattr("recon.cli.look.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)

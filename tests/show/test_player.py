@@ -1,4 +1,4 @@
-"""The player of a page: its data are the motion's, its pictures fit into the page, its scripts are whole."""
+"""Test the player of a page: its data are the motion's, its pictures fit into the page, its scripts are whole."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MODULES = sorted(path.stem for path in (FOLDER / "player").glob("*.js"))
 
 
 def unpacked(packed: dict[str, Any]) -> np.ndarray:
-    """As `data.js` does."""
+    """Unpack data as `data.js` does."""
     kinds = {"i2": ("<i2", -32768), "u1": ("u1", 255), "i4": ("<i4", None)}
     kind, nothing = kinds[packed["type"]]
     units = np.frombuffer(base64.b64decode(packed["data"]), kind)
@@ -134,7 +134,10 @@ def test_a_finding_names_its_keypoints_and_camera(small_trajectory):
 
 
 def test_the_page_and_the_numbers_name_the_same_worst_keypoint(two_cameras):
-    """The largest median in any camera, not in the first; detections far off in a few frames do not count."""
+    """The page and the numbers name the same worst keypoint.
+
+    It has the largest median in any camera, not only in the first; detections far off in a few frames do not count.
+    """
     joint, few = (two_cameras.names.index(name) for name in ("l_shoulder", "nose"))
     sources = [replace(source, keypoints=replace(source.keypoints)) for source in two_cameras.sources]
     for v, rows, column, off_px in ((0, slice(0, 2), few, 900.0), (1, slice(None), joint, 40.0)):
@@ -173,7 +176,7 @@ def test_the_worst_keypoint_comes_first_with_where_it_is_stuck(small_trajectory)
 
 
 def noise(count: int, size_px: tuple[int, int]) -> list[np.ndarray]:
-    """Pictures that are hard to compress."""
+    """Return pictures that are hard to compress."""
     rng = np.random.default_rng(0)
     return [rng.integers(0, 255, (size_px[1], size_px[0], 3), dtype=np.uint8) for _ in range(count)]
 

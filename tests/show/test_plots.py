@@ -1,4 +1,4 @@
-"""Figures: what is drawn is what was given, in the right units, and everything can be read."""
+"""Test that figures show the given values in the right units, and that everything can be read."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ LEVEL = [(slice(None), Plane((0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 10))]
 
 @pytest.fixture(autouse=True)
 def _without_pyplot(monkeypatch):
-    """Its figures stay in memory for good, and it asks for a display."""
+    """Forbid pyplot, because it keeps figures in memory and needs a display."""
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
 
 
 @pytest.fixture
 def laid_out() -> None:
-    """For tests that look at where things are on the page."""
+    """Lay figures out, for tests of the positions on the page."""
 
 
 @pytest.fixture(autouse=True)
 def _laid_out_where_looked_at(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The layout of a figure takes half of its time."""
+    """Leave out the layout unless a test looks at it, because it takes half of a figure's time."""
     if "laid_out" not in request.fixturenames:
         leave_out_layout(monkeypatch)
 
@@ -60,7 +60,7 @@ def times(T):
 
 
 def running(T=31, heading=2.0, speed_m_s=8.0):
-    """An animal of four joints that glides along a heading (rad) without turning: (T, 4, 3)."""
+    """Return an animal of four joints (T, 4, 3), m, that glides along a heading (rad) without turning."""
     animal = np.array([[0.0, 0.0, 0.7], [0.6, 0.0, 0.7], [-0.1, 0.1, 0.1], [0.1, -0.1, 0.1]])
     along = animal + speed_m_s * (times(T) - 1.0)[:, None, None] * [1.0, 0.0, 0.0]
     c, s = np.cos(heading), np.sin(heading)
@@ -68,13 +68,13 @@ def running(T=31, heading=2.0, speed_m_s=8.0):
 
 
 def path(T=21):
-    """A point whose speed is t m/s: along a parabola of an axis, at times of `times`."""
+    """Return the path of a point along a parabola of an axis, with a speed of t m/s at `times`."""
     t = times(T)
     return np.stack([t**2 / 2, np.zeros(T), np.zeros(T)], axis=1)
 
 
 def swinging(T=31):
-    """A chain of three links of which only the second swings: (T, 4, 3), in the plane of x and z."""
+    """Return a chain of three links (T, 4, 3), m, in the plane of x and z, of which only the second swings."""
     angle = 0.5 * np.sin(2 * np.pi * 2 * times(T))
     joints = np.zeros((T, 4, 3))
     joints[:, 1, 0] = 1.0
@@ -89,7 +89,7 @@ def still_tracks(T=41):
 
 
 def gaits():
-    """By hand: `ground` has a stance that the clip cuts at its end and a complete stride, `body` one stance."""
+    """Return gaits by hand: `ground` has a complete stride and a stance cut by the clip's end, `body` one stance."""
     found = gait(still_tracks())
     first = (
         Stance("LH", 1.1, 1.2, 5.0, 10.0),
@@ -114,12 +114,12 @@ def drives(dim=2):
 
 
 def texts(figure):
-    """All that is written in a figure."""
+    """Return all text in a figure."""
     return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible())
 
 
 def thick_lines(axes, least=0.85):
-    """Lines of at least a width, without the markers."""
+    """Return the lines of at least this width, without the markers."""
     return [line for line in axes.get_lines() if line.get_linewidth() >= least and line.get_linestyle() != "None"]
 
 

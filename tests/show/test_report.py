@@ -1,4 +1,4 @@
-"""The report: complete, plain JSON, and its counts are right."""
+"""Test the report: it is complete and plain JSON, and its counts are right."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs" / "report.md"
 
 
 def build_report(motion, settings=None, timing_s=None):
-    """The report of a motion with the findings that it has now."""
+    """Return the report of a motion with its present findings."""
     motion = replace(motion, settings=settings or {}, timing_s=timing_s or {})
     return reports.build_report(replace(motion, findings=findings_of(motion)))
 
@@ -43,7 +43,7 @@ def codes(report):
 
 
 def numbers(report, code):
-    """The numbers of the finding with that code."""
+    """Return the numbers of the finding with this code."""
     (found,) = (one["numbers"] for one in report["findings"] if one["code"] == code)
     return found
 
@@ -63,7 +63,7 @@ def with_solution(motion, **changes):
 
 
 def with_states(motion, states, reports=None):
-    """A motion by the frame method, with other states of the chain."""
+    """Return a motion of the frame method with other states of the chain."""
     was = motion.solution
     covariance = np.tile(np.eye(states.shape[1]), (len(states), 1, 1))
     told = {name: getattr(was, name) for name in ("travel", "objectives", "fps")} | {"reports": reports or was.reports}
@@ -222,7 +222,7 @@ def test_nothing_solved(small_motion):
 
 
 def test_what_was_decided_about_a_file_is_in_the_summary(small_motion):
-    """Once, as where a header's row was missing."""
+    """Assumptions made when a file was read are in the summary once, such as a missing header row."""
     cleaning = replace(small_motion.cleaning, notes=("The header's first row is missing.",))
     lines = summary_lines(build_report(with_first(small_motion, cleaning=cleaning), {}))
     assert [value for label, value in lines if label == "note"] == ["The header's first row is missing."]
@@ -244,7 +244,7 @@ def test_console_summary(report):
 
 
 def test_frames_of_a_trajectory(small_trajectory, two_cameras):
-    """They stand in quality.csv, and in the motion."""
+    """The frames of a trajectory are in quality.csv and in the motion, not in the report."""
     motion = small_trajectory
     assert motion.frames.tolist() == list(range(10, 18))
     assert motion.flags == ((), (), (), ("no data",), (), ("data poor", "ambiguous depth"), (), ())
@@ -326,7 +326,7 @@ def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
 
 
 def test_every_spell_keeps_its_ground(small_trajectory):
-    """The second one's ground, 0.4 m lower, stands in the report; between them is nothing."""
+    """Every segment keeps its ground in the report: the second one's is 0.4 m lower, and none is between them."""
     solution = small_trajectory.solution
     ground = solution.segments[0].ground
     states = solution.states.copy()
@@ -373,7 +373,10 @@ def test_the_summary_says_what_was_not_checked_without_a_prior(small_trajectory)
 
 
 def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
-    """The misfit is that of the segment that fits least; nothing is said where the prior fits."""
+    """A motion that the prior does not know is reported, with the misfit of the worst segment.
+
+    Nothing is reported if the prior fits.
+    """
     assert (trajectory["prior"]["prior_misfit"], trajectory["prior"]["weight"]) == (None, 1)
     assert "motion_unlike_prior" not in codes(trajectory)
     (segment,) = small_trajectory.solution.segments
@@ -456,8 +459,12 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
     ],
 )
 def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames, second, warned):
-    """A lag is expected within 0.29 frames, and the difference of two within 0.41, if pictures tell it. left_frames:
-    the standard deviation that they leave of each; if it is nearly as large, what is found is a part of the lag."""
+    """Cameras that seem to be out of step are named.
+
+    A lag has an expected deviation of 0.29 frames, and the difference of two 0.41, if pictures determine it.
+    left_frames: the standard deviation that the pictures leave; if it is nearly as large, the estimate is only a part
+    of the lag.
+    """
     both = zip(two_cameras.solution.views, two_cameras.sources, lags, strict=True)
     views = tuple(replace(view, offset_frames=source.offset_frames + lag) for view, source, lag in both)
     segments = tuple(replace(segment, second_camera=second) for segment in two_cameras.solution.segments)
@@ -470,7 +477,7 @@ def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames,
 
 
 def shifted(motion, keypoints):
-    """Detections of these keypoints are 500 px off in all pictures."""
+    """Return a motion in which detections of these keypoints are 500 px off in all pictures."""
     sources = []
     for source in motion.sources:
         xy_px = source.keypoints.xy_px.copy()
@@ -480,7 +487,7 @@ def shifted(motion, keypoints):
 
 
 def test_a_keypoint_that_does_not_fit_is_named(two_cameras):
-    """In all detections of both cameras; of many, in one line."""
+    """Keypoints that do not fit in both cameras are named; many keypoints share one line."""
     column = two_cameras.names.index("l_shoulder")
     report = build_report(shifted(two_cameras, [column]), {})
     assert numbers(report, "keypoints_do_not_fit") == {"keypoints": ["l_shoulder"], "share": 1, "used": 13}
@@ -514,7 +521,7 @@ def test_no_pose_at_all(small_trajectory):
 
 
 def test_console_summary_of_a_trajectory(trajectory):
-    """What there is to conclude; the rest is on the page."""
+    """The console summary of a trajectory has the conclusions; the page has the rest."""
     out = StringIO()
     Console(file=out, width=160).print(console_summary(trajectory))
     shown = out.getvalue()

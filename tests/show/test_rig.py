@@ -1,4 +1,4 @@
-"""Bones: what independent readers make of OpenSim models, glTF and BVH is where the joints are."""
+"""Test that independent readers of OpenSim models, glTF and BVH find bones where the joints are."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_M = 1e-5
 
 
 def a_rig(skeleton: str, seed: int = 0) -> Armature:
-    """In any poses, a frame of which is missing."""
+    """Return a rig in any poses, with a missing frame."""
     body = load_skeleton(skeleton)
     rng = np.random.default_rng(seed)
     states = rng.normal(size=(4, body.n_state))
@@ -48,7 +48,7 @@ def off_m(rig: Armature, joints: bones.Joints) -> float:
 
 
 def test_the_joints_are_those_of_the_skeleton():
-    """And the frame between two is between them."""
+    """The joints are those of the skeleton, and are interpolated in a frame between two."""
     body = load_skeleton("cheetah-24")
     states = np.zeros((4, body.n_state))
     states[:, 0], states[:, 3] = FRAMES, [3.0, 3.1, 3.1 - 2 * np.pi, 3.1]  # the yaw is the same in the last three
@@ -80,7 +80,10 @@ def test_an_opensim_model(rig, tmp_path):
 
 
 def test_an_opensim_model_has_masses_and_inertias(tmp_path):
-    """Bones are solid cylinders: a slender one's moments across are 1/12 of its length squared; twins have the same."""
+    """An OpenSim model has masses and inertias of solid cylinders, equal for left and right.
+
+    The moment of a slender bone across its axis is 1/12 of its length squared.
+    """
     body = load_skeleton("cheetah-24")
     rig = make_rig(body, 1.0, body.markers, np.arange(2), np.zeros((2, body.n_state)), 50.0, body_mass_kg=40.0)
     write_opensim(rig, tmp_path / "run.osim")
@@ -118,7 +121,7 @@ def test_opensim_holds_an_animal_that_stays_with_its_weight(tmp_path):
 
 
 def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):
-    """In its terms and values, with what it expects of them."""
+    """Coordinates of an OpenSim model have the names, values and ranges of the skeleton."""
     rig, body = a_rig("cheetah-24"), load_skeleton("cheetah-24")
     write_opensim(rig, tmp_path / "run.osim")
     motion = bones.read_mot(tmp_path / "run.mot")
@@ -158,7 +161,7 @@ def test_gltf(rig, tmp_path):
 
 
 def test_the_mesh_of_a_gltf_file(tmp_path):
-    """As it is bound, with all angles 0: closed capsules around the bones, each moved by its own."""
+    """The mesh of a glTF file, with all angles 0, has closed capsules around the bones, each moved by its own bone."""
     import trimesh
 
     rig = a_rig("cheetah-24")
@@ -180,7 +183,7 @@ def test_the_mesh_of_a_gltf_file(tmp_path):
 
 
 def test_a_bone_has_another_name_than_a_joint():
-    """The neck of the quadruped is a segment; a skeleton may have a marker of that name."""
+    """A bone has another name than a joint, also if a marker has the name of a segment, such as neck."""
     body = load_skeleton("quadruped")
     names = tuple("neck" if name == "neck_base" else name for name in body.markers)
     rig = make_rig(body, 1.0, names, np.arange(2), np.zeros((2, body.n_state)), 50.0)

@@ -1,4 +1,4 @@
-"""The recording of a motion, read back with rerun's own reader."""
+"""Test the recording of a motion with rerun's own reader."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ CHANGES = {"/picture/outliers", "/world/stance", *(f"/{foot}" for foot in FEET)}
 
 
 class Recording:
-    """Rows of every entity: `static` by entity and component, `frames` by entity, frame number and component."""
+    """The rows of every entity: `static` by entity and component, `frames` by entity, frame number and component."""
 
     def __init__(self, path: Path) -> None:
         reader = RrdReader(path)
@@ -90,7 +90,7 @@ class Recording:
                     self.time_s[row["frame"]] = row["time"].total_seconds()
 
     def values(self, entity: str, frame: int, component: str = "") -> list[Any]:
-        """Return what the viewer shows: the component's newest value up to a frame."""
+        """Return the value that the viewer shows: the newest of the component up to a frame."""
         component = component or {**CHAIN, **WHOLE, **FLAGS}[entity]
         rows = self.frames[entity]
         newest = max((n for n, row in rows.items() if n <= frame and component in row), default=None)
@@ -99,7 +99,7 @@ class Recording:
 
 @pytest.fixture(scope="module")
 def world_motion(small_motion: Motion) -> Motion:
-    """The small motion seen by a camera 2 m above the ground."""
+    """Return the small motion seen by a camera 2 m above the ground."""
     height = np.array([0.0, 0.0, 2.0])
     camera = replace(small_motion.camera, rotation=LOOKING_ALONG_Y, translation_m=-LOOKING_ALONG_Y @ height)
     source, solution = replace(small_motion.sources[0], camera=camera), small_motion.solution
@@ -159,7 +159,7 @@ def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording
 
 
 def test_the_overview_is_filled_by_all_points() -> None:
-    """A path of 14 m, and the camera 10 m aside of it."""
+    """The overview shows all points: a path of 14 m, and a camera 10 m to the side of it."""
     points = np.array([[-7.0, 0, 0], [7, 0, 0], [-7, 0, 1], [7, 0, 1], [0, -10, 2]])
     eye, target = fitting_eye(points, np.eye(3))
     ahead = (target - eye) / np.linalg.norm(target - eye)
@@ -216,7 +216,7 @@ def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
 
 
 def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Recording, world_motion: Motion) -> None:
-    """Its view is at the middle, and stays there in the frame without a pose."""
+    """The close-up is the picture around the middle of the skeleton, and stays there in a frame without a pose."""
     rows = recording.frames[ANIMAL]
     middle = world_motion.pictures[0].reprojected_px[2].mean(axis=0)
     for frame in (12, 13):
@@ -244,7 +244,7 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Moti
 
 
 def test_no_legend_covers_its_lines() -> None:
-    """Three names take three tenths of the height above the lines."""
+    """No legend covers its lines: three names take three tenths of the height above the lines."""
     values = np.array([[0.0, 2.0, np.nan], [1.0, 7.0, 3.0]])
     axis: Any = time_view(TimePlot("a", "A", "bcd", [(0, 0, 0)] * 3, values)).properties["ScalarAxis"]
     low, high = axis.range.as_arrow_array().to_pylist()[0]
@@ -327,7 +327,10 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
 
 
 def test_shells_of_a_fast_camera_change_25_times_a_second(world_trajectory: Motion, tmp_path: Path) -> None:
-    """At 75 frames a second, ellipsoids have a new shape in every third frame, and vanish where they are not known."""
+    """Ellipsoids of a fast camera change 25 times per second.
+
+    At 75 Hz, they change in every third frame, and vanish if they are not known.
+    """
     source = world_trajectory.sources[0]
     relative_m2 = world_trajectory.solution.relative_covariance_m2.copy()
     relative_m2[3] = np.nan
@@ -346,7 +349,7 @@ def test_shells_of_a_fast_camera_change_25_times_a_second(world_trajectory: Moti
 
 
 def test_limbs_are_interrupted_by_joints_that_are_not_seen() -> None:
-    """A leg of four joints, of which the second is not seen in frame 1, and a tail, whose end is not seen."""
+    """Limbs are interrupted by joints that are not seen: the second of a leg, and the end of the tail."""
     points = np.arange(20.0).reshape(2, 5, 2)
     seen = np.array([[True] * 5, [True, False, True, True, False]])
     columns = limb_strips(points, {"leg": (0, 1, 2, 3), "tail": (0, 4)}, seen, with_classes=True)
@@ -364,7 +367,7 @@ def test_flagged_frames_are_marked(played: Recording, world_trajectory: Motion) 
 
 
 def test_feet_that_stand_are_marked(recording: Recording, world_motion: Motion, tmp_path: Path) -> None:
-    """In the motion as it is all feet glide with the body, so that none stands; then with stances that are given."""
+    """Standing feet are marked: none while all feet glide with the body, then those of given stances."""
     motion, analysis = world_motion, ClipAnalysis(world_motion)
     given = np.zeros_like(analysis.standing)
     given[1:3, 0] = given[[2, 4], 1] = True
@@ -390,7 +393,7 @@ def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Mot
 
 
 def test_every_spell_has_its_ground(world_trajectory: Motion, tmp_path: Path) -> None:
-    """Two segments, the second one's ground 0.4 m lower: each is drawn under its path, from its first frame on."""
+    """Every segment has its ground: the second one's is 0.4 m lower, and each is drawn from its first frame on."""
     solution = world_trajectory.solution
     ground = solution.segments[0].ground
     assert ground is not None
@@ -439,7 +442,7 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, 
 
 
 def moving(motion: Motion) -> Motion:
-    """The second camera goes along x, a metre a frame."""
+    """Return a motion whose second camera moves along x, one metre per frame."""
     first, second = motion.solution.views
     poses = np.tile(second.T_camera_world, (8, 1, 1))
     poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]
@@ -571,7 +574,7 @@ def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypat
 
 
 def test_a_playback_that_memory_was_short_for_is_none(small_motion, tmp_path, monkeypatch):
-    """By itself, rerun only warns of it, and leaves out what it could not make."""
+    """A playback for which the memory was too small is an error; rerun itself only warns and leaves parts out."""
     from rerun.encodings import Utf8Batch
 
     def short(*_: Any) -> None:

@@ -1,4 +1,4 @@
-"""What a playback shows besides the fit: the plots of an analysis and the frames of a video, read back with rerun."""
+"""Test what a playback shows besides the fit: the plots of an analysis and the frames of a video."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FRAMES = list(range(10, 18))
 
 
 def rows(path: Path, kind: str = "recordings") -> dict[str, list[dict[str, Any]]]:
-    """By entity, what is stored about it; row ids are left out."""
+    """Return the stored rows by entity, without row ids."""
     reader = RrdReader(path)
     (store,) = getattr(reader, kind)()
     found: dict[str, list[dict[str, Any]]] = {}
@@ -68,7 +68,10 @@ def test_plots_of_an_analysis_are_those_at_the_frames(found: ClipAnalysis, analy
 
 
 def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> None:
-    """A body weight is as long as the centre of mass is high, and points up; a gap breaks its own line only."""
+    """Forces are drawn under the feet: a body weight is as long as the centre of mass is high.
+
+    Forces point up, and a gap interrupts its own line only.
+    """
     d, gait, data = found.dynamics, found.gait, rows(analysed)
     assert d is not None
     assert gait is not None
@@ -124,7 +127,7 @@ def test_without_masses_there_are_no_forces(found: ClipAnalysis, tmp_path: Path)
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eleven frames of 1920x1080, ten times the number as their grey level."""
+    """Write eleven frames of 1920x1080, whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("video") / "clip.avi"
     with video_writer(path, (1920, 1080), 30.0) as write_frame:
         for number in range(11):
@@ -139,7 +142,7 @@ def picture(row: dict[str, Any], flag: int) -> np.ndarray:
 
 
 def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
-    """The video begins with frame 8, so that the playback has its pictures 2 to 9."""
+    """Every frame has its picture: a video from frame 8 on shows its pictures 2 to 9."""
     write(small_trajectory, tmp_path / "plain.rrd")
     write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
     data = rows(tmp_path / "motion.rrd")
@@ -154,7 +157,7 @@ def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_
 
 
 def test_the_close_look_is_in_front_and_shows_the_video(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
-    """Its view is at the animal's middle, and has all of the picture but its edge."""
+    """The close-up is in front and shows the video around the animal's middle, without the picture's edge."""
     write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
     layout = rows(tmp_path / "motion.rrd", "blueprints")
     (close,) = [path for path, of in layout.items() for row in of

@@ -1,4 +1,4 @@
-"""Tables of an analysis for Excel and R: a workbook and one long table, each with its data dictionary."""
+"""Test tables of an analysis for Excel and R: a workbook and one long table, each with its data dictionary."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROWS = 12
 
 @pytest.fixture(autouse=True)
 def few_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The beginning of a table of each kind: all of them are a hundred thousand cells."""
+    """Return the beginning of a table of each kind, because all tables have a hundred thousand cells."""
 
     def begun(make: Callable[[ClipAnalysis], Table | Columns], analysis: ClipAnalysis) -> Table | Columns:
         content = make(analysis)

@@ -1,4 +1,4 @@
-"""The rendered film: its truth is where its pixels are."""
+"""Test that the truth of the rendered film is where its pixels are."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_film_is_what_its_files_say():
 
 
 def test_the_animal_is_drawn_where_its_points_are():
-    """What differs from the median of the film: its middle is that of the points, in every tenth frame."""
+    """The animal is drawn at its points: pixels that differ from the film's median have the same centre."""
     truth = read_keypoints(SAMPLES / "rendered_points.csv")
     pictures = [picture.astype(float) for _, picture in read_frames(SAMPLES / "rendered.mp4", 5, None, 10)]
     still = np.median(pictures, axis=0)
@@ -41,7 +41,7 @@ def test_the_animal_is_drawn_where_its_points_are():
 
 
 def test_the_script_draws_the_film_again():
-    """Its first frames; another encoder may differ in the last digits."""
+    """The script draws the film again, here its first frames; another encoder may differ in the last digits."""
     clip, ground_m = film_clip()
     drawn = next(iter(render_frames(clip.truth_m, clip.names, lambda t: clip.camera, ground_m)))
     _, stored = next(iter(read_frames(SAMPLES / "rendered.mp4")))
@@ -50,7 +50,7 @@ def test_the_script_draws_the_film_again():
 
 @pytest.mark.slow
 def test_the_panning_film_shows_the_same_animal():
-    """Its points are those of its truth as the track's cameras see them, in the middle, and where a picture has it."""
+    """The panning film shows the same animal: its points are its truth as the cameras of the track see it."""
     still, ground_m = film_clip()
     camera_at = panning_camera(still)
     pan = panning_film(still, camera_at)

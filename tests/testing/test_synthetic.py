@@ -1,4 +1,4 @@
-"""Simulated clips: the animal moves plausibly, the truth is the truth, and the committed samples are reproducible."""
+"""Test simulated clips: plausible motion, correct truth, and samples that the scripts reproduce."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ def joint(clip, name):
 
 
 def in_camera(camera, points_m):
-    """World to camera frame, (..., 3) -> (..., 3)."""
+    """Return points in the camera frame, (..., 3) -> (..., 3), m."""
     assert camera.rotation is not None
     return points_m @ camera.rotation.T + camera.translation_m
 
 
 def pose(camera):
-    """T_camera_world, (3, 4)."""
+    """Return T_camera_world, (3, 4)."""
     assert camera.rotation is not None
     assert camera.translation_m is not None
     return np.column_stack([camera.rotation, camera.translation_m])
 
 
 def height_m(points):
-    """Above the ground, of a clip that runs to the right in the picture's plane, (..., 3) -> (...)."""
+    """Return heights above the ground, m, for a clip that runs to the right in the picture plane, (..., 3) -> (...)."""
     return (points[..., 2] - SLOPE * points[..., 0]) / np.hypot(1, SLOPE)
 
 

@@ -1,4 +1,4 @@
-"""Chains: link lengths, Jacobians, the files that describe them."""
+"""Test chains: link lengths, Jacobians, and their files."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_chain_of_the_design():
 
 
 def test_a_pose_by_hand():
-    """Spine straight along U; the front leg's first link turned down (V) by theta, then to the side (W) by phi."""
+    """A pose by hand: the spine along U, the first link of the front leg turned down by theta, then sideways by phi."""
     skeleton = load_chain("cheetah-8u")
     state = np.zeros((1, 21))
     state[0, 20] = 0.2

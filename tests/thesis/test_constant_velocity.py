@@ -1,4 +1,4 @@
-"""Direction of travel, side and placement from geometry."""
+"""Test direction of travel, side and position from geometry."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_geometric_start_faces_the_heading_and_lies_in_front():
 
 
 def test_rays_that_are_all_one_give_a_start():
-    """Nothing tells the distance: it is far, and a number."""
+    """Rays that coincide give a start although the distance is not determined: it is large and finite."""
     ray = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
     heading, up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, -1.0, 0.0])
     shape = SK.local_joints(mean_pose(SK)[None])[0] @ upright_rotation(heading, up).transpose(0, 2, 1)
@@ -74,7 +74,7 @@ def test_rays_that_are_all_one_give_a_start():
 
 
 def test_normal_equations_that_rounding_leaves_singular_are_solved():
-    """The others come out as they would alone, to the little that all are held."""
+    """Normal equations that rounding makes singular are solved, and the other unknowns are nearly unchanged."""
     matrix = np.array([np.diag([2.0, 4.0]), np.ones((2, 2))])
     right = np.array([[[2.0], [4.0]], [[3.0], [3.0]]])
     with pytest.raises(np.linalg.LinAlgError):

@@ -1,4 +1,4 @@
-"""The frame solver: what it recovers, what it cannot know, and what it reports."""
+"""Test the frame solver: what it recovers, what it cannot know, and what it reports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOISY = FrameOptions(sigma_px=2.0, keypoint_sigma_m=0.0)
 
 
 def level_states(n: int) -> np.ndarray:
-    """Random poses of a level animal, each link on the side of its twin that is expected."""
+    """Return random poses of a level animal, with each link near its expected side."""
     rng = np.random.default_rng(5)
     states = np.tile(mean_pose(SK), (n, 1))
     states[:, SK.theta_slice] += rng.uniform(-0.5, 0.5, (n, 7))
@@ -64,7 +64,10 @@ def reprojection_px(clip, keypoints, states: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_rank_18_from_pixels_and_20_from_joints(seed: int):
-    """Pixels leave scale, roll and a mode of depth open; joints only the roll."""
+    """The Jacobian has rank 18 from pixels and 20 from joints.
+
+    Pixels do not determine scale, roll and a mode of depth; joints do not determine the roll.
+    """
     camera = gallop().camera
     state = level_states(5)[seed]
     joints = SK.pose(state[None]).joints_m
@@ -146,7 +149,7 @@ def test_a_clip_without_any_data():
 
 
 def test_report_against_the_problem_by_hand():
-    """One frame's report restates the residuals at the solution."""
+    """The report of one frame has the residuals at the solution, computed by hand."""
     clip = gallop(n_frames=1)
     solution = fit(clip, clip.keypoints, EXACT)
     report = solution.reports[0]
@@ -163,7 +166,7 @@ def test_report_against_the_problem_by_hand():
 
 
 def test_the_base_length_comes_back_as_its_prior_says():
-    """A wrong nominal scale is returned as it was given, and the report says that the data had no part in it."""
+    """The base length is returned as its prior states, although it is wrong, and the data have no share in it."""
     clip = gallop(n_frames=10)
     wrong = replace(EXACT, base_length_m=0.25, base_sigma_m=0.01)
     solution = fit(clip, clip.keypoints, wrong)
@@ -175,7 +178,7 @@ def test_the_base_length_comes_back_as_its_prior_says():
 
 
 def test_the_base_lengths_prior_is_the_one_that_is_told():
-    """A length alone keeps the relative spread of the skeleton's."""
+    """The base length has the prior that is stated; a length alone keeps the relative spread of the skeleton's."""
     options = replace(EXACT, base_length_m=0.6, base_sigma_m=None)
     clip = gallop(n_frames=1)
     view = still_view(clip.camera, near(clip, clip.keypoints.xy_px), near(clip, clip.keypoints.confidence))
@@ -186,7 +189,11 @@ def test_the_base_lengths_prior_is_the_one_that_is_told():
 
 
 def test_precision_shares_of_a_problem_done_by_hand():
-    """Two unknowns observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 + p^2)."""
+    """Shares of the precision are those by hand.
+
+    Each of two unknowns is observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 +
+    p^2).
+    """
     D = SK.n_state
     s, p = 0.5, 2.0
     C = posterior_covariance(np.concatenate([np.eye(D) / s, np.eye(D) / p]))
@@ -204,7 +211,10 @@ def test_the_same_input_gives_the_same_states():
 
 
 def test_a_pose_that_runs_away_is_no_part_of_the_solution():
-    """All points of a frame in one place: the best explanation is an animal far out of sight."""
+    """A pose that diverges is not part of the solution.
+
+    All points of a frame are at one point, so that the best explanation is an animal far away.
+    """
     clip = gallop(n_frames=4)
     xy = clip.keypoints.xy_px.copy()
     xy[2] = xy[2, :1]
@@ -221,7 +231,10 @@ def test_a_pose_that_runs_away_is_no_part_of_the_solution():
 
 
 def test_detections_outside_of_what_the_lens_can_see_are_left_out():
-    """All points of a frame 2,500 px off: without the frame, the solution is the same."""
+    """Detections that the lens cannot have seen are left out.
+
+    All points of a frame are 2,500 px off; without the frame, the solution is the same.
+    """
     clip = gallop(n_frames=3, camera_model="fisheye")
     xy = clip.keypoints.xy_px.copy()
     off, missing = xy.copy(), xy.copy()
@@ -233,7 +246,10 @@ def test_detections_outside_of_what_the_lens_can_see_are_left_out():
 
 
 def test_covariance_of_the_joints_done_by_hand():
-    """An uncertain place moves all joints alike; an uncertain size moves them in proportion. In the world's axes."""
+    """The covariance of the joints is that by hand, in the world's axes.
+
+    An uncertain position moves all joints equally; an uncertain size moves them in proportion.
+    """
     camera = gallop(n_frames=2).camera
     state = np.tile(mean_pose(SK), (2, 1))
     state[:, SK.position_slice] = [0.0, 0.0, 9.0]
@@ -257,7 +273,7 @@ def test_covariance_of_the_joints_done_by_hand():
 
 
 def test_deviations_of_the_angles_done_by_hand():
-    """The links' angles have the chain's; the root's rotation follows the Euler angles."""
+    """Deviations of the angles are those by hand: the chain's for the links, by Euler angles for the root."""
     view = still_view(gallop(n_frames=2).camera, np.zeros((1, 9, 2)), np.ones((1, 9)))
     rng = np.random.default_rng(0)
     state, root = mean_pose(SK)[None], rng.normal(0, 0.01, (SK.n_state, SK.n_state))
@@ -274,7 +290,10 @@ def test_deviations_of_the_angles_done_by_hand():
 
 
 def test_reprojection_as_printed_is_neither_weighted_nor_robust():
-    """One detection 500 px off and of no confidence: its row is its distance in standard deviations."""
+    """The reprojection as printed is neither weighted nor robust.
+
+    One detection is 500 px off and has no confidence: its row is its distance in standard deviations.
+    """
     clip = gallop(n_frames=1)
     xy, confidence = near(clip, clip.keypoints.xy_px).copy(), near(clip, clip.keypoints.confidence).copy()
     pixels = clip.camera.project(SK.pose(mean_start := level_states(1)).joints_m)[0]

@@ -1,4 +1,4 @@
-"""Every objective: its exact Jacobian, and what its residual means. A new term is one line in TERMS."""
+"""Test every objective: its exact Jacobian, and the meaning of its residual. A new term is one line in TERMS."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CAMERA = Camera(
 
 
 def states(seed: int) -> np.ndarray:
-    """Poses in front of the camera, with angles within and beyond their ranges."""
+    """Return poses in front of the camera, with angles within and beyond their ranges."""
     rng = np.random.default_rng(seed)
     x = np.zeros((N, SK.n_state))
     x[:, SK.theta_slice] = SK.theta.mean_rad + rng.normal(0, 1.2, (N, 7))
@@ -65,12 +65,12 @@ TERMS: list[Objective] = [
 
 @cache
 def posed(state: bytes) -> ChainPose:
-    """The pose at a state: all terms are evaluated at the same states."""
+    """Return the pose at a state; all terms are evaluated at the same states."""
     return SK.pose_with_jacobian(np.frombuffer(state)[None])
 
 
 def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: float = 1 / 90):
-    """Residuals (N, M) and Jacobians (N, M, D) of N frames."""
+    """Return residuals (N, M) and Jacobians (N, M, D) of N frames."""
     found = [term.evaluate(posed(now[t].tobytes()), posed(before[t].tobytes()), t, dt) for t in range(len(now))]
     residuals, jacobians = zip(*found, strict=True)
     return np.stack(residuals), np.stack(jacobians)
@@ -78,7 +78,7 @@ def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{getattr(t, 'form', '')}")
 def test_jacobian_against_central_differences(term: Objective):
-    """Ten random configurations."""
+    """The Jacobian is that by central differences at ten random configurations."""
     h = 1e-6
     residual, jacobian = evaluate(term, NOW)
     assert jacobian.shape == (*residual.shape, SK.n_state)
@@ -111,7 +111,7 @@ def test_printed_form_pulls_towards_the_edge():
 
 
 def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
-    """A link that turns by pi in one interval sweeps the chord 2: (2 - limit dt) / softness."""
+    """The rate limit counts the chord, so that a flip costs something: turning by pi sweeps the chord 2."""
     after = BEFORE.copy()
     after[:, 0] += np.pi
     for form, swept in (("deadband", 2.0), ("printed", 0.0)):

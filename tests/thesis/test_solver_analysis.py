@@ -1,4 +1,4 @@
-"""`recon solver`: the problem at the solution against the report and scipy, and what is shown."""
+"""Test `recon solver`: the problem at the solution against the report and scipy, and its output."""
 
 from __future__ import annotations
 

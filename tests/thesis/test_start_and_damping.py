@@ -1,4 +1,4 @@
-"""Start angles by hand, and Levenberg-Marquardt with a damping that is set."""
+"""Test start angles that are set by hand, and Levenberg-Marquardt with a given damping."""
 
 from __future__ import annotations
 

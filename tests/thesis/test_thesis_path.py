@@ -1,4 +1,4 @@
-"""The path of the reference joint: as smooth as an animal, with intervals that hold, and the term that ties frames."""
+"""Test the path of the reference joint: its smoothness, its intervals, and the term that ties frames to it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def straight_states(depth_noise_m: float, T: int = 60, fps: float = 90.0) -> np.
 
 
 def covariances(sigma_depth_m: float, T: int = 60) -> np.ndarray:
-    """Return covariances (T, D, D): 1 cm across, more in depth, 10 % of size that all share with the distance."""
+    """Return covariances (T, D, D): 1 cm across, more in depth, and 10 % of size shared with the distance."""
     sigma = np.full(CHAIN.n_state, 0.1)
     sigma[CHAIN.euler_slice] = 1e-4
     sigma[CHAIN.position_slice] = 0.01, 0.01, sigma_depth_m
@@ -47,7 +47,7 @@ def test_a_straight_run_keeps_its_speed_whatever_jitters_in_depth():
 
 
 def test_size_and_distance_are_left_open():
-    """The path is that at the nominal size: a scene that is larger as a whole has the same."""
+    """Size and distance are not determined: a larger scene has the same path at the nominal size."""
     states, base = straight_states(0.0), CHAIN.base_index
     larger = states.copy()
     larger[:, CHAIN.position_slice] *= 1.2
@@ -77,7 +77,7 @@ def test_the_motion_model_is_a_bounded_acceleration():
 
 @pytest.fixture(scope="module")
 def fits(frame_results):
-    """A real fit of the noisy sample with and without the path."""
+    """Return real fits of the noisy sample with and without the path."""
     samples = samples_folder()
     given = {"keypoints": samples / "noisy.csv", "camera": samples / "camera.toml", "fps": 30.0, "method": "frame"}
     return {"smooth": Motion.load(frame_results), "free": fit_clip(FitSettings(**given, path="free"))}
@@ -91,7 +91,11 @@ def test_the_path_is_a_term_with_a_name_and_can_be_switched_off(fits):
 
 
 def test_a_false_peak_is_not_stated(fits):
-    """Frames by themselves jitter in depth: no speed is stated. Tied to the path, the truth lies in the interval."""
+    """A false peak is not stated.
+
+    Frames solved on their own jitter in depth, so no speed is stated. If they are tied to the path, the interval
+    contains the truth.
+    """
     assert "solved separately" in ClipAnalysis(fits["free"]).why_no_speed
     analysis = ClipAnalysis(fits["smooth"])
     path = analysis.reference_motion
