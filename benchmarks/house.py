@@ -100,11 +100,11 @@ this those thus told too us very what when where which while who whose why with 
 FUNCTION_WORDS = frozenset(_WORDS.split())
 """Words that do not describe a value, and are therefore not allowed as names."""
 PUBLISHED = {
-    "recon/animal/prior_fit.py": {"apart"},  # the option of `recon prior fit`
-    "recon/api/prior_fit.py": {"apart"},  # its option
+    "recon/animal/prior_fit.py": {"apart"},  # --apart of `recon prior fit`
+    "recon/api/prior_fit.py": {"apart"},  # the setting of this option
     "recon/base/errors.py": {"found"},  # the field of a problem, in "found ..., expected ..."
     "recon/gait/clip.py": {"given"},  # the stride of a `ClipAnalysis`
-    "recon/robotics/climb/plan.py": {"most"},  # a key of recipes
+    "recon/robotics/climb/plan.py": {"most"},  # a key in recipe files
     "recon/robotics/retarget_clip.py": {"said"},  # a field of robot.npz
 }
 """Function words that users write as names of options and fields, and that therefore have to work, by file."""

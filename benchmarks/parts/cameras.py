@@ -107,7 +107,7 @@ def solved(run: Run, cameras: Iterable[int], body: Body, **options: object) -> T
 def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
     off = solution.joints_m - run.truth_m
     centred = off - off.mean(axis=1, keepdims=True)
-    regions = {"pose": (centred, solution.relative_covariance_m2), "place": (off, solution.covariance_m2)}
+    regions = {"pose": (centred, solution.relative_covariance_m2), "position": (off, solution.covariance_m2)}
     return {
         "mpjpe_mm": 1000 * float(np.nanmean(np.linalg.norm(centred, axis=-1))),
         "mpe_mm": 1000 * float(np.nanmean(np.linalg.norm(off, axis=-1))),
@@ -298,7 +298,7 @@ def over_views(rows: Sequence[dict[str, float]]) -> dict[str, object]:
         "rms": f"{np.sqrt(np.mean(table['too far'] ** 2)):.1%}",
         "views too far": int((table["too far"] > 0).sum()),
         **{name: table[name].mean() for name in shares},
-        "worst view, pose and place": f"{table[shares[0]].min():.2f} {table[shares[1]].min():.2f}",
+        "worst view, pose and position": f"{table[shares[0]].min():.2f} {table[shares[1]].min():.2f}",
         "solve_s": np.median(table["solve_s"]),
     }
 

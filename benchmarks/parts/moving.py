@@ -119,9 +119,9 @@ def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:
             "MPE, pan minus still": b["mpe_mm"] - a["mpe_mm"],
             "joints apart mm": 1000 * np.nanmean(apart),
             "pose sigma": pose,
-            "place sigma": place,
+            "position sigma": place,
             "pose inside 90 %": b["pose inside 90 %"] - a["pose inside 90 %"],
-            "place inside 90 %": b["place inside 90 %"] - a["place inside 90 %"],
+            "position inside 90 %": b["position inside 90 %"] - a["position inside 90 %"],
         }
 
 
@@ -130,9 +130,9 @@ PAN = {
     "MPE, pan minus still": "{:+.1f}",
     "joints apart mm": "{:.1f}",
     "pose sigma": "{:+.1%}",
-    "place sigma": "{:+.1%}",
+    "position sigma": "{:+.1%}",
     "pose inside 90 %": "{:+.3f}",
-    "place inside 90 %": "{:+.3f}",
+    "position inside 90 %": "{:+.3f}",
 }
 
 
@@ -229,8 +229,8 @@ def print_summary(rows: Sequence[dict]) -> None:
     print(
         f"{len(rows)} views: {lost} of {lost + points} points left out; MPJPE within 1 mm in "
         f"{within('pan minus still', 1.0)}, worst {worst('pan minus still'):.2f} mm; sigma of the pose within 3 % in "
-        f"{within('pose sigma', 0.03)}, worst {percent(worst('pose sigma'), 1)}; of the place in "
-        f"{within('place sigma', 0.03)}, worst {percent(worst('place sigma'), 1)}; "
+        f"{within('pose sigma', 0.03)}, worst {percent(worst('pose sigma'), 1)}; of the position in "
+        f"{within('position sigma', 0.03)}, worst {percent(worst('position sigma'), 1)}; "
         f"mean change of the fraction inside: {inside}\n",
         flush=True,
     )

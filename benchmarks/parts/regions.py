@@ -36,7 +36,7 @@ from recon.fit.trajectory import solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
 """Degrees of freedom to compare; the last value is practically a Gaussian."""
-KINDS, LEVELS = ("pose", "place"), (0.9, 0.5)
+KINDS, LEVELS = ("pose", "position"), (0.9, 0.5)
 DRAWS = 400
 WORST = 0.6
 """Coverage of the 90 % regions below which views are counted."""
@@ -67,10 +67,10 @@ def fits(runs: Sequence[Run]) -> list[Fit]:
             pose = place - place.mean(axis=1, keepdims=True)
             off = {
                 "pose": sigmas(pose, solution.relative_covariance_m2),
-                "place": sigmas(place, solution.covariance_m2),
+                "position": sigmas(place, solution.covariance_m2),
             }
             known = {what: of[np.isfinite(of)] for what, of in off.items()}
-            mm = {what: float(np.nanmean(_mm(e))) for what, e in (("pose", pose), ("place", place))}
+            mm = {what: float(np.nanmean(_mm(e))) for what, e in (("pose", pose), ("position", place))}
             found.append(Fit(run, label, known, mm, cameras == [run.named]))
     return found
 
@@ -112,7 +112,7 @@ def heaviness(found: Sequence[Fit]) -> None:
     print_table([*head, *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
     of_all = {what: f"{NUMBERS[most(one, what)]:g}" for what in KINDS}
     best = NUMBERS[most(one, *KINDS)]
-    print(f"\nAll runs: {best:g}; pose alone {of_all['pose']}, position alone {of_all['place']}.\n")
+    print(f"\nAll runs: {best:g}; pose alone {of_all['pose']}, position alone {of_all['position']}.\n")
     rows = []
     for label in ("one", "two", "all"):
         some = [fit for fit in found if fit.cameras == label]
@@ -141,7 +141,7 @@ def drawn(
     place = np.einsum("tjid,tdn->ntji", pose.jacobian, moved)
     place += setting.size_sigma * rng.normal(size=(DRAWS, 1, 1, 1)) * pose.points_m
     off = {}
-    for what, error in (("pose", place - place.mean(axis=2, keepdims=True)), ("place", place)):
+    for what, error in (("pose", place - place.mean(axis=2, keepdims=True)), ("position", place)):
         covariance = np.einsum("ntji,ntjk->tjik", error, error) / DRAWS
         scale = np.sqrt((DEGREES_OF_FREEDOM - 2) / rng.chisquare(DEGREES_OF_FREEDOM, (DRAWS, 1, 1)))
         in_sigmas = scale * sigmas(error, np.broadcast_to(covariance, (*error.shape, 3)))

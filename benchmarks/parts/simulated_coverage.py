@@ -205,7 +205,7 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
         return {}
     row = {}
     tail = [i for i, marker in enumerate(body.markers) if "tail" in marker]
-    for what, e, C in (("pose", centred, solution.relative_covariance_m2), ("place", off, solution.covariance_m2)):
+    for what, e, C in (("pose", centred, solution.relative_covariance_m2), ("position", off, solution.covariance_m2)):
         row |= {f"{what} 90": coverage(e, C, 0.9), f"{what} 50": coverage(e, C, 0.5)}
         if what == "pose" and tail:
             row["tail 90"] = coverage(e[:, tail], C[:, tail], 0.9)
@@ -265,7 +265,7 @@ def summary(label: str, rows: Sequence[dict[str, float]]) -> list[object]:
     return [*cells, p, mode, p_without, f"{np.mean(table['mpjpe mm']):.0f}"]
 
 
-_SHARES = ("pose 90", "pose 50", "tail 90", "place 90", "place 50")
+_SHARES = ("pose 90", "pose 50", "tail 90", "position 90", "position 50")
 
 
 def main() -> None:

@@ -395,7 +395,7 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
     groups = {"all joints": body_of().markers, **GROUPS}
     rows = []
     for part, some in (("named", [f for f in found if f.named]), ("all", found)):
-        for label, inside in (("relative", "inside_relative"), ("place", "inside_place")):
+        for label, inside in (("relative", "inside_relative"), ("position", "inside_place")):
             row: dict[str, object] = {"views": part, "covariance": label}
             for group, markers in groups.items():
                 columns = [body_of().markers.index(m) for m in markers]
@@ -413,14 +413,14 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
         grown.append(
             {
                 "run": f.job.run.name,
-                "sigma in the hole mm": 1000 * float(inside),
+                "sigma in the gap mm": 1000 * float(inside),
                 "outside mm": 1000 * float(outside),
                 "ratio": float(inside / outside),
-                "mpjpe_mm in the hole": float(np.nanmean(centred_mm[hole])),
+                "mpjpe_mm in the gap": float(np.nanmean(centred_mm[hole])),
                 "mpjpe_mm outside": float(np.nanmean(centred_mm[~hole])),
             }
         )
-    return {"uncertainty: fraction of the truth in the 90 % regions": rows, "uncertainty: a hole of ten frames": grown}
+    return {"uncertainty: fraction of the truth in the 90 % regions": rows, "uncertainty: a gap of ten frames": grown}
 
 
 def rates(runs: Sequence[Path]) -> dict[str, Rows]:
@@ -431,7 +431,7 @@ def rates(runs: Sequence[Path]) -> dict[str, Rows]:
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
-    for part in ("pose", "place"):
+    for part in ("pose", "position"):
         values = np.concatenate([f[part] for f in found])
         root = np.sqrt(np.mean(values**2, axis=0))
         row: dict[str, object] = {"errors of the": part}
@@ -452,7 +452,7 @@ def _rate_errors(job: Job) -> dict[str, np.ndarray]:
     by_size = solution.size_sigma / solution.size * middle
     parts = {
         "pose": (found - middle - truth_m + true_middle, pose_m2, 0 * found, POSE_ERROR_TIME),
-        "place": (middle - true_middle, place_m2, by_size, POSITION_ERROR_TIME),
+        "position": (middle - true_middle, place_m2, by_size, POSITION_ERROR_TIME),
     }
     rows = {}
     last_s = error_time_s(found, meta_of(job.run)["fps"])
@@ -685,9 +685,9 @@ def long_hole() -> dict[str, Rows]:
             {
                 "clip": label,
                 "untouched mpjpe_mm": float(np.nanmean(before[scored])),
-                "mpjpe_mm outside the hole": float(np.nanmean(after[scored])),
+                "mpjpe_mm outside the gap": float(np.nanmean(after[scored])),
                 "ratio": float(np.nanmean(after[scored]) / np.nanmean(before[scored])),
-                "mpjpe_mm in the hole": float(np.nanmean(after[hole])),
+                "mpjpe_mm in the gap": float(np.nanmean(after[hole])),
                 "flagged in it": f"{sum(map(bool, solution.flags[hole]))} of 40",
                 "flagged outside": sum(map(bool, solution.flags)) - sum(map(bool, solution.flags[hole])),
             }

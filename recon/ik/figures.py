@@ -144,7 +144,7 @@ def _parameter_label(column: str) -> str:
         return _SINGLE[column]
     label = column.removesuffix("_best_alpha")
     for prefix in ("weighted_", *(f"{kind}_" for kind in VECTORS)):
-        if label.startswith(f"{prefix}g"):  # "g1_theta_9"
+        if label.startswith(f"{prefix}g"):  # a component of g, such as "g1_theta_9"
             return label.removeprefix(prefix).replace("_", ", ", 1)
         label = label.removeprefix(prefix)
     return label

@@ -30,7 +30,7 @@ OVERSAMPLING = 10
 
 @dataclass(frozen=True, eq=False)
 class StridePath:
-    """A stride of F frames as a task, in a clip with frame 0 at 0 s.
+    """A stride of F frames, as a task for an end effector, in a clip with frame 0 at 0 s.
 
     The end of the stride may lie between two frames.
     """

@@ -69,7 +69,7 @@ class UnknownsChain(Chain):
 
     @cached_property
     def position_slice(self) -> slice:
-        """Return the slice of the state that holds x0, y0, z0: the root in the local frame, metres."""
+        """Return the slice of the state that holds x0, y0, z0, the root's position in the local frame, metres."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
     @cached_property
