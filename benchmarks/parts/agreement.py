@@ -97,7 +97,7 @@ def late(view: View, frames: int) -> View:
 
 
 def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, tuple[int, ...]]]:
-    """Return the codes of findings except notes, and the cameras that they name."""
+    """Return the codes of all findings except notes, each with the indices of the cameras that it names."""
     names = [view.camera.name for view in views]
     return {
         (one.code, tuple(names.index(name) for name in one.names("cameras") or (str(one.camera),)))

@@ -45,7 +45,7 @@ def settings_of(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def runs_of(folder: Path) -> list[Path]:
-    """Return the runs of a folder of recordings by name."""
+    """Return the folders of the runs in a folder of recordings, in the order of their names."""
     return sorted(path.parent for path in folder.glob("*/meta.json"))
 
 

@@ -66,7 +66,7 @@ def holds(rows: Rows, model: float) -> list[bool]:
 
 
 def likeliest(runs: Sequence[Rows]) -> float:
-    """Return the maximum-likelihood standard deviation of the model."""
+    """Return the maximum-likelihood standard deviation of the model, relative to the length, for some runs."""
     error, sigma = np.array([row[1:] for rows in runs for row in rows]).T
     models = np.linspace(0, 0.2, 401)
     variance = sigma**2 + models[:, None] ** 2

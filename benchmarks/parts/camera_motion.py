@@ -39,7 +39,7 @@ class Pan:
     """Motion, zoom and picture of a virtual camera that pans."""
 
     sweep_deg: float
-    """Angle of the pan, and of the way back if it returns."""
+    """Angle of the pan, and of its way back if the pan returns."""
     speed_deg_s: float
     covered: float = 0.2
     """Fraction of the picture that the subject covers."""

@@ -209,7 +209,7 @@ class Linearised:
         return np.argsort(-effect_m2, kind="stable").tolist()
 
     def greedy(self, error_m: Array, shifts_m: Array) -> list[int]:
-        """Return the order whose every step brings the joints closest to the truth."""
+        """Return the order in which every step brings the joints closest to the truth."""
         left_m, order = error_m.ravel().copy(), list[int]()
         is_left = np.ones(len(shifts_m), dtype=bool)
         for _ in range(max(COUNTS)):
@@ -244,7 +244,7 @@ def linear_falls_mm(error_m: Array, shifts_m: Array, order: Sequence[int]) -> li
 
 
 def clips(runs: Sequence[Path]) -> Iterator[tuple[str, Clip]]:
-    """Yield the fits of the views."""
+    """Yield the name and the fit of each view."""
     for run in runs:
         meta = meta_of(run)
         first = meta["monocular_camera"]

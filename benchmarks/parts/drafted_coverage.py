@@ -87,7 +87,7 @@ def dogs() -> Iterator[Recording]:
 
 
 def biased(recording: Recording, points_m: np.ndarray, offsets_m: np.ndarray) -> np.ndarray:
-    """Return points with an offset from the recorded points, (K, 3) in the frame of the trunk's heading."""
+    """Shift the recorded points by offsets (K, 3) in the frame of the trunk's heading, metres."""
     rear, front = (recording.names.index(name) for name in recording.trunk)
     ahead = points_m[:, front, :2] - points_m[:, rear, :2]
     c, s = (ahead / np.linalg.norm(ahead, axis=1, keepdims=True)).T[..., None]
@@ -145,7 +145,7 @@ def row(recording: Recording, cameras: int, skeleton: str | None, seed: int) -> 
 
 
 def view_of_markers(view: View, order: Sequence[int]) -> View:
-    """Return the view of the body's markers; those without a keypoint are missing."""
+    """Return the view of the body's markers; markers without a keypoint are missing."""
     known = np.array(order) >= 0
     xy_px = np.where(known[:, None], view.xy_px[:, order], np.nan)
     return replace(view, xy_px=xy_px, confidence=np.where(known, view.confidence[:, order], 0.0))

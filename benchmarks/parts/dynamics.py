@@ -233,7 +233,7 @@ def carried_rows(motion: Motion) -> list[list[str]]:
 VIEWS = 5
 """Number of clips of each simulated run."""
 SHARES = 200
-"""Number of draws of the feet's shares of the impulse for each clip."""
+"""Number of ways to divide the impulse among the feet that are drawn for each clip."""
 
 
 def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:

@@ -59,7 +59,7 @@ def recon(*arguments: object) -> None:
 
 @contextmanager
 def served(*arguments: object) -> Iterator[str]:
-    """Run `recon fix` and yield the address of its page; end it by Ctrl-C."""
+    """Run `recon fix`, yield the address of its page, and stop the command by Ctrl-C at the end."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1", "COLUMNS": "300"}
     command = [sys.executable, "-m", "recon", "fix", *map(str, arguments), "--no-browser"]
     with subprocess.Popen(
@@ -85,7 +85,7 @@ class User:
         self.keys += 1
 
     def correct(self, true_px: tuple[float, float]) -> None:
-        """Click where the chosen keypoint is."""
+        """Click at the chosen keypoint's true position, with a small error."""
         at_px = [*(np.array(true_px) + self.rng.normal(0, HAND_PX, 2))]
         x, y, is_inside = self.page.evaluate(ON_SCREEN, at_px)
         if not is_inside:

@@ -41,9 +41,7 @@ PARTS = {
     "and deviations": (0, 1, 0),
     "and lasting deviations": (1, 0, 0),
 }
-"""By name: weight of a clip's lasting deviations, of the other deviations, and whether the latter are shuffled or
-drawn.
-"""
+"""Weights of a clip's lasting and other deviations, and whether the others are shuffled or drawn, by name."""
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS = 8
 """Number of sectors around the animal; a keypoint's bias depends on the sector from which it is seen."""
@@ -61,7 +59,7 @@ TOUCHED_DEG = (2.0, 5.0)
 PUT_FRAMES = 6
 """Largest time offset, in frames, of cameras that are shifted in time."""
 FIELD_M = 1.5
-"""Distance of the middle of a simulated path from that of the run, along each axis."""
+"""Distance of the middle of a simulated path from that of the run, along each axis, metres."""
 
 
 def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: bool = False) -> ClipProblem:
@@ -119,7 +117,7 @@ def shown(row: dict[str, float]) -> dict[str, str]:
 
 
 def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
-    """Return a row for each clip, all from one rig estimated from all of them."""
+    """Return a row for each clip, with the rig that is estimated from all clips together."""
     cameras = cameras_of(clips[0])["all"]
     views = [[run.views[camera] for camera in cameras] for run in clips]
     bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]
@@ -248,7 +246,7 @@ def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def began_later(view: View, frames: float) -> View:
-    """Return the view of a camera that began whole frames later, so that its first picture shows a later moment."""
+    """Return the view of a camera that began `frames` frames later, so that its first picture shows a later moment."""
     at = np.arange(len(view.xy_px)) + int(frames)
     inside = (at >= 0) & (at < len(at))
     at = np.clip(at, 0, len(at) - 1)
@@ -321,7 +319,7 @@ def _detected(
 
 
 def simulated(run: Run) -> list[dict]:
-    """Return means over the seeds; a row with n clips uses the first n."""
+    """Return rows of means over the seeds; a row with n clips uses the first n simulated clips."""
     views, body, table = [run.views[camera] for camera in cameras_of(run)["all"]], body_of(run.subject), []
     for any_way in (False, True):
         rows: dict[int, list[dict[str, float]]] = {}

@@ -46,7 +46,7 @@ DOG_FRAMES = 200
 TURN = np.array([[np.cos(40 * DEG), -np.sin(40 * DEG), 0], [np.sin(40 * DEG), np.cos(40 * DEG), 0], [0, 0, 1]])
 """Rotation of the world about the vertical between the first camera and the second."""
 PAIRS = {"cheetah-24": ("l_hip", "l_shoulder"), "dog-27": ("LeftUpLeg", "LeftArm")}
-"""Left markers of the hind and the fore girdle. With the right markers they give the true sagittal plane."""
+"""Left markers of the hind and the fore girdle, which give the true sagittal plane together with the right markers."""
 
 
 def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ from recon.gait.stances import INTERVAL
 from recon.thesis.solution import frame_solution
 
 WITHIN = 0.3
-"""Relative error of a stated peak speed within which the speed is near the truth."""
+"""Largest relative error of a stated peak speed that counts as near the truth."""
 POOR_MM = 160.0
 """Error above which no pose may have the verdict "use"."""
 

@@ -29,7 +29,7 @@ from recon.thesis.objectives import FrameOptions, Objective, ResidualAndJacobian
 from recon.thesis.solution import FrameSolution
 
 LIMITS = ("theta range", "phi range", "theta rate", "phi rate")
-"""f2, f3, f4 and f5."""
+"""Names of the objectives f2, f3, f4 and f5."""
 PRIORS = ("theta prior", "phi prior", "roll prior", "heading tie", "travel prior")
 SIZE = ("base length prior",)
 EVERY = (*LIMITS, *SIZE, *PRIORS)

@@ -48,7 +48,7 @@ CHAINS = {
     "spine": ("tail_base", "spine", "neck_base"),
     "front": ("spine", "neck_base", "{}_front_knee", "{}_front_ankle", "{}_front_paw"),
 }
-"""Links 6, 7, 8; 1; and 2, 3, 4 of the skeleton cheetah-8u."""
+"""Markers along links 6 to 8, 1, and 2 to 4 of the skeleton cheetah-8u."""
 LINKS = {"hind": "678", "spine": "1", "front": "234"}
 
 
@@ -77,7 +77,7 @@ def run_row(pose: Pose3D, fps: float) -> dict:
 
 
 def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
-    """Return the mean speed of each link's tip relative to its parent, m/s, mean of both sides."""
+    """Return the mean speed of each link's tip relative to its parent, m/s, as the mean of both sides."""
     found = {}
     for limb, chain in CHAINS.items():
         fields = (pose_vector_field(pose, tuple(j.format(side) for j in chain), fps) for side in "lr")
@@ -151,7 +151,7 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 
 
 Events = list[tuple[float, float, bool]]
-"""Delay in seconds, standard deviation, and whether the event is a touch-down."""
+"""Delay of each event, its standard deviation, both in seconds, and whether it is a touch-down."""
 
 
 def fitted(run: Path, camera: int, about: dict) -> Motion:

@@ -68,7 +68,7 @@ PUBLISHED = {
     "damped (0.05 m)": "765",
     "extended Jacobian (energy)": "587, ended 32.7 mm away",
 }
-"""Iterations to a target that the publication does not state. The published cost is not stated either."""
+"""Published iterations to a target; the publication states neither the target nor the cost."""
 
 
 HARMONIC = "harmonic map"
@@ -122,8 +122,8 @@ def methods(chain: SerialChain) -> dict[str, Method]:
 def step_times_s(chain: SerialChain) -> dict[str, float]:
     """Return the processor time of a step at random configurations within the limits, by method, seconds.
 
-    The methods take turns, and the time is the tenth percentile: other programs on the machine can only make
-    steps slower.
+    The methods take turns, and the time is the tenth percentile, because other programs on the machine can only
+    make steps slower.
     """
     rng, every = np.random.default_rng(SEED), methods(chain)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (STEPS, chain.n))
@@ -289,7 +289,7 @@ class Leg:
 
 @cache
 def real_legs(folder: Path) -> dict[str, list[Leg]]:
-    """Return the legs of all runs by chain: "2D" in the plane of the travel, "3D", "whole animal"."""
+    """Return the legs of all runs by chain: "2D" (in the plane of travel), "3D" and "whole animal"."""
     skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
     legs: dict[str, list[Leg]] = {"2D": [], "3D": [], "whole animal": []}
     for meta in sorted(folder.glob("*/meta.json")):

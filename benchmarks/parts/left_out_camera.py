@@ -77,7 +77,7 @@ RAT_BIAS_M = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A clip from which to leave out cameras."""
+    """A clip whose cameras are left out in turn."""
 
     kind: str
     name: str
@@ -221,7 +221,7 @@ def scored(task: Task, solutions: Path | None) -> Score:
 
 
 def together(scores: Iterable[Score]) -> Score:
-    """Combine scores into one."""
+    """Combine several scores into a single score."""
     total = Score()
     for score in scores:
         for mine, parts in ((total.errors_px, score.errors_px), (total.is_inside, score.is_inside)):
@@ -275,7 +275,7 @@ def rat_clips(quick: bool) -> Iterator[Clip]:
 
 
 def in_trunk(points_m: np.ndarray, names: Sequence[str], offsets_m: np.ndarray) -> np.ndarray:
-    """Turn offsets (J, 3) with the heading of the trunk, (T, J, 3)."""
+    """Turn offsets (J, 3) with the heading of the trunk, and return them as (T, J, 3)."""
     ahead = points_m[:, names.index("SpineF")] - points_m[:, names.index("SpineL")]
     c, s = (ahead[:, :2] / np.linalg.norm(ahead[:, :2], axis=1, keepdims=True)).T[..., None]
     x, y, z = np.broadcast_to(offsets_m, points_m.shape).transpose(2, 0, 1)

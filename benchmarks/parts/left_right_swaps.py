@@ -128,7 +128,7 @@ class Case:
     """A fault of a clip's keypoints or settings."""
 
     change: Change
-    """Function that returns the changed keypoints of a view (T, J, 2), and which frames were changed (T,)."""
+    """Function that returns the changed keypoints (T, J, 2) of a view, and a mask (T,) of the changed frames."""
     code: str | None = None
     """Code of the expected finding; None if none is expected."""
     told: Callable[[View], dict[str, Any]] = field(default=lambda view: {})

@@ -86,7 +86,7 @@ def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
 
 
 def with_pose_errors(pan: View, fps: float, seed: int) -> View:
-    """Return a pan whose camera poses have errors, with their standard deviation."""
+    """Add errors to the camera poses of a pan, and state their standard deviation in the view."""
     T, rng = len(pan.xy_px), np.random.default_rng(seed)
     seconds = (np.arange(T) - T / 2)[:, None] / fps
     axis = rng.normal(size=3)

@@ -44,7 +44,7 @@ class Condition:
     """The keypoints that are detected; None for all."""
     noise_px: float = 3.0
     every: int = 1
-    """Every n-th frame is kept."""
+    """Number n, if every n-th frame is kept."""
     distance_m: float = 12.0
 
 

@@ -38,10 +38,10 @@ def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def by_pose2sim(given: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the positions by Pose2Sim: outlying cameras left out, gaps filled, outliers removed, splines fitted.
+    """Return the positions by Pose2Sim, which leaves out outlying cameras, fills gaps, and fits splines.
 
-    The settings are those of its demo, except for the filter: splines that choose their own smoothness, because the
-    demo's 6 Hz are those of a walking person.
+    The settings are those of Pose2Sim's demo, except that the filter is a spline that chooses its own smoothness. The
+    demo's cut-off of 6 Hz suits a walking person.
     """
     from Pose2Sim.common import interpolate_zeros_nans  # pyright: ignore[reportMissingImports]
     from Pose2Sim.filtering import filter1d, hampel_filter  # pyright: ignore[reportMissingImports]

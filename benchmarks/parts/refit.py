@@ -37,7 +37,7 @@ def settings_of(folder: Path, frames: int) -> FitSettings:
 
 
 def corrected(settings: FitSettings, motion: Motion, folder: Path) -> FitSettings:
-    """Return the settings with one detection in the clip's middle moved."""
+    """Move one detection in the middle of the clip, and return the settings with this correction."""
     picture, row = motion.pictures[0], len(motion.frames) // 2
     joint = int(np.flatnonzero(picture.present[row])[0])
     x, y = picture.reprojected_px[row, joint].tolist()

@@ -226,9 +226,9 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
 
 
 def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
-    """Return the expected excess of the log distance at the joint maximum over its own distribution.
+    """Return the expected shift of the log distance from the maximum of its own distribution to the joint maximum.
 
-    This distribution has the density exp(-cost / l) / sqrt(det H). The other unknowns are optimal for each distance, H
+    The log distance has the density exp(-cost / l) / sqrt(det H). The other unknowns are optimal for each distance, H
     is their normal matrix, and l is the usual squared misfit of a prior that fits. The maximum of the density differs
     from the minimum of the cost by the slope of the log determinant times a variance.
     """

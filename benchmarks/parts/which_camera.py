@@ -61,7 +61,7 @@ class OnSlope(Clip):
 
 
 def row(clip: Clip, name: str, case: Case, given_name: str) -> dict[str, Any] | None:
-    """Return the gain, the verdict and the errors of a clip with a camera of its run; None if it is not tested."""
+    """Fit a clip with a camera of its run; return gain, verdict and errors, or None if the clip is not tested."""
     gains: list[float] = []
 
     def change(clip: Clip, given: Given) -> Given:

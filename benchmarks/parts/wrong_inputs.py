@@ -92,7 +92,7 @@ MISPLACED = (*OFF, "pair_refined")
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Where keypoints really come from: run, camera, and the delay of their frame numbers."""
+    """Real origin of keypoints: the run, the camera, and the delay of the frame numbers."""
 
     run: Path
     camera: Camera
@@ -113,7 +113,7 @@ class Given:
     told: dict[str, Any] = field(default_factory=dict)
     """Settings of the fit that the change replaces."""
     really: Seen | None = None
-    """Where the keypoints really come from, if not from this camera."""
+    """Real origin of the keypoints, if it is not this camera."""
 
     @property
     def xy_px(self) -> np.ndarray:
