@@ -259,7 +259,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "data/samples/noisy.csv": sample("noisy.csv"),
     "data/samples/camera.toml": sample("camera.toml"),
 }
-"""What a page may name without making it."""
+"""Makers of the files that a page may name without making them."""
 
 OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
     "batch.md": {
@@ -284,4 +284,4 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "clip.csv": _cat_clip,
     },
 }
-"""What single pages mean by a name."""
+"""Makers of files whose name has another meaning on this page."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 SMALL_DPI = 50
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
 EMPTY_FILES = {"png": b64decode(PIXEL), "svg": b'<svg xmlns="http://www.w3.org/2000/svg"></svg>', "pdf": b"%PDF-1.4"}
-"""The files of a picture of one pixel."""
+"""Contents of a picture of one pixel, by file type."""
 
 
 def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,7 @@ LAYERS = (
 )
 WINGS = ("robotics", "keypoint_net", "thesis")
 TOPS = ("cli", "testing")
-"""The command line, and simulations for tests: they import rooms and wings, and none imports them."""
+"""Rooms that import all rooms and wings and that none imports: the command line, and simulations for tests."""
 
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}
 """Distributions whose modules have another name."""

@@ -11,7 +11,7 @@ from command_line import run
 from recon.base.outputs import RECORD
 
 FOREIGN = 40
-"""How many files of a user's lie where a command wants to write."""
+"""Number of a user's files in the place where a command wants to write."""
 REFUSED = "did not write, or that was changed since"
 
 

@@ -74,7 +74,7 @@ RIGID_M = {
         ("Offhindfetlock", "Offhindfoot"): 0.19,
     },
 }
-"""Measured distances that no pose changes."""
+"""Measured distances that do not depend on the pose."""
 
 
 def body_of(name: str | Path) -> Body:

@@ -22,7 +22,7 @@ from tests.command_line import refusal, run
 pytestmark = pytest.mark.usefixtures("no_playback")
 
 KNOWN = {"l_fore_lower": 0.08, "l_hind_foot": -0.06}
-"""Factors, by the logarithm, on the lengths of the animal that is filmed."""
+"""Logarithms of the factors on the lengths of the filmed animal."""
 
 
 def body() -> Body:

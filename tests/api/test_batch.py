@@ -479,7 +479,7 @@ def note_and_wait(self, part, made_from, **details):
 Record.note = note_and_wait
 main()
 """
-"""The command line, where `recon batch` gives out no third clip and waits: it has not ended however slow a test is."""
+"""A command line in which `recon batch` waits after starting two clips, so that it runs until a test stops it."""
 
 
 @pytest.fixture

@@ -48,7 +48,7 @@ for command in " ".join(sys.argv[1:]).split(" then "):
     except SystemExit as ended:
         print("ended with", ended.code or 0, file=sys.stderr)
 """
-"""Several commands in one process, which takes long to start."""
+"""Code that runs several commands in one process, because a process takes long to start."""
 
 
 def process(*args: object, shell: str = "") -> subprocess.CompletedProcess:

@@ -27,7 +27,7 @@ from recon.show.page.own_page import PAGE
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 ROUNDS = 8
-"""How often each of two processes writes."""
+"""Number of times that each of two processes writes."""
 CAMERA = ("--camera", SAMPLES / "camera.toml")
 QUICK = ("--fps", 60, "--frames", "0:8", "--set", "fast=true")
 

@@ -432,7 +432,7 @@ def test_tilted_camera(tmp_path):
 NO_OUT = ("--out", "folder", "nothing", "results/clip1")
 FRAME = ["--set", "method=frame"]
 OF_A_SKELETON = ["title", "forward", "feet", "keypoint_sigma_m", "size_sigma", "segments", "markers", "limbs"]
-"""Fields of a whole animal, which a file without links is taken for."""
+"""Fields of a whole animal; a file without links is read as a whole animal."""
 BAD_INPUT: dict[str, tuple[list[str], list[Refusal]]] = {
     "missing file": (["{in}/no.csv"], [("{in}/no.csv", "file", "no such file")]),
     "folder for a file": (["{in}"], [("{in}", "file", "a folder")]),

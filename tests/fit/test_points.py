@@ -11,11 +11,11 @@ from recon.fit.points import MIN_MARKERS, solve_points
 from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 FAINT = 1e-6
-"""A pull of the angles that moves no marker by anything that shows."""
+"""Weight of the angles that moves no marker visibly."""
 
 
 LIKE_OTHERS = ("cheetah-8u", "cheetah-8u-jules", "cheetah-8u-phantom")
-"""A chain with other lengths, of which each takes a second."""
+"""Chains that differ only by their lengths; each takes a second."""
 
 
 @pytest.fixture(

@@ -29,7 +29,7 @@ NARROW = replace(
     covariances=PLAIN.covariances / 25,
     covariance=PLAIN.covariance / 25,
 )
-"""Each angle lies elsewhere, and is five times as sure of it."""
+"""A prior with other means and a fifth of the standard deviations."""
 FPS, T = 60.0, 16
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))
 

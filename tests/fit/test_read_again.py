@@ -124,7 +124,7 @@ def away_for_a_minute(folder: Path) -> FitSettings:
 
 CLIPS = {name: one_camera(name) for name in builtin_names()}
 ODD = ("offset", "bare root", "away")
-"""Whose points are written in every format, too."""
+"""Clips whose points are also written in every format."""
 QUICK = ("cheetah-24", "mouse-top", "track")
 """Clips of the kinds that differ in code; the other skeletons differ in numbers. "away" has 146 frames."""
 CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}

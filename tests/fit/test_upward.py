@@ -16,7 +16,7 @@ from recon.io.deeplabcut import write_csv
 
 BODY, FPS, T = load_skeleton("quadruped"), 60.0, 180
 WORLD = Rotation.from_rotvec([1.3, -0.7, 0.4]).as_matrix()
-"""The calibration's world, turned by 87 degrees."""
+"""Rotation of the calibration's world, by 87 degrees."""
 
 
 def walking(scale: float) -> np.ndarray:

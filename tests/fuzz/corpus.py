@@ -166,7 +166,7 @@ class Seed:
     is_input: bool = True
     """Whether the path itself is read by the package, so that it may be a link."""
     link: str | None = None
-    """What the path is instead of a file, as `pool.LINKS` says."""
+    """The kind of path, if it is not a file: one of `pool.LINKS`."""
 
     @property
     def suffix(self) -> str:

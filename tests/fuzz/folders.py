@@ -20,9 +20,9 @@ from recon.base.locks import COMMITTING, WRITING, sole_writer
 from recon.base.outputs import RECORD, Output, ReadResults, is_current, output_file, read_record
 
 OWN = "1,2,3\n"
-"""What recon wrote into a file, and the user into a copy of it elsewhere."""
+"""Content that recon wrote into a file, and that the user has in a copy elsewhere."""
 Snapshot = dict[str, tuple[str, str | bytes]]
-"""By path within a folder: what is there, and its content, or where it leads."""
+"""Kind, and content or target, of everything in a folder, by path."""
 FILES = ("a.csv", "b.csv", "motion.npz", "report.html", "=1+1.csv", "-x.csv", "caf\udce9.csv", "a\nb.csv", "\u0430.csv")
 RECORDS = (RECORD, MANIFEST, WRITING, COMMITTING, ".recon-partial-mine")
 FOLDERS = (

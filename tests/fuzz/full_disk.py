@@ -30,7 +30,7 @@ CAMERA = ("--camera", SAMPLES / "camera.toml")
 FIT = ("fit", SAMPLES / "whole.csv", *CAMERA, "--fps", 60, "--frames", "0:8", "--set", "fast=true")
 PATIENCE_S = 90.0
 LEAST = 4096
-"""Bytes of the smallest disk."""
+"""Size of the smallest disk, bytes."""
 
 
 class Case(NamedTuple):

@@ -58,9 +58,9 @@ ODD_WORDS = (
     (2**62).to_bytes(8, "little"),
 )
 LONG_CELL = "1" * 131_073
-"""Longer than the csv module takes."""
+"""Number of characters that the csv module refuses in one cell."""
 MOST = 1 << 18
-"""Bytes of a spoilt text: longer ones only take time."""
+"""Largest size of a damaged text, bytes: longer texts only take time."""
 
 
 def spoilt(content: bytes, suffix: str, random: Random) -> bytes:

@@ -19,9 +19,9 @@ from tests.fuzz.corpus import Seed, outcome
 from tests.fuzz.mutations import spoilt, spoilt_name
 
 CASE_S = 20.0
-"""Longer is a hang, also on a busy machine."""
+"""Longest time of a case, s; a longer case hangs, even on a busy machine."""
 MEMORY_BYTES = 6 << 30
-"""The most addresses: what the libraries take, and 4 GB more."""
+"""Largest address space of a case: that of the libraries, and 4 GB more."""
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Tally:
 
 
 LINKS = ("to a file elsewhere", "over a folder", "to a folder", "dangling", "to itself", "folder")
-"""What a path may be instead of a file."""
+"""Kinds of paths that are not plain files."""
 
 
 def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:

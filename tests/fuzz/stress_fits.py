@@ -44,9 +44,9 @@ Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 FURTHEST_M = 1000.0
-"""No joint may be further from the camera, or ten times as far where the animal's size was left open."""
+"""Largest distance of a joint from the camera, m; ten times as much if the animal's size is free."""
 SECONDS, SECONDS_A_FRAME = 5.0, 0.5
-"""A fit may take so much of a processor, however bad its points are."""
+"""Largest processor time of a fit, s: a fixed part, and a part for each frame."""
 FPS = 60.0
 SIZE_PX = (1920, 1080)
 CAMERAS = ("pinhole", "world", "fisheye", "radtan")
@@ -222,11 +222,11 @@ SPOILT: tuple[Callable[[Spoiling], None], ...] = (
 )
 LENGTHS = (1, 2, 3, 4, 6, 12, 24, 40)
 LONGEST = 200
-"""Frames of one clip in forty: several segments and windows."""
+"""Number of frames of one in forty clips, which has several segments and windows."""
 RATES_HZ = (60.0, 60.0, 25.0, 400.0, 1.0, 1e4)
-"""What a clip may be said to be filmed at; the points are those of 60 Hz."""
+"""Stated frame rates; the points are those of 60 Hz."""
 ABSURD_RATES_HZ = (1e-300, 1e-3, 0.2, 0.5, 0.999, 10001.0, 1e5, 1e7, 1e300)
-"""And one in sixteen."""
+"""Stated frame rates of one in sixteen clips."""
 NOISE_PX = (0.0, 2.0)
 OPTIONS: dict[str, tuple[dict[str, Any], ...]] = {
     "frame": (

@@ -70,7 +70,7 @@ NOT_RUN = {
     r"recon fix ": "serves a page until it is stopped; test_correction_session.py",
     r"recon doctor": "looks at this machine; test_doctor.py",
 }
-"""Commands, from their beginning, and why they are not run."""
+"""Patterns of the beginnings of commands that are not run, and the reason."""
 
 SNIPPET = re.compile(r'--8<-- "(.*)"\n')
 """A block that the site fills with a file of the repository; the files have tests of their own."""
@@ -99,7 +99,7 @@ SLOW = {
     r"recon batch .* --out results/all$": "test_batch.py",
     r"recon robot dh arm\.toml ": "test_robot_command.py",
 }
-"""Steps that take many seconds, from their beginning, and which tests have the same options."""
+"""Patterns of the beginnings of steps that take many seconds, and the tests that have the same options."""
 LONG = {
     r"recon solver ": "test_solver_analysis.py",
     r"recon batch ": "test_batch.py",
@@ -109,7 +109,7 @@ LONG = {
     r"recon ik ": "test_ik_clip.py",
     r"recon compare herd": "test_experiment.py",
 }
-"""The same, and all steps of their pages that come after them."""
+"""Such patterns for steps after which all later steps of the page are slow, too."""
 FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
 

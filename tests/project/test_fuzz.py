@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = {"formats": 150, "settings": 250}
-"""As their shares in all cases say."""
+"""Kinds of files, with numbers of cases in proportion to their shares of all cases."""
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")
 

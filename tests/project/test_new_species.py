@@ -29,7 +29,7 @@ LINKS = {
     "l_hind_shin": 0.9 * 0.11,
     "l_hind_foot": 0.9 * 0.11,
 }
-"""True lengths of the cat, metres, as the page simulates it: of the neck's place and the legs' links."""
+"""True lengths of the simulated cat, m: the neck's attachment and the links of the legs."""
 
 
 @pytest.fixture(scope="session")

@@ -26,9 +26,9 @@ SAMPLES = ROOT / "data" / "samples"
 WINGS = {
     "published_study": {"recon.ik.clip import IkSettings, run_ik", "recon.thesis.inspect import read_solver"},
 }
-"""What a script takes besides from rooms that can be taken away."""
+"""Imports of scripts from optional rooms."""
 MOST_LINES = 50
-"""The most lines of a script, without its first text, blank lines and comments."""
+"""Largest number of lines of a script, without its docstring, blank lines and comments."""
 
 
 @pytest.fixture

@@ -38,7 +38,7 @@ from recon.show.page.compare_page import compare_page
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 PATIENCE_MS = 180_000.0
-"""How long a page may take on a busy machine."""
+"""Longest time that a page may take on a busy machine, ms."""
 VIEWS = {"desk": (1280, "light"), "phone": (390, "light"), "night": (1280, "dark")}
 PLAYER = "document.querySelector('.player').reconPlayer"
 CUT = """() => {
@@ -48,11 +48,11 @@ CUT = """() => {
     .filter((e) => e.getClientRects().length && !e.closest(".scroll, .wide, .stills") && out(e.getBoundingClientRect()))
     .map((e) => `${e.tagName} ${e.textContent.slice(0, 40)}`);
 }"""
-"""Elements that stick out of the page, except in boxes that scroll."""
+"""Script that returns elements that reach beyond the page, except in boxes that scroll."""
 UNNAMED = """() => [...document.querySelectorAll("button, input, select, canvas, img, [role=img]")]
   .filter((e) => !(e.getAttribute("aria-label") || e.alt || e.textContent.trim() || (e.labels && e.labels.length)))
   .map((e) => e.outerHTML.slice(0, 80))"""
-"""Controls and pictures without a name for those who do not see them."""
+"""Script that returns controls and pictures without a name for screen readers."""
 CONTRAST = """() => {
   const style = getComputedStyle(document.body);
   const linear = (x) => (x <= 0.03928 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
@@ -65,24 +65,24 @@ CONTRAST = """() => {
   const ratio = (at) => (Math.max(at, paper) + 0.05) / (Math.min(at, paper) + 0.05);
   return Object.fromEntries(names.map((name) => [name, ratio(light(name))]));
 }"""
-"""Contrast of each colour of lines and texts with the ground."""
+"""Script that returns the contrast of each colour of lines and texts with the background."""
 DRAWN = """() => [...document.querySelectorAll(".player .views canvas")].map((canvas) =>
   new Set(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data).size)"""
-"""Shades in the picture and in the scene."""
+"""Script that returns the number of shades in the picture and in the scene."""
 DRAWN_AGAIN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
-"""Returns after a frame of the browser, in which the page draws what has changed."""
+"""Script that returns after a frame of the browser, in which the page draws changes."""
 SHOWN = """(row) => {
   const { picture, draw } = PLAYER, image = picture.image(picture.pictureOf(row));
   if (!image.complete || !image.naturalWidth) return false;
   draw();
   return true;
 }"""
-"""Whether the picture of a row is on the canvas."""
+"""Script that returns whether the picture of a row is on the canvas."""
 LEVEL = """() => {
   const { picture } = PLAYER, [x, y] = picture.clip.pictures.corners_px[0];
   return picture.canvas.getContext("2d").getImageData(...picture.place([x + 8, y + 8]), 1, 1).data[0];
 }"""
-"""Brightness of the picture near its corner."""
+"""Script that returns the brightness of the picture near its corner."""
 
 
 @pytest.fixture(scope="module")
@@ -468,7 +468,7 @@ PLACED = """([position, x, y]) => {
   const [left, top] = picture.place([x, y]);
   return [box.left + left, box.top + top];
 }"""
-"""Go to an entry of the list with a position of the picture enlarged, and return where that is on the screen."""
+"""Script that selects an entry, enlarges a position of the picture, and returns where it is on the screen."""
 
 
 class EditorPage:

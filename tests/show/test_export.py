@@ -23,7 +23,7 @@ def within(decimals: int) -> dict[str, float]:
 
 
 METRES = within(5)
-"""The animals of these tests have five decimals of a metre."""
+"""Tolerances of metres in tables of these tests' animals, which have five decimals."""
 
 
 def test_last_digits_that_differ_between_processors_are_not_written(small_motion, tmp_path):
