@@ -402,17 +402,17 @@ def rows(quick: bool) -> Iterator[list[object]]:
     yield ["names that two of them share", f"{len(shared)}{': ' if shared else ''}{', '.join(shared)}", "0"]
     loaded = loaded_by_a_fit()
     yield ["modules that fitting the sample from Python loads", len(loaded), "45"]
-    yield ["their lines", lines_of(loaded), "9,500"]
+    yield ["lines in these modules", lines_of(loaded), "9,500"]
     options, lines = fit_help()
     yield ["options in `recon fit --help`", options, "24"]
-    yield ["its lines", lines, ""]
+    yield ["lines of `recon fit --help`", lines, ""]
     groups = circles(imports())
-    yield ["circles of files", f"{len(groups)}{': ' if groups else ''}{'; '.join(map(', '.join, groups))}", "0"]
+    yield ["import circles of files", f"{len(groups)}{': ' if groups else ''}{'; '.join(map(', '.join, groups))}", "0"]
     if not quick:
         with tempfile.TemporaryDirectory() as folder:
             for name, arguments, beside, limit in startup.COMMANDS:
                 *_, ratio, _ = startup.compared(arguments, beside, RUNS, folder)
-                yield [f"time of `{name}` by that of `{beside}`", f"{ratio:.1f}", limit]
+                yield [f"time of `{name}` relative to `{beside}`", f"{ratio:.1f}", limit]
 
 
 def print_rooms() -> None:

@@ -120,7 +120,7 @@ def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
 
 
 def too_far(run: Run, solution: TrajectorySolution) -> float:
-    """Return the mean logarithm of the animal's estimated over its true distance from the first camera."""
+    """Return the mean logarithm of the ratio of the animal's estimated to its true distance from the first camera."""
     found, true = (
         np.linalg.norm(points_m.mean(axis=1) - solution.views[0].centre_m, axis=-1)
         for points_m in (solution.joints_m, run.truth_m)

@@ -59,7 +59,7 @@ def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, st
 def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list[object]:
     """Return the cells of one kind of recordings, as in `HEADER`.
 
-    `without` has, by run, the detector file made from the other runs.
+    `without` maps each run to the detector file that is made from the other runs.
     """
     taken: set[str] = set()
     errors_mm: list[list[float]] = []

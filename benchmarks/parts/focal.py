@@ -78,7 +78,7 @@ def main() -> None:
     columns = [
         "run",
         "estimated / true focal length",
-        "the same, given the true one",
+        "the same, with the true length given",
         "MPJPE, fixed",
         "MPJPE, estimated",
         "MPJPE, estimated from the true one",

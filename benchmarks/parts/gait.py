@@ -337,9 +337,7 @@ def print_rows(rows: list[dict]) -> None:
 
 def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
-    parser.add_argument(
-        "--held-out", action="store_true", help="choose SPEED_ERROR by other recordings, and nothing else"
-    )
+    parser.add_argument("--held-out", action="store_true", help="only choose SPEED_ERROR on other recordings")
     arguments = parser.parse_args()
     runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json") if (p.parent / "truth.csv").is_file())
     if arguments.held_out:

@@ -60,7 +60,7 @@ ROWS = (
     ("focal length", "focal length x 0.7", Case(focal(0.7))),
     ("focal length", "letterboxed", Case(scaled(0.75, 0.75))),
     ("drift", "two cameras", Case(lambda clip, given: given, two=True)),
-    ("drift", "two, one a frame a second slow", Case(slow_clock, two=True)),
+    ("drift", "two, one slow by a frame per second", Case(slow_clock, two=True)),
 )
 LIMIT_TEXTS = {
     "stretch": f"{LIMITS[0]} to {LIMITS[1]}",

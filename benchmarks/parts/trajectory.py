@@ -504,7 +504,7 @@ def ablation(runs: Sequence[Path]) -> dict[str, Rows]:
                     apart=("tail_1", "tail_2"),
                 )
             )
-            variants.append(("prior of all segments, slow ones too", {"prior": str(path)}, {}))
+            variants.append(("prior of all segments, including slow ones", {"prior": str(path)}, {}))
         rows = [
             summary(label, fits(replace(job, options=options, **how) for job in views(runs)))
             for label, how, options in variants

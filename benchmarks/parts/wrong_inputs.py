@@ -517,7 +517,7 @@ def beyond_edge(comes: bool) -> Change:
 
 
 def lengths_15(clip: Clip, given: Given) -> Given:
-    """Give the fit the animal's lengths, one and a half times as long."""
+    """Give the fit the animal's lengths multiplied by 1.5."""
     skeleton = tomllib.loads(builtin_file("animal/skeletons", "cheetah-24.toml").read_text())
     placed = {one["name"]: one["at_m"] for kind in ("segments", "markers") for one in skeleton[kind] if "at_m" in one}
     lines = "".join(
@@ -537,7 +537,7 @@ CASES = {
         lambda c, g: g.moved(t=np.asarray(g.camera.rotation).T @ g.camera.translation_m), ("ground_elsewhere",)
     ),
     "only camera is another": Case(other_only_camera, ("other_camera_named",)),
-    "the same, called as this one": Case(other_renamed, ("ground_elsewhere",)),
+    "the same, with this camera's name": Case(other_renamed, ("ground_elsewhere",)),
     "cropped video": Case(cropped, ("smaller_video", "ground_elsewhere")),
     **{f"focal length x {by:g}": Case(focal(by), ("focal_length",)) for by in (1.5, 0.7, 0.85, 1.1)},
     "anamorphic, x scaled by 0.75": Case(scaled(0.75, 1.0), ("picture_stretched",)),

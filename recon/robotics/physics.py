@@ -65,7 +65,7 @@ DEGREE = 5
 MOST = 10.0
 """Largest coefficient of these polynomials, as a fraction of the weight."""
 TURNS = 12
-"""Largest number of steps."""
+"""Largest number of steps of `carried`."""
 HOPELESS = 50.0
 """Excess over the limits after three steps above which further steps are not worth trying."""
 UNIT = 0.02

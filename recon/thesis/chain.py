@@ -50,7 +50,7 @@ class ChainPose:
 
 @dataclass(frozen=True)
 class UnknownsChain(Chain):
-    """A chain with the unknowns of a frame, and their kinematics."""
+    """A chain with the unknowns of one frame, and with their kinematics."""
 
     @property
     def n_state(self) -> int:

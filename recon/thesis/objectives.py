@@ -1,7 +1,7 @@
 """Define the terms of one frame's least-squares problem: the objectives f1 to f5 and the priors.
 
 Each term is a small class. A term reads the pose of one frame and, if it `ties` frames, the fixed pose of the previous
-frame. It returns residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
+frame. Terms return residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
 new term takes one class here and one line in the list of `tests/thesis/test_objectives.py`.
 
 f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty. "deadband"
@@ -230,8 +230,8 @@ class GaussianPrior(Objective):
 class DirectionPrior(Objective):
     """Prior on the direction of one axis of the root, with the residuals (axis - expected) / sigma.
 
-    The residuals refer to the vertical, not to the angles of R. Those turn about the camera's axes, and xi, psi and
-    zeta measure roll only if the animal is seen from the side.
+    The residuals refer to the vertical, because the angles of R turn about the camera's axes. These angles measure roll
+    only if the animal is seen from the side.
     """
 
     name: str

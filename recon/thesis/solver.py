@@ -167,7 +167,7 @@ class FrameProblem:
     def sigmas_off(self, x: Array) -> Array:
         """Return the distances (n,) between detections and reprojections, in standard deviations.
 
-        They are infinite for joints that cannot be projected.
+        The distance is infinite for a joint that cannot be projected.
         """
         pixels, valid = self.pixels.camera.project(self.chain.pose(x[None]).joints_m[0])
         detected = self.pixels.xy_px[self.frame]
@@ -252,7 +252,7 @@ class FrameSearch:
 
 
 class FrameSolver:
-    """Solver of a clip, frame by frame.
+    """Solver that fits the chain to a clip frame by frame.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Estimate the direction of travel and a rough first pose from geometry, without measured angles.
 
 The mean pose is placed on the rays of the detections (`recon.fit.starts`), for many headings and all frames of a
-stretch. The chosen heading is the one whose poses fit best and agree with the path that they imply.
+stretch. The poses of the chosen heading fit best and agree with the path that they imply.
 """
 
 from __future__ import annotations
