@@ -24,7 +24,7 @@ from cameras import PRIOR, Run, errors, most_different, runs_given, solved
 from markdown_table import print_table
 from trajectory import body_of, prior_of
 
-from recon.check.agreement import solve_time_offsets
+from recon.check.time_offsets import solve_time_offsets
 from recon.clip import Source, views_of
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import TrajectorySolution

@@ -30,7 +30,7 @@ from markdown_table import print_header, print_row
 
 from recon import load_skeleton
 from recon.animal.prior import prior_from_body
-from recon.check.agreement import why_not_refined
+from recon.check.refined_poses import why_not_refined
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory

@@ -167,7 +167,7 @@ def _solve_first(inputs: ClipInputs, options: TrajectoryOptions, solve: Solve) -
     """Solve for the motion, and for the cameras' time offsets if they are to be estimated."""
     if not options.find_offsets:
         return _Fit(inputs.sources, options, solve(inputs.sources, options), inputs.findings)
-    from recon.check.agreement import solve_time_offsets
+    from recon.check.time_offsets import solve_time_offsets
 
     noise = (options.sigma_px, options.keypoint_noise_m(inputs.body))
     solve_with = partial(_solve_with, solve, options)
@@ -187,7 +187,7 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
     """
     if not fit.options.refine_cameras:
         return fit
-    from recon.check.agreement import why_not_refined
+    from recon.check.refined_poses import why_not_refined
 
     options = replace(fit.options, refine_cameras=False)
     fixed = solve(fit.sources, options)
@@ -211,7 +211,7 @@ def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
         return fit
     if settings.refine_cameras or not fit.solution.posed.any():  # refined poses were refused, or there is no pose
         return fit
-    from recon.check.agreement import pair_is_turned, pair_refined, why_not_refined
+    from recon.check.refined_poses import pair_is_turned, pair_refined, why_not_refined
 
     options = replace(fit.options, refine_cameras=True, refine_first=True, lengths_known=True)
     refined = _solve_near(inputs, fit.solution, fit.sources, options)

@@ -35,7 +35,7 @@ from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.numbers import length_text, percent, quantity
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
-from recon.check.agreement import triangulated_m
+from recon.check.sights import triangulated_m
 from recon.clip import Source, align_cameras, clean, views_of
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.io.formats import read_keypoints

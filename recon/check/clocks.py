@@ -86,7 +86,7 @@ def _is_refuted_by_rays(
     clip: ClipProblem, solution: TrajectorySolution, rows: slice, camera: int, drift_frames: float
 ) -> bool:
     """Return whether the rays of some frames alone, without the animal's lengths, show less than half of a drift."""
-    from recon.check.agreement import drift_by_rays  # fits of one camera do not import it
+    from recon.check.sights import drift_by_rays  # fits of one camera do not import it
 
     by_rays, sigma = drift_by_rays([view.part(rows) for view in clip.views], solution.markers_m[rows], camera)
     return bool(by_rays * np.sign(drift_frames) + RAY_SIGMAS * sigma < 0.5 * abs(drift_frames))

@@ -12,7 +12,7 @@ import numpy as np
 
 from recon.animal.body import Body
 from recon.base.arrays import Array, Index
-from recon.check.agreement import triangulated_m
+from recon.check.sights import triangulated_m
 from recon.clip import View
 from recon.fit import constants
 from recon.fit.terms import StanceVelocity

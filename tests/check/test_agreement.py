@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from example_run import ASIDE, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
 
-from recon.check.agreement import FRAMES, agreement_findings, why_not_refined
+from recon.check.agreement import FRAMES, agreement_findings
+from recon.check.refined_poses import why_not_refined
 from recon.clip import View
 from recon.fit.result import Finding, TrajectorySolution
 from recon.geometry.frames import euler_rotation, rigid

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.check.agreement import drift_by_rays
 from recon.check.clocks import drift_findings
 from recon.check.one_step import Step
+from recon.check.sights import drift_by_rays
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from tests.example_run import BODY, FPS, PRIOR, two
 

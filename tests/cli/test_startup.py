@@ -56,7 +56,7 @@ def test_a_fit_imports_what_it_uses(tmp_path):
     modules = imported_by(*fit, "--out", tmp_path)
     assert (tmp_path / "motion.rrd").is_file()
     assert {"numpy", "rerun"} <= modules
-    of_other_clips = {"recon.io.hdf5_poses", "recon.io.camera_track", "recon.check.agreement"}
+    of_other_clips = {"recon.io.hdf5_poses", "recon.io.camera_track", "recon.check.agreement", "recon.check.sights"}
     unused = {
         *of_other_clips,
         "recon.gait.evaluation",

@@ -13,7 +13,7 @@ from example_run import BODY, CAMERA, FPS, KEYPOINT_M, PRIOR, keypoints_of, late
 from recon import fit_clip
 from recon.api.clip_inputs import prepare
 from recon.api.rigs import at_rate
-from recon.check.agreement import search_offsets, solve_time_offsets
+from recon.check.time_offsets import search_offsets, solve_time_offsets
 from recon.clip import Source, clean
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import TrajectorySolution

@@ -1,0 +1,97 @@
+"""Decide whether the camera poses that a fit refined are used, and report them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from recon.check.codes import finding
+from recon.fit import constants
+from recon.fit.result import Finding, TrajectorySolution
+
+UNCHANGED_FACTOR = 1.1
+"""Growth of a camera's median reprojection error up to which refined poses count as no worse for it.
+
+The errors of some cameras may grow a little if those of another camera decrease.
+"""
+BETTER_FACTOR = 1.02
+"""Ratio of a camera's error before the refinement to the error after it, above which the camera has improved."""
+OUTLIER_FACTOR = 5.0
+"""Ratio of a camera's error to the median over the cameras, above which the camera is an outlier as a whole."""
+MAX_ROTATION_FACTOR = 4.0
+"""Ratio of a rotation to the expected one, above which a camera has left the pose in the file."""
+
+
+def why_not_refined(
+    refined: TrajectorySolution,
+    fixed: TrajectorySolution,
+    better_below_rad: float = np.inf,
+    *,
+    may_fit_worse: bool = False,
+) -> tuple[Finding, ...]:
+    """Return the reasons to keep the calibrated cameras, or nothing if the refined poses are to be used.
+
+    A camera that leaves its pose may become an outlier as a whole, which lowers a robust cost. If no camera fits
+    better, the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a
+    wrong size of the animal can hide them. If `may_fit_worse` is true, the fixed cameras may fit better for another
+    reason, and then only a camera that becomes an outlier as a whole counts.
+    """
+    fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
+    names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
+    growth = OUTLIER_FACTOR if may_fit_worse else UNCHANGED_FACTOR
+    lost = (refined_px > growth * fixed_px) | (refined_px > OUTLIER_FACTOR * np.median(refined_px))
+    worst_lost, most_turned = int(np.argmax(lost * refined_px / fixed_px)), int(np.argmax(turns_rad))
+    if lost[worst_lost]:
+        return (
+            finding(
+                "cameras_not_refined",
+                camera=names[worst_lost],
+                before_px=fixed_px[worst_lost],
+                after_px=refined_px[worst_lost],
+            ),
+        )
+    if turns_rad[most_turned] > MAX_ROTATION_FACTOR * constants.CAMERA_ROTATION_RAD:
+        return (
+            finding(
+                "camera_left_its_pose", camera=names[most_turned], turn_deg=float(np.degrees(turns_rad[most_turned]))
+            ),
+        )
+    if turns_rad[most_turned] <= better_below_rad and not (fixed_px > BETTER_FACTOR * refined_px).any():
+        return (finding("cameras_as_calibrated"),)
+    return ()
+
+
+def pair_is_turned(refined: TrajectorySolution) -> bool:
+    """Return whether one of two refined cameras is turned by more than twice the usual error of a calibration."""
+    return bool(np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1).max() > 2.0 * constants.CALIBRATED_RAD)
+
+
+def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
+    """Return the finding on two cameras whose poses were refined without a request by the user.
+
+    The finding names the camera that was turned more, and is a warning if one of the cameras is more likely turned or
+    moved than well calibrated.
+    """
+    turns_rad, shifts_m = np.linalg.norm(refined.extrinsic_correction.reshape(-1, 2, 3), axis=-1).T
+    most_turned = int(np.argmax(turns_rad))
+    cameras = tuple(view.camera.name for view in refined.views)
+    return finding(
+        "pair_refined" if is_misplaced else "pair_adjusted",
+        camera=cameras[most_turned],
+        cameras=cameras,
+        turn_rad=float(turns_rad[most_turned]),
+        shift_m=float(shifts_m[most_turned]),
+    )
+
+
+def _medians_px(solution: TrajectorySolution) -> np.ndarray:
+    """Return the median distance between detections and reprojected markers, (V,), pixels.
+
+    The distance is infinite if most detections have no pose, and 1 without detections.
+    """
+    medians = []
+    for view in solution.views:
+        pixels, _ = view.project(view.shift_to_exposure(solution.markers_m))
+        distances = np.linalg.norm(pixels - view.xy_px, axis=-1)[view.present]
+        distances = np.where(np.isfinite(distances), distances, np.inf)
+        medians.append(float(np.median(distances)) if distances.size else 1.0)
+    return np.maximum(medians, 1e-9)

@@ -1,0 +1,134 @@
+"""Estimate the time offsets of cameras whose clocks differ.
+
+The levels of rays that should meet (`recon.check.sights`) are used to search for whole frames (`search_offsets`),
+before the fit solves for the rest (`solve_time_offsets`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.check.sights import Sight, level_of_pair, sights_of
+from recon.clip import Source, View, align_cameras, views_of
+from recon.fit.result import TrajectorySolution
+
+OFFSET_S = 1.0
+"""Largest time offset, in seconds, in the search for a camera that is out of step; at most half the clip."""
+MAX_OFFSET_RATIO = 0.9
+"""Largest ratio of the level with a time offset to the level without it at which the offset counts."""
+_OFFSET_ROWS = 200
+"""Number of frames that are compared for an offset."""
+_COMPARED = 0.3
+"""Smallest fraction of the comparable points that must remain for a time offset."""
+_OFFSET_ROUNDS = 3
+"""Largest number of rounds over the cameras in the search for time offsets."""
+FIT_ROUNDS = 5
+"""Largest number of solutions in the search for time offsets."""
+CLOSE_FRAMES = 0.05
+"""Largest time offset, in frames, that is left to the solver, which treats the motion as straight over this time."""
+MAX_SIGMA_FRAMES = 1.0
+"""Largest uncertainty of an estimated offset in frames.
+
+A less certain offset is refused, as is an offset that would still change by more.
+"""
+
+SolveSources = Callable[[tuple[Source, ...]], TrajectorySolution]
+
+
+def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
+    """Return the time offset of each camera from the first, in whole frames beyond the stated offset, (V,).
+
+    Views have the same T frames; the noise is as in `agreement_findings`. Each camera in turn gets the offset at which
+    its rays pass closest to those of the cameras before it. A few rounds with the rays of all other cameras follow. The
+    offset is 0 if no other value is clearly better, and NaN if a camera shares too few points with the others.
+    """
+    sights = sights_of(views, sigma_px, keypoint_sigma_m)
+    T = len(views[0].xy_px)
+    rows = np.arange(0, T, max(1, T // _OFFSET_ROWS))
+    reach = max(min(round(OFFSET_S * fps), T // 2), 1)
+    offsets = np.full(len(views), np.nan)
+    offsets[0] = 0.0
+    for round_number in range(_OFFSET_ROUNDS):
+        previous = offsets.copy()
+        for v in range(1, len(views)):
+            partners = [o for o in range(len(views)) if o != v and np.isfinite(offsets[o])]
+            offsets[v] = _best_offset(sights[v], [sights[o].later(offsets[o]) for o in partners], reach, rows)
+        if round_number and np.array_equal(previous, offsets, equal_nan=True):
+            break
+    return offsets
+
+
+def _best_offset(sight: Sight, partner_sights: Sequence[Sight], reach: int, rows: Index) -> float:
+    offsets = np.arange(-reach, reach + 1)
+    partners = [partner.part(rows) for partner in partner_sights]
+    shifted_sights = [sight.later(by).part(rows) for by in offsets.tolist()]
+    pairs = np.array([[level_of_pair(shifted, partner) for partner in partners] for shifted in shifted_sights])
+    levels, points = pairs[..., 0], pairs[..., 2]
+    compared = np.isfinite(levels) & (points >= _COMPARED * points.max(axis=0))
+    if not compared.any():
+        return np.nan
+    sums, number = np.where(compared, levels, 0.0).sum(axis=1), compared.sum(axis=1)
+    mean = np.where(number > 0, sums / np.maximum(number, 1), np.inf)
+    best = int(np.argmin(mean))
+    return 0.0 if mean[best] > MAX_OFFSET_RATIO * mean[reach] else float(offsets[best])
+
+
+def solve_time_offsets(
+    sources_apart: Sequence[Source],
+    later_frames: Sequence[float],
+    solve: SolveSources,
+    sigma_px: float,
+    keypoint_sigma_m: float,
+) -> tuple[tuple[Source, ...], TrajectorySolution]:
+    """Estimate the time offsets of sources; return the sources on the frames of one clip, and their solution.
+
+    Parameters
+    ----------
+    sources_apart
+        Sources on their own frames.
+    later_frames
+        Offset of each camera, in frames, at which the search begins, (V,).
+    solve
+        Function that solves sources with the option `find_offsets`.
+    sigma_px, keypoint_sigma_m
+        Noise, as in `agreement_findings`.
+
+    Raises
+    ------
+    InputError
+        If the motion does not determine the offsets.
+    """
+    offsets, fps = np.array(later_frames), sources_apart[0].keypoints.fps
+    assert fps is not None
+    first_views = views_of(align_cameras(sources_apart, later_frames))
+    search_result = search_offsets(first_views, fps, sigma_px, keypoint_sigma_m)
+    names = [source.camera.name for source in sources_apart]
+    unmatched = [name for name, frames in zip(names, search_result, strict=True) if np.isnan(frames)]
+    if unmatched:
+        expected = "30 or more points that this camera and another see together"
+        raise InputError(
+            Problem("--set find-offsets", f"camera {name}", "too few points in common", expected) for name in unmatched
+        )
+    offsets = offsets + search_result
+    sources = align_cameras(sources_apart, offsets.tolist())
+    solution = solve(sources)
+    for _ in range(1, FIT_ROUNDS):
+        if np.abs(solution.time_offset_frames).max() < CLOSE_FRAMES:
+            break
+        offsets = offsets + solution.time_offset_frames
+        sources = align_cameras(sources_apart, offsets.tolist())
+        solution = solve(sources)
+    raise_problems(_problems(names, offsets, solution.time_offset_frames, solution.time_offset_sigma_frames))
+    return sources, solution
+
+
+def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: Array) -> Iterator[Problem]:
+    for name, frames, lag, sigma in zip(names, offsets, rest_frames, sigmas, strict=True):
+        if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
+            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, hardly determined by the motion"
+            expected = f"a clip that determines it to {MAX_SIGMA_FRAMES:g} frame, or a measured offset (--set offset-s)"
+            yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)
