@@ -109,13 +109,13 @@ PUBLISHED = {
 }
 """Function words that users write as names of options and fields, and that therefore have to work, by file."""
 UPWARD = {
-    "recon.clip": {"recon.io.columns"},  # for Keypoints.from_dataframe and from_xarray
-    "recon.io.formats": {"recon.io"},  # the table of formats
-    # for Motion.load and Motion.plot
+    "recon.clip": {"recon.io.columns"},  # Keypoints.from_dataframe and from_xarray read columns
+    "recon.io.formats": {"recon.io"},  # the table of formats lists all readers
+    # Motion.load reads solutions of the frame method, and Motion.plot draws
     "recon.fit.motion_forms": {"recon.thesis.solution", "recon.show.plots.side_view"},
-    "recon.thesis.solution": {"recon.thesis.report"},  # for the method's own sections of the report
-    "recon.api.clip": {"recon.thesis.clip"},  # for fit_clip with the frame method
-    "recon.api.clip_inputs": {"recon.thesis.clip"},  # for the chain of the frame method
+    "recon.thesis.solution": {"recon.thesis.report"},  # the frame method has its own sections of the report
+    "recon.api.clip": {"recon.thesis.clip"},  # fit_clip also fits by the frame method
+    "recon.api.clip_inputs": {"recon.thesis.clip"},  # the frame method reads its own chain
 }
 """Modules of a higher layer that a module imports inside a function, by the importing module."""
 
@@ -244,7 +244,7 @@ RULES = (
     ("imports by strings", string_imports, 0),
     ("`Any` in signatures", any_in_signatures, 10),
 )
-"""What is counted, the function that finds it, and how many are allowed in the whole package."""
+"""Title of each rule, the function that finds its violations, and the number allowed in the whole package."""
 
 
 def check(where: bool) -> bool:
@@ -399,9 +399,9 @@ def rows(quick: bool) -> Iterator[list[object]]:
     names = Counter(name for tree in trees.values() for name in public_classes(tree))
     yield ["public classes", names.total(), "190"]
     shared = sorted(name for name, count in names.items() if count > 1)
-    yield ["names that two of them share", f"{len(shared)}{': ' if shared else ''}{', '.join(shared)}", "0"]
+    yield ["class names that occur more than once", f"{len(shared)}{': ' if shared else ''}{', '.join(shared)}", "0"]
     loaded = loaded_by_a_fit()
-    yield ["modules that fitting the sample from Python loads", len(loaded), "45"]
+    yield ["modules that a fit of the sample from Python loads", len(loaded), "45"]
     yield ["lines in these modules", lines_of(loaded), "9,500"]
     options, lines = fit_help()
     yield ["options in `recon fit --help`", options, "24"]

@@ -189,7 +189,7 @@ def rows(video: Path, cases: Sequence[str]):
 
 LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
 """Focal lengths in the camera files relative to the true one; the last stands for 90 degrees instead of 60."""
-LENS_HEADER = ("video", "pan", "file", "frames", "found, off by", "sigma", "worst °", "sigma there °")
+LENS_HEADER = ("video", "pan", "file", "frames", "error of found length", "sigma", "worst °", "sigma of the worst °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",
     "CPU ms per frame",

@@ -331,9 +331,12 @@ def main() -> None:
     for title, rows in (
         (f"Measured lengths of {SKELETON}", lambda: accuracy(runs, known=True)),
         ("Measured lengths, sideslip fixed at 0", lambda: accuracy(runs, known=True, SIDESLIP_RAD=FIXED)),
-        ("Measured lengths, no camera shares displacements", lambda: accuracy(runs, known=True, COMMON_BIAS_SHARE=0.0)),
+        (
+            "Measured lengths, keypoint bias independent between cameras",
+            lambda: accuracy(runs, known=True, COMMON_BIAS_SHARE=0.0),
+        ),
         ("Size not known", lambda: accuracy(runs, known=False)),
-        ("A camera left out: median reprojection into it", lambda: left_out(runs)),
+        ("A camera left out: median reprojection error in it", lambda: left_out(runs)),
         ("All cameras, by the source of the keypoint bias", lambda: keypoints(runs)),
         ("Sideslip: direction of travel relative to the heading", lambda: sideslips(runs)),
         ("Measured lengths, time offsets fixed at 0", lambda: accuracy(runs, known=True, TIME_OFFSET_FRAMES=FIXED)),

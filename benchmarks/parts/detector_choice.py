@@ -37,7 +37,7 @@ from recon.gait.evaluation import evaluate
 
 WITH_LENGTHS = ("jules", "phantom")
 SHIPPED = "acinoset"
-HEADER = ("recordings", "views", "taken by default", "no option", "none", SHIPPED, f"{SHIPPED} of the other runs")
+HEADER = ("recordings", "views", "default detector", "no option", "none", SHIPPED, f"{SHIPPED} from the other runs")
 
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
@@ -129,7 +129,7 @@ def main() -> None:
             without[run.folder] = Path(made) / f"{run.folder.name}.toml"
             body = as_seen(body_of(), run, runs, posed=True)
             without[run.folder].write_text(detector_toml(body, "without a run"), encoding="utf-8")
-        print_header(["recordings", "other runs", "MPJPE mean, mm", "views that are worse", "at most, mm"])
+        print_header(["recordings", "other runs", "MPJPE mean, mm", "views that are worse", "largest increase, mm"])
         measured("cheetah-runs", runs, {run: body_of(run.subject) for run in runs})
         trials = [plate_run(folder) for folder in plates]
         measured("plate-trials", trials, {run: body_of() for run in trials})

@@ -324,9 +324,17 @@ def carried_row(
 
 def print_dogs_and_cheetahs() -> None:
     """Print how well the forces of dogs and cheetahs support the body's weight."""
-    for how, as_stated in (("of its own size and keypoints", False), ("both off as the skeleton states", True)):
+    for how, as_stated in (
+        ("with its own size and keypoints", False),
+        ("with errors of both as the skeleton states", True),
+    ):
         if dogs := dog_rows(as_stated):
-            head = ["clip", "speed in 90 %, independent", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]
+            head = [
+                "clip",
+                "speed in 90 %, independent errors",
+                "error, stated, m/s",
+                "net acceleration ± 90 %, true, m/s²",
+            ]
             print(f"\nA dog by one camera, {how}:\n")
             print_table([*head, "flights, against gravity", CARRIED], dogs)
     views, shares = cheetahs()
@@ -341,7 +349,7 @@ def print_simulated() -> None:
     samples = samples_folder()
     motion = fit_clip(FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60))
     print("\nExact poses of runs that are simulated from given forces:\n")
-    head = ["run", "centre of mass off, m", "kinetic energy off, J/kg", "forces, RMS, body weights"]
+    head = ["run", "error of centre of mass, m", "error of kinetic energy, J/kg", "forces, RMS, body weights"]
     print_table([*head, "with the true times", "force in 90 %", CARRIED], carried_rows(motion))
     print("\nThe same seen by one camera, with feet that divide the impulse as stated:\n")
     simulated = [

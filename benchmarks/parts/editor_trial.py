@@ -161,7 +161,7 @@ def main() -> None:
         rows = [row(chromium, clip, seed) for seed in seeds]
         chromium.close()
     actions = "actions", "minutes by the keystroke-level model", f"of {FAULTS} faults corrected"
-    errors = "error without faults, mm", "with", "corrected", "relative difference"
+    errors = "error without faults, mm", "with faults", "corrected", "relative difference"
     print_table([*actions, *errors, "messages in the console"], rows)
 
 

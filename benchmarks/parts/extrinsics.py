@@ -345,8 +345,8 @@ def main() -> None:
         ("One clip, cameras level to a degree", lambda: [levelled(run, runs) for run in runs]),
         ("The animal's size with the file's cameras", lambda: sizes(runs)),
         ("One clip, other detections", lambda: causes(runs)),
-        ("Out of step", lambda: [out_of_step(clips, runs) for clips in real]),
-        ("A camera that was touched", lambda: [touched(clips, runs) for clips in real if len(clips) > 1]),
+        ("Cameras shifted in time", lambda: [out_of_step(clips, runs) for clips in real]),
+        ("Cameras turned in the last clip", lambda: [touched(clips, runs) for clips in real if len(clips) > 1]),
         ("Simulated clips", lambda: simulated(max(runs, key=lambda run: len(run.views) * len(run.truth_m)))),
     ):
         print(f"{title}\n")

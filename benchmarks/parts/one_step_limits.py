@@ -133,7 +133,7 @@ def main() -> None:
         rows.append([check, name, len(sigmas), *ends, LIMIT_TEXTS[check], beyond_usual(deviations, untouched[check])])
         print(" ".join(map(str, rows[-1])), flush=True)
     header = ["check", "case", "clips", "smallest deviation", "median", "largest", "not named"]
-    print_table([*header, "beyond three quarters of the other runs"], rows)
+    print_table([*header, "beyond the middle three quarters of other runs"], rows)
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ def main() -> None:
     seeds = range(parser.parse_args().seeds)
     clip, _ = film_clip()
     rows = [row(clip, seed) for seed in seeds]
-    header = ["faults", "of these among the first 40", "error without faults, mm", "with", "corrected"]
+    header = ["faults", "of these among the first 40", "error without faults, mm", "with faults", "corrected"]
     print_table(header, rows)
 
 

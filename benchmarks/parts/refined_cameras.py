@@ -68,9 +68,9 @@ def rows(run: Run) -> Iterator[dict]:
     views = [run.views[camera] for camera in cameras_of(run)["all"]]
     as_they_are, refined = solved(views, False), solved(views, True)
     first = {
-        "poses": "as they are",
-        "from the file's": _worst(apart(refined.views, views)),
-        "from those refined in place": "",
+        "poses": "unchanged",
+        "from the file's poses": _worst(apart(refined.views, views)),
+        "from the refined file's poses": "",
         "MPJPE mm": errors(run, refined)["mpjpe_mm"],
         "not refined": errors(run, as_they_are)["mpjpe_mm"],
     }
@@ -82,8 +82,8 @@ def rows(run: Run) -> Iterator[dict]:
         yield {
             "run": run.folder.name[:28],
             "poses": f"displaced, {draw + 1}",
-            "from the file's": _worst(apart(found.views, views)),
-            "from those refined in place": _worst(far),
+            "from the file's poses": _worst(apart(found.views, views)),
+            "from the refined file's poses": _worst(far),
             "MPJPE mm": errors(run, found)["mpjpe_mm"],
             "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
             "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
@@ -110,7 +110,7 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
     in_place, sigma = refined(own)
     found = [refined(displaced(own, np.random.default_rng(draw))) for draw in range(DRAWS)]
     row: dict = {}
-    for poses, other in (("the file's", own), ("those refined in place", in_place)):
+    for poses, other in (("the file's poses", own), ("the refined file's poses", in_place)):
         far = np.array([apart(one, other) for one, _ in found])
         row[f"from {poses}: median"] = np.median(far, axis=1).mean(axis=0)
         row[f"from {poses}: worst"] = far.max(axis=1).mean(axis=0)

@@ -76,7 +76,9 @@ def main() -> None:
                     *(f"{known.sum():.0f}", f"{np.median(np.abs(off)):.1f}", f"{np.mean(z < radius(INTERVAL)):.0%}"),
                 ]
             )
-    columns = "method, run, views, error m/s, stated m/s, error / stated, known, net acceleration off m/s², within 90 %"
+    columns = (
+        "method, run, views, error m/s, stated m/s, error / stated, known, net acceleration error m/s², within 90 %"
+    )
     print_table(columns.split(", "), rows)
 
 

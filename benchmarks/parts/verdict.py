@@ -51,7 +51,7 @@ NOT_ABOVE_MM = 90
 """Error below which views should not be "do not use"."""
 COLUMNS = (
     *("clips", "number", "rank correlation", "error / expected, 90 % of use", "pose inside", "position inside"),
-    *("use / check / do not use", "below 90 mm not used", "above 130 mm used", "warnings of use"),
+    *("use / check / do not use", "do not use, below 90 mm", "use, above 130 mm", "warnings with use"),
 )
 AS_IT_IS = ("one", "one, lengths known", "two", "all")
 
@@ -207,7 +207,7 @@ def main() -> None:
     for run, of in (constants | {"none": fit(table)}).items():
         left = spreads(left_out[left_out["run"] != run])
         rows.append([run, *(f"{value:.3f}" for value in (*(of[name] for name in names), *left))])
-    print_table(["left out", *names, "spread", "of what is unseen"], rows)
+    print_table(["left out", *names, "spread", "spread of unseen"], rows)
     print()
     print_table(
         COLUMNS,

@@ -129,7 +129,7 @@ class SerialChain:
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 
     def _moved(self, q: Array) -> Moved:
-        """Return the tree's `moved` for q (n,), cached for the last q because a step ends where the next begins."""
+        """Move the tree to q (n,), and cache the result for this q because a step begins where the last one ended."""
         key = q.tobytes()
         moved = self._latest.get(key)
         if moved is None:

@@ -64,7 +64,7 @@ def write_robot(
     """
     scene.require_whole()
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
-    # The views of robot and animal are centred near the ground, and show half_m on either side.
+    # The views of robot and animal are centred near the ground, and show `half` metres on either side.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
     clouds, animal_middle = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
     if step is not None:

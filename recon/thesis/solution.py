@@ -214,14 +214,14 @@ class FrameSolution(Solution):
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """Excess of angles over their expected ranges, shape (T, 2 A); negative inside, NaN without a pose."""
+        """Excess of angles over their expected ranges, shape (T, 2 A), rad; negative inside, NaN without a pose."""
         return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """Excess over its limit of the chord rate since the previous solved frame, shape (T, 2 A).
+        """Chord rate since the previous solved frame minus its limit, shape (T, 2 A), rad/s.
 
-        It is NaN for the first frame and without a pose.
+        The result is NaN for the first frame and without a pose.
         """
         angles = self._angles_rad
         rows = np.flatnonzero(np.isfinite(angles[:, 0]))
