@@ -117,7 +117,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the playback in tests of something else."""
+    """Leave out the playback in tests that do not look at it."""
     leave_out_playback(monkeypatch)
 
 

@@ -356,7 +356,7 @@ def test_every_bundled_map_has_a_file_of_its_detector():
 
 @pytest.mark.slow
 def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
-    """SuperAnimal's file leads to a robot's motion.
+    """A file of SuperAnimal is fitted and its motion transferred to a robot.
 
     It has all 39 keypoints in DeepLabCut's spelling. The result has four feet with their sides, the gait, and nearly
     the accuracy of the skeleton's own names.

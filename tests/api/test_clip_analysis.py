@@ -244,7 +244,7 @@ def test_the_frame_methods_path_has_the_true_speed(one_sided):
 
 
 def test_without_a_path_the_straight_run_has_the_speed(frame_results, one_sided):
-    """Without a path, the speed is that of a straight run, as in the summary of the fit, and right to a tenth."""
+    """If there is no path, the speed is that of a straight run, as in the summary of the fit, and right to a tenth."""
     motion = Motion.load(frame_results)
     told = dict(build_report(motion)["lines"])
     assert told["speed"].startswith("at most 15.4 m/s")

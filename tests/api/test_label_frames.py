@@ -45,7 +45,7 @@ def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
 
 
 def test_with_a_result_frames_are_those_whose_labels_tell_most(small_motion: Motion):
-    """With a result, the chosen frames are those whose labels reduce the error most.
+    """If a result is given, the chosen frames are those whose labels reduce the error most.
 
     A neighbour of a chosen frame adds little. Frame numbers are those of the keypoint file.
     """

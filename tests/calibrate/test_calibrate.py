@@ -142,7 +142,7 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
     ],
 )
 def test_intrinsics_come_back(lens, text):
-    """Intrinsics are found within 0.5 % of the truth, and the lens within a pixel wherever boards reach."""
+    """Intrinsics are found within 0.5 % of the truth, and the lens within a pixel where boards were seen."""
     camera, board = BOARD_CAMERAS[lens], parse_board(text)
     count = 14 if text == CHESS else 24  # its corners are half as many and half as exact
     found = [board.detect(picture) for picture in pictures(camera, text, count)]

@@ -105,7 +105,7 @@ def test_a_module_of_another_distribution_counts(monkeypatch):
 
 
 def test_the_package_of_somebody_else_is_found(monkeypatch):
-    """The package `recon` of somebody else is found, although it has files of the same names."""
+    """Another project's package `recon` is found, although it has files of the same names."""
     assert "another recon" not in {check.name for check in versions()}
     real = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "3.1" if name == "recon" else real(name))

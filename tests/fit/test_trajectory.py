@@ -200,7 +200,7 @@ def test_fast_is_near_the_full_solution():
 
 
 def test_without_a_learned_prior():
-    """Without a learned prior, the expectations of the skeleton are used, with a larger error."""
+    """If there is no learned prior, the expectations of the skeleton are used, with a larger error."""
     solution = solve(seen(run()), prior=prior_from_body(BODY))
     assert solution.prior == "none"
     assert errors_m(solution, run()).mean() < 0.1

@@ -357,9 +357,9 @@ def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request,
     ("frames", "how"), [(slice(0, 13), "return"), (slice(2, 14), "gait"), (slice(0, 8), "whole clip")]
 )
 def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame_results, frames, how):
-    """Analysis and both dimensions show the same frames of a short clip.
+    """The analysis and inverse kinematics in 2D and 3D show the same frames of a short clip.
 
-    Without a complete stride, this is the nearest return, or the whole clip if there is none, with the same sentence.
+    If no stride is complete, these are the nearest return, or the whole clip if the foot does not return.
     """
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
