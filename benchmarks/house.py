@@ -265,7 +265,7 @@ def check(where: bool) -> bool:
     print_table(["room", *titles], [*table, ["all", *totals], ["at most", *(most for *_, most in RULES)]])
     broken = [title for total, (title, _, most) in zip(totals, RULES, strict=True) if total > most]
     for text in broken:
-        print(f"not allowed: {text} (--where says where)")
+        print(f"not allowed: {text} (--where lists them)")
     return not broken
 
 

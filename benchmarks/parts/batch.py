@@ -169,7 +169,7 @@ def rss_mb(pid: int) -> float:
 
 
 def watch(process: subprocess.Popen[bytes], out: Path) -> Iterator[tuple[int, float, list[float]]]:
-    """Yield the number of ended clips, and the RSS of main process and workers in MB, while a process runs."""
+    """Yield the number of ended clips and the RSS of the main process and each worker, MB, while a process runs."""
     while process.poll() is None:
         yield ended(out), rss_mb(process.pid), [rss_mb(child) for child in children(process.pid)]
         time.sleep(1.0)

@@ -171,7 +171,10 @@ class Linearised:
         return np.array(derivatives)[at], np.array(projected_px)[at]
 
     def covariances(self) -> tuple[Array, Array]:
-        """Return A Z A' (N, 2, 2), and the covariance of all known joints with each projection, (N, 2, frames J 3)."""
+        """Return covariances (N, 2, 2) of each projection, and (N, 2, frames J 3) of all known joints with it.
+
+        Both come from the inverse of the normal equations, without the variance factor.
+        """
         (T, J), N, D = self.joints.shape[:2], len(self.cells), self.projection.shape[-1]
         joints_by_px = np.empty((N, 2, int(self.is_known.sum()) * J * 3))
         covariance_px2 = np.empty((N, 2, 2))

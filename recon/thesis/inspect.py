@@ -180,7 +180,7 @@ class SolverRecord:
 
     @property
     def image_error_px(self) -> Array:
-        """Distances of detections from reprojections, shape (T, J), NaN if either is missing."""
+        """Distances between detections and reprojections, shape (T, J), pixels; NaN if either is missing."""
         return self.motion.pictures[0].distance_px
 
     @property

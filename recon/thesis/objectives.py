@@ -118,9 +118,9 @@ class JointReprojection(Objective):
     """Robust penalty on the distance between projected and detected positions (f1).
 
     The two rows of a joint are u / sqrt(1 + |u|^2 / c^2), where u = sqrt(confidence) (projected - detected) / sigma_px
-    (Geman-McClure as a squared residual). They saturate at c, which bounds the pull of a wrong point. Missing points
-    have rows of zeros. Joints that the camera cannot project (behind the camera, or outside the lens model) have a
-    residual of c, because a zero would reward a solution outside the picture.
+    (Geman-McClure as a squared residual). The rows saturate at c, which bounds the pull of a wrong point. Missing
+    points have rows of zeros. Joints that the camera cannot project (behind the camera, or outside the lens model) have
+    a residual of c, because a zero would reward a solution outside the picture.
     """
 
     camera: Camera
