@@ -1,1 +1,1 @@
-"""Describe animals: bodies as trees of segments, skeletons, subjects, detectors, names, and motion priors."""
+"""Describe animals by bodies (trees of segments), skeletons, subjects, detectors, names and motion priors."""

@@ -1,8 +1,8 @@
 """Describe an animal by its segments, its markers and the expected pose.
 
-A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. Its states are those of the tree,
-with x forwards, y left and z up. The class `Body` describes both a whole animal and a chain (`recon.animal.chain`). A
-chain is a tree with the limbs of one side, and has a left and a right keypoint for each marker.
+A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. States are those of the tree, with
+x forwards, y left and z up. The class `Body` describes both a whole animal and a chain (`recon.animal.chain`). A chain
+is a tree with the limbs of one side, and has a left and a right keypoint for each marker.
 
 Only this module decides what is left, right, fore and hind. A word in the name of a segment or marker gives its side
 (`SIDES`), and the skeleton file states which foot is which (`FOOT_LABELS`).
@@ -134,7 +134,7 @@ def common_side(sides: Iterable[Side | None]) -> Side | None:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Base class of skeletons with a file format of their own, which are converted to a body (`recon.animal.chain`)."""
+    """Base class of skeletons with their own file format, which are converted to a body (`recon.animal.chain`)."""
 
     name: str
     title: str

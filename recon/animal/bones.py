@@ -1,7 +1,7 @@
 """Name the bones of an animal and the joints that they connect, from the skeleton's `[anatomy]`.
 
-A bone is the constant distance between two joints of a limb or of the trunk. Its length is that of the offset of a
-segment from its parent, or of a marker from its segment, as given in the skeleton file.
+A bone connects two joints of a limb or of the trunk. The length of a bone is that of the offset of a segment from its
+parent, or of a marker from its segment, as given in the skeleton file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CHAINS = (("shoulder", "elbow", "carpus", "fetlock"), ("hip", "stifle", "hock", 
 
 @dataclass(frozen=True)
 class Bone:
-    """One bone, or several in line, such as the trunk."""
+    """Bone, or several bones in a line, such as the trunk."""
 
     name: str
     """Anatomical name, such as upper arm."""
@@ -76,7 +76,7 @@ def _limbs(body: Body) -> Iterator[Bone]:
 
 
 def _trunk(body: Body) -> Iterator[Bone]:
-    """Yield the bones of the trunk: its rear and front part, the whole trunk, and the neck or head."""
+    """Yield the bones of the trunk (its rear and front part, and the whole trunk), and the neck or head."""
     if "spine" in body.anatomy:
         rear, _, front = body.anatomy["spine"]
         parts = _bone(body, ("tail base", "spine"), rear, None), _bone(body, ("spine", "neck base"), front, None)

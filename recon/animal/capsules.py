@@ -29,10 +29,10 @@ class Capsule:
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
     """Return the capsules of a tree.
 
-    The capsules lie in the median plane of a segment. They run from its origin to the origins of its child segments and
-    to its markers, and their thickness is the spread of these points. A segment of the trunk between two others is at
-    least as thick as the thinner of the two. Sides follow from the names of the segments and from `names` (J,), the
-    keypoint names of the markers.
+    The capsules lie in the median plane of a segment and extend from its origin to the origins of its child segments
+    and to its markers. The thickness of the capsules is the spread of these points. A segment of the trunk between two
+    others is at least as thick as the thinner of the two. Sides follow from the names of the segments and from `names`
+    (J,), the keypoint names of the markers.
     """
     segments = tree.segments
     ends, radii, sides = [], [], []

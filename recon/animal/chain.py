@@ -62,7 +62,7 @@ class _Range(FileTable):
 
 
 class _Link(FileTable):
-    """One rigid link."""
+    """Rigid link of a chain."""
 
     name: str
     start: str = Field(alias="from")
@@ -147,7 +147,7 @@ class Chain(Skeleton):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of the joints: the root, then the ends of the links in order."""
+        """Return the names of the joints, the root first, then the ends of the links in order."""
         return self.file.root, *(link.end for link in self.links)
 
     @cached_property

@@ -51,7 +51,7 @@ ANATOMICAL = "anatomical"
 _NEAR = 0.8
 """Similarity of two names, from 0 to 1, above which they may mean the same keypoint."""
 _MOST_OF_FILE = 0.8
-"""Fraction of a file's keypoints that a skeleton has to have to be suggested as the right one."""
+"""Smallest fraction of a file's keypoints that a skeleton needs to be suggested as the right one."""
 
 
 _Default = TypeVar("_Default")
@@ -211,7 +211,7 @@ def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
 
 
 def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
-    """Return the built-in skeleton and map with a marker for most of these keypoints, and the number of these."""
+    """Return the built-in skeleton and map that give the most keypoints a marker, and the number of such keypoints."""
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
     counts = [
         ((skeleton, name_map), name_map.common(names, markers))

@@ -1,8 +1,8 @@
 """Detect calibration boards in pictures and videos.
 
 Views come from pictures, or from frames of a video that are sharp and differ from each other. The coordinate frame of a
-board lies in its surface, with x to the right, y down and z away from the viewer, metres. It is parallel to the camera
-frame if the board is seen head-on. Corners are the points at which four squares meet.
+board lies in its surface, with x to the right, y down and z away from the viewer, metres. This frame is parallel to the
+camera frame if the board is seen head-on. Corners are the points at which four squares meet.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ SHARPNESS_KEPT = 0.7
 MIN_DIFFERENCE = 0.02
 """Minimum movement of the board's outline between two views, as a fraction of the picture's diagonal.
 
-With less movement, the views count as the same.
+Views with less movement count as the same.
 """
 
 

@@ -1,1 +1,1 @@
-"""Analyse an animal's motion: kinematics, stances, strides, phase portraits, and comparison with ground truth."""
+"""Analyse an animal's kinematics, stances, strides and phase portraits, and compare a motion with ground truth."""

@@ -1,4 +1,4 @@
-"""Analyse a fitted clip: kinematics, angles, gait, vector fields and closures.
+"""Analyse the kinematics, angles, gait, vector fields and closures of a fitted clip.
 
 The joints of a fit without uncertainty (the frame method) jitter from frame to frame, and the derivatives of exact
 splines through them are mostly noise. Paths and angles of such a fit are therefore smoothed according to the jitter,
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 POSITION_ERROR_TIME = 2.0
 """Correlation time of the errors of the animal's position, in units of `error_time_s`.
 
-It was measured on running cheetahs (`python benchmarks/gait.py --only rates`). For the walk of a dog, which is three
-times slower, it is accurate to 5 %.
+The value was measured on running cheetahs (`python benchmarks/gait.py --only rates`), and is accurate to 5 % for the
+walk of a dog, which is three times slower.
 """
 POSE_ERROR_TIME = 0.6
 """Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`, measured on the same
@@ -141,7 +141,7 @@ class ClipAnalysis(Brief):
     def moved(self, name: str, with_size: bool = True) -> JointKinematics:
         """Return the motion of a joint on the fine grid.
 
-        With `with_size`, the standard deviations include the uncertainty of the animal's size.
+        If `with_size` is true, the standard deviations include the uncertainty of the animal's size.
         """
         motion, path = self.motion, self.motion.solution.reference_path
         if path is not None and name == self.reference:
@@ -151,7 +151,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
-        """Return the angles at the inner joints of each limb, and the flexion of the spine if there is one, by name."""
+        """Return the angles at the inner joints of each limb and, if the skeleton has a spine, its flexion, by name."""
         # A displacement of all joints together does not change the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
         result, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
@@ -234,9 +234,9 @@ class ClipAnalysis(Brief):
     def stride(self) -> Stride | None:
         """Return the stride that phase portraits show, or None.
 
-        This is the stride given by the user, or else the first complete stride of the foot with the most strides. For a
-        chain, it is the first stride of the end effector or, if there is no complete stride, the end effector's nearest
-        return. `recon ik` uses the same stride of a chain.
+        The result is the stride given by the user, or else the first complete stride of the foot with the most strides.
+        For a chain, it is the first stride of the end effector or, if there is no complete stride, the end effector's
+        nearest return. `recon ik` uses the same stride of a chain.
         """
         if self.given is not None:
             return self.given
@@ -498,7 +498,7 @@ def error_time_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
 
     The pose's time is that of the joints (T, J, 3) relative to their mean: the root mean square distance from their
-    average position over the root mean square speed. It is at most the correlation time of the detections' errors.
+    average position over the root mean square speed, and at most the correlation time of the detections' errors.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)

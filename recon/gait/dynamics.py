@@ -16,9 +16,10 @@ and all stances of a stride together have the impulse of the body's weight over 
 level ground the height returns to its initial value. The duration of the stride is the mean of the strides around a
 stance. `GALLOP_FORE` is the fraction of the impulse on the fore feet; the feet of a pair share their part equally
 within `FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at an
-instant is the mean of the draws. Its maximum is lower than the peak, whose time is not known exactly. The shape and the
-spread within a pair were measured by force plates under two galloping cheetahs (`benchmarks/gait.py`); other animals or
-gaits may differ by more. Joint torques are left out, because their intervals would be wider than the values.
+instant is the mean of the draws. The maximum of this force is lower than the peak, because the time of the peak is not
+known exactly. The shape and the spread within a pair were measured by force plates under two galloping cheetahs
+(`benchmarks/gait.py`); other animals or gaits may differ by more. Joint torques are left out, because their intervals
+would be wider than the values.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ The two values summarise these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (gr
 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50 (racehorses, 222:jeb204107).
 """
 OTHER_FORE = (0.5, 0.16)
-"""Fraction of the impulse on the fore feet in other gaits, and its standard deviation; a guess."""
+"""Fraction of the impulse on the fore feet in other gaits, and its standard deviation, both guessed."""
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
 STANCE_SPREAD = 0.2
@@ -82,7 +83,7 @@ NET_FRAMES = 500
 frames.
 """
 MASS_LASTS_S = 10.0
-"""Correlation time of the errors of masses, s; longer than a clip, because masses are constant."""
+"""Correlation time of the errors of masses, s, longer than a clip because masses are constant."""
 
 
 class StanceForce(NamedTuple):

@@ -343,7 +343,7 @@ def _nothing_in_common(
 ) -> list[Problem]:
     """Return the problems of two poses without a joint, a frame or a position in common.
 
-    `names` and `frames` are those that both poses have; `common` (T, J) is the mask of positions known in both.
+    `names` and `frames` are common to both poses; `common` (T, J) is the mask of positions known in both.
     """
     pose_name, truth_name = str(pose.source or "pose"), str(truth.source or "truth")
     problems = []
@@ -391,9 +391,9 @@ def score(values: np.ndarray) -> _Score:
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
     """Return the pose (T, J, 3) aligned with the truth in each frame, by least squares (Umeyama 1991).
 
-    The means of the common joints coincide. With `scale`, the pose is also scaled by a factor that is not negative,
-    since a negative factor would mirror the animal. With `turn`, the pose is also rotated, without reflection. Frames
-    with fewer than 3 common joints are NaN, since so few joints do not determine a rotation.
+    The means of the common joints coincide. If `scale` is true, the pose is also scaled by a factor that is not
+    negative, since a negative factor would mirror the animal. If `turn` is true, the pose is also rotated, without
+    reflection. Frames with fewer than 3 common joints are NaN, since so few joints do not determine a rotation.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
     aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)

@@ -2,8 +2,8 @@
 
 The skeleton's file lists the three markers that define each joint (`[anatomy]`). The flexion is the angle between the
 line from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the
-segment that carries the first marker. It is 0 for a straight joint, positive for flexion, and negative for extension
-beyond straight.
+segment that carries the first marker. The flexion of a straight joint is 0. Flexion is positive, extension beyond
+straight negative.
 
 Standard deviations combine the uncertainty of the fit's angles, propagated linearly as if independent, and `MODEL_RAD`
 for the skeleton, whose joints turn about fixed axes. Curves over a stride are means over the strides of the limb's own
@@ -89,8 +89,9 @@ class Extreme:
     """Standard deviation of the flexion from the fit's uncertainty and the scatter of the strides."""
     percent: float
     percent_low: float
-    """Lower end of the 90 % interval of the phase, percent of the stride; below 0 if it begins before touch-down. NaN
-    if the phase is not known.
+    """Lower end of the 90 % interval of the phase, percent of the stride.
+
+    The value is below 0 if the interval begins before touch-down, and NaN if the phase is not known.
     """
     percent_high: float
 
@@ -178,7 +179,7 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 
 
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
-    """Return the foot whose strides a joint uses: that of its limb, else the reference; None if it has no strides."""
+    """Return the foot whose strides a joint uses, the foot of its limb or else the reference; None without strides."""
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:
         return reference

@@ -90,7 +90,7 @@ clip without a stride.
 
 @dataclass(frozen=True)
 class Stride:
-    """One stride: the time from one touch-down of a foot to the next.
+    """Stride of a foot, from one touch-down to the next.
 
     If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
     given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_WORDS` describes all kinds
@@ -111,7 +111,7 @@ class Stride:
     others_s: float = np.nan
     """Duration expected of a stride that does not count.
 
-    It is the median over all feet's strides around its time, or the period of the motion.
+    The duration is the median over all feet's strides at that time, or the period of the motion.
     """
 
     @property

@@ -50,7 +50,7 @@ _LOG10_LAM = (-16.0, 8.0)
 JITTER_LASTS_S = 0.05
 """Correlation time, s, of the errors of a method that solves frame by frame.
 
-With this time and `JITTER_TIMES`, the standard deviations of speeds are accurate to 25 % in each of five real runs
+This time and `JITTER_TIMES` give standard deviations of speeds that are accurate to 25 % in each of five real runs
 (`python benchmarks/gait.py --only speeds`).
 """
 JITTER_TIMES = 2.0
@@ -62,7 +62,6 @@ _MARGIN = 40
 """Number of frames on either side of a window that still affect the spline in it.
 
 The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to 1e-23 over the margin.
-
 """
 _REACH = 20
 """Number of evenly spaced frames on either side of a sample that affect it, away from the ends, down to 1e-11."""
@@ -97,7 +96,7 @@ class Series(Brief):
     """
 
     time_s: Array
-    """Times, shape (N,); every `oversampling`-th is a frame."""
+    """Times, shape (N,); every `oversampling`-th sample is a frame."""
     value: Array
     """The values at the N times, shape (N, d)."""
     rate: Array
@@ -210,8 +209,8 @@ def series_kinematics(
         Values, shape (T, d); a frame with NaN in any dimension is missing. A span needs four values, five with
         `smooth`.
     errors : sequence of Errors
-        Independent errors of the values, with `sigma` of shape (T, d). With `smooth`, the first item also sets the
-        weights.
+        Independent errors of the values, with `sigma` of shape (T, d). The first item also sets the weights of
+        smoothing.
     smooth : bool
         Smooth the values instead of passing through them.
     propagate : bool
@@ -602,7 +601,7 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
-    """Return the angle (T,) at b between a and c, rad, 0 to pi, from positions (T, 3); NaN if b coincides with one."""
+    """Return the angle (T,) at b between a and c, rad, 0 to pi, from positions (T, 3); NaN if b is at a or c."""
     u, v = a_m - b_m, c_m - b_m
     # atan2 keeps its precision near 0 and pi, where arccos loses half the digits.
     angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))

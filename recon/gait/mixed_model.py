@@ -42,7 +42,7 @@ class LevelSigmas:
 
     @property
     def icc(self) -> float:
-        """Return the intraclass correlation: the fraction of the variance of single strides that is between animals."""
+        """Return the intraclass correlation, the fraction of the variance of single strides that is between animals."""
         total = self.of_mean(1, 1)
         return self.animal**2 / total if total else float("nan")
 
@@ -121,8 +121,9 @@ def fit_mixed_model(
     Returns
     -------
     MixedModel
-        The fitted model. A variance that the data do not show is 0. With one run per animal, the variance between runs
-        is part of that between animals; with one stride per run, that between strides is part of that between runs.
+        The fitted model. A variance that the data do not show is 0. If there is only one run per animal, the variance
+        between animals includes that between runs; if there is only one stride per run, the variance between runs
+        includes that between strides.
     """
     unit = float(np.std(values)) or 1.0
     scaled, scaled_sigma = values / unit, measurement_sigma / unit

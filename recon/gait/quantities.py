@@ -1,4 +1,4 @@
-"""Summarise a clip's gait: speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
+"""Summarise a clip's gait by speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
 
 The standard deviation of a mean has four independent parts: the scatter of the strides; the errors of touch-down and
 lift-off, which are the same in all strides of a foot, so that only more feet reduce them; the error of the path; and
@@ -36,7 +36,7 @@ Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
 """Left and right foot of each girdle."""
 NEXT_STEP = 0.6
-"""Largest time, in strides, between two touch-downs that form a step: half a stride in symmetrical gaits, plus 0.1."""
+"""Largest time, in strides, between two touch-downs of a step; half a stride as in symmetrical gaits, plus 0.1."""
 LONGEST_PERIOD = 1.3
 """Longest period of the motion that is used, relative to the clip's duration.
 
@@ -76,7 +76,7 @@ class GaitQuantity:
     sigma: float
     """Standard deviation, all errors included; NaN if unknown."""
     own_sigma: float
-    """Standard deviation without the errors that clips share: the animal's size and the focal length."""
+    """Standard deviation without the errors of the animal's size and the focal length, which clips share."""
     between_sigma: float
     """Standard deviation between strides; NaN for fewer than two strides."""
     count: int

@@ -5,7 +5,7 @@ height and may slope. Paths are cubic splines on a grid of ten times the frame r
 events are timed on the same grid. The mean of the `body` joints represents the body.
 
 A foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its height is
-below `LOW[1]` of the leg length. Such a time is a stance if at least one instant in it is also below `SLOW[0]` and
+below `LOW[1]` of the leg length. This time is a stance if at least one instant in it is also below `SLOW[0]` and
 `LOW[0]` (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below `LANDS`)
 to the last below `LIFTS`. The two differ because a foot lands flat but rolls over its toes before it lifts. A foot's
 speed in the swing is its 95th percentile, or `SWING` times the body's mean speed if the clip shows less. The speed in
@@ -84,7 +84,7 @@ HEIGHT_SIGMA_M = 0.03
 
 @dataclass(frozen=True)
 class Stance:
-    """One stance: the time for which a foot is on the ground."""
+    """Stance of a foot, the time for which the foot is on the ground."""
 
     foot: str
     start_s: float

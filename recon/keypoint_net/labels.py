@@ -153,7 +153,8 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
-    if outside.sum() > OUTSIDE * read.labelled.sum():  # too many for mistakes: these labels belong to other pictures
+    # So many points outside are no errors of labelling: the labels belong to other pictures.
+    if outside.sum() > OUTSIDE * read.labelled.sum():
         i, k = np.argwhere(outside)[0]
         detail = (
             f"{outside.sum()} of {read.labelled.sum()} points are outside, first {read.names[k]} in {read.images[i]}"

@@ -150,7 +150,7 @@ class State:
 
 
 def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
-    """Prepare the inputs of a run: split, network scales, pictures and backgrounds."""
+    """Prepare the inputs of a run, which are split, network scales, pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
     learned = np.concatenate([split["train"], split["validation"]])
     scale, first = pictures.network_scales(labels.xy_px[learned])
@@ -246,8 +246,8 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
 def schedule(share: float) -> float:
     """Return the learning rate, relative to the highest, at a fraction of the run.
 
-    After a warm-up the rate follows a cosine, then another cosine in the last part. It is almost 0 at the calibration
-    and at the end.
+    After a warm-up the rate follows a cosine, then another cosine in the last part. The rate is almost 0 at the
+    calibration and at the end.
     """
     if share < FINISH:
         return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH)

@@ -1,1 +1,1 @@
-"""Present results to people and other programs: report, page, figures, tables, overlay and playback."""
+"""Present results as reports, pages, figures, tables, overlays and playbacks."""

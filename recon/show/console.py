@@ -27,7 +27,7 @@ NOTES = 2
 
 
 def finding_text(severity: str, text: str) -> Text:
-    """Return a finding in the colour of its severity: error, warning or note."""
+    """Return a finding in the colour of its severity (error, warning or note)."""
     colour = {"error": "red", "warning": "yellow"}.get(severity, "")
     return Text.assemble((f"{severity}: ", f"bold {colour}".strip()), (text, colour))
 

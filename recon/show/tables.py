@@ -323,7 +323,7 @@ STRIDE_FLEXION_COLUMNS = (
 def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
     """Return the mean flexion of each joint by percent of the stride, with 90 % bands, degrees.
 
-    One band is the fit's uncertainty, the other is the variation between strides.
+    The bands show the uncertainty of the fit and the variation between strides.
     """
     parts: list[Columns] = []
     for curve in analysis.flexion_curves:
@@ -440,7 +440,7 @@ def gait(analysis: ClipAnalysis) -> Table:
 
 
 def gait_quantities(analysis: ClipAnalysis) -> Table:
-    """Return a row for each quantity of the gait: speed, strides, steps, limb phases and asymmetry.
+    """Return a row for each quantity of the gait (speed, strides, steps, limb phases and asymmetry).
 
     `sigma` is the standard deviation, `low` and `high` are the ends of the 90 % interval; both include the errors of
     the animal's size and of the focal length. `between_strides` is the standard deviation between strides.

@@ -57,7 +57,7 @@ _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
 MOST_ROWS = 1_000_000
 """Largest number of rows of an Excel sheet."""
 MOST_COLUMNS = 30
-"""Largest number of columns of a table with a sheet of its own."""
+"""Largest number of columns of a table that has its own sheet."""
 
 
 def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:

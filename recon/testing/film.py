@@ -217,7 +217,8 @@ def _draw_part(
 def _draw_shadow(
     scene: Array, parts: list[tuple[Array, tuple[str, str, float, float, float]]], camera: Camera, ground_m: float
 ) -> Array:
-    # Seen at a grazing angle, a shadow is flat. It is drawn upright on a taller canvas, which is then compressed.
+    # A shadow seen at a grazing angle is flat, so the shadow is drawn upright on a taller canvas, which is then
+    # compressed.
     steep = abs(camera.centre_world[2] - ground_m) / float(np.mean([camera.world_to_camera(e)[:, 2] for e, _ in parts]))
     tall = np.zeros((round(scene.shape[0] / steep) + 1, scene.shape[1]), np.uint8)
     for ends, part in parts:

@@ -1,14 +1,14 @@
-"""Simulate a cheetah that accelerates in a gallop, seen by one camera, with its truth.
+"""Simulate a cheetah that accelerates in a gallop, and exact detections of it by one camera.
 
 The motion is given by formulas. Speed and stride frequency rise towards a limit. The links' inclinations to the ground
-are short Fourier series of the stride's phase, whose amplitude grows slowly with speed. The coefficients come from an
-optimisation with these aims: the feet are nearly still and on the ground in stance, and clear of the ground in swing;
-angles and rates are within the ranges of the skeleton `cheetah-8u`; means and spreads of the angles are near those of
+are short Fourier series in the stride's phase, whose amplitudes grow slowly with speed. The coefficients were optimised
+so that the feet are nearly still and on the ground in stance, and clear of the ground in swing; that angles and rates
+are within the ranges of the skeleton `cheetah-8u`; and that means and spreads of the angles are close to those of
 galloping cheetahs in AcinoSet (Joska et al. 2021). The transverse angles, the trunk's yaw and roll and its sideways
 sway are slow waves drawn from a seed.
 
-World: right-handed, z up, metres. The ground passes through the origin in the middle of the first second's path. The
-camera is on the side of negative y. "Near" means the side of the animal that faces the camera.
+The world frame is right-handed, with z up, in metres. The origin is on the ground, in the middle of the first second's
+path. The camera is on the side of negative y. "Near" means the side of the animal that faces the camera.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ KEYPOINT_NAMES = (
 )
 IMAGE_SIZE_PX = (1920, 1080)
 MARGIN_PX = 20.0
-"""Smallest distance of all joints from the picture's edges in the first second."""
+"""Smallest distance of the joints from the picture's edges in the first second."""
 
 START_SPEED_M_S = 9.5
 """Speed in the first frame."""
 TOP_SPEED_M_S = 20.0
-"""Speed that the animal approaches."""
+"""Speed that the animal approaches in time."""
 START_STRIDES_HZ = 3.2
 """Strides per second in the first frame."""
 TOP_STRIDES_HZ = 3.5
 """Strides per second at the top speed."""
 RISE_S = 0.85
-"""Time in which the distance of speed and stride frequency from their limits falls by a factor e."""
+"""Time in which the differences of speed and stride frequency from their limits fall by a factor of e."""
 START_PHASE = 0.40
 """Phase of the first frame, shortly before the near forefoot's mid-stance; hind stance begins at 0, fore stance at
 0.42.
@@ -65,9 +65,9 @@ _HIND_LAG = 0.08
 _FORE_LAG = 0.11
 """Delay of the far fore leg behind the near one, as a fraction of the stride."""
 _SWING_SPEED_M_S = 14.0
-"""Speed at which the series below hold."""
+"""Speed for which `_SERIES` holds."""
 _SWING_POWER = 0.26
-"""Exponent of speed by which the amplitude of the series grows."""
+"""Exponent with which the amplitude of `_SERIES` grows with speed."""
 # Inclination of each link to the ground (rad; 0 forwards, pi/2 down), and the root's height (m), over the stride's
 # phase: mean, then cosine and sine of each harmonic. tail_base -> spine -> neck_base are T5 and T1.
 _SERIES: dict[str, tuple[float, ...]] = {
@@ -85,10 +85,10 @@ _SERIES: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SyntheticClip:
-    """A simulated clip and its truth: T frames, K keypoints (15 for `cheetah-8u`, 24 for `cheetah-24`)."""
+    """Simulated clip of T frames and K keypoints (15 for `cheetah-8u`, 24 for `cheetah-24`), with its truth."""
 
     keypoints: Keypoints
-    """Exact detections, missing if outside the picture."""
+    """Exact detections; points outside the picture are missing."""
     camera: Camera
     truth_m: Array
     """True positions in the world, metres, shape (T, K, 3)."""
@@ -120,7 +120,7 @@ def gallop(
     n_frames
         Number of frames T.
     heading_rad
-        Angle between the direction of travel and the picture's plane; positive away from the camera.
+        Angle between the direction of travel and the image plane, positive away from the camera.
     direction
         Direction of travel in the picture.
     camera_model
@@ -136,7 +136,7 @@ def gallop(
     Raises
     ------
     ValueError
-        If the heading is more than 1.2 rad from the picture's plane.
+        If the heading is more than 1.2 rad from the image plane.
     """
     if abs(heading_rad) > 1.2:
         raise ValueError(f"the heading must be within 1.2 rad of the picture's plane, got {heading_rad}")
@@ -179,7 +179,7 @@ def gallop(
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Slow waves about small means, each array (W,)."""
+    """W slow waves about small means, each field of shape (W,)."""
 
     mean: Array
     amplitude: Array
@@ -188,7 +188,7 @@ class _Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, count: int) -> _Waves:
-        """Draw waves with standard deviations from 0.05 to 0.13 and means within 0.04."""
+        """Draw random waves with standard deviations from 0.05 to 0.13 and means of at most ±0.04."""
         return cls(
             mean=rng.uniform(-0.04, 0.04, count),
             amplitude=math.sqrt(2) * rng.uniform(0.05, 0.13, count),
@@ -202,13 +202,13 @@ class _Waves:
 
 
 def _rising(t: Array, start: float, top: float) -> tuple[Array, Array]:
-    """Return a quantity (T,) that rises from start towards top, and its integral (T,) over time."""
+    """Return a quantity (T,) that rises from `start` towards `top`, and its integral (T,) over time."""
     gap = (top - start) * np.exp(-t / RISE_S)
     return top - gap, top * t - RISE_S * (top - start - gap)
 
 
 def _series(name: str, phase: Array, swing: Array) -> Array:
-    """Return one of `_SERIES` (T,), with its deviations from the mean scaled by `swing`."""
+    """Return one of `_SERIES` at phases (T,), with its deviations from the mean scaled by `swing` (T,)."""
     mean, *terms = _SERIES[name]
     angle = 2 * np.pi * phase
     return mean + swing * sum(
@@ -218,7 +218,7 @@ def _series(name: str, phase: Array, swing: Array) -> Array:
 
 
 def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
-    """Return the sagittal angles (T, A) of the links relative to their parents."""
+    """Return the sagittal angles (T, A), rad, of the links relative to their parents."""
     trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
     hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
     fore = {name: _series(name, phase - fore_lag, swing) for name in ("T2", "T3", "T4")}

@@ -254,7 +254,7 @@ class Tracker:
     def _likeness(self, key: _Keyframe, orientation: Orientation) -> float:
         """Return the overlap of a view with a keyframe.
 
-        It is the fraction of the view inside the keyframe's picture, reduced for a difference in zoom.
+        The overlap is the fraction of the view inside the keyframe's picture, reduced for a difference in zoom.
         """
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))

@@ -1,4 +1,4 @@
-"""Make the page of a comparison: one plot per measure, the groups' numbers, and a table of the clips with links."""
+"""Make the page of a comparison, with a plot of each measure, the groups' numbers, and a table of the clips."""
 
 from __future__ import annotations
 

@@ -204,7 +204,7 @@ def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
 def _detections(picture: Picture) -> dict[str, Any]:
     far_px = 2.0 * max(picture.camera.image_size_px)  # points farther away are not drawn
     near_px = [np.where(np.abs(xy) < far_px, xy, np.nan) for xy in (picture.detected_px, picture.reprojected_px)]
-    # The reprojection includes the detector's offset, so that it can be compared with the detection.
+    # The reprojection includes the detector's offset, because the reprojection is compared with the detection.
     states = np.where(picture.present, FITS, MISSING)
     states[picture.outliers] = OUTLIER
     return {

@@ -34,7 +34,7 @@ def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def _assumed_by_one_camera(motion: Motion) -> str:
-    """Return a sentence on the assumptions that one camera cannot check: lens, camera motion, frame rate, size."""
+    """Return a sentence on the assumptions that one camera cannot verify (lens, camera motion, frame rate, size)."""
     camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
     known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
     lens = f"a {camera.model} lens with a focal length of {quantity(camera.matrix[0, 0], 0, 'px')}{known_to}"
@@ -119,7 +119,7 @@ def detector_data(motion: Motion) -> dict[str, str]:
 
 
 def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the detector; for an unknown one, also how to measure its keypoint bias."""
+    """Yield the detector and, if it is unknown, the way to measure its keypoint bias."""
     if motion.body.one_sided:
         return
     offer = ""

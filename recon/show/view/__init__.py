@@ -86,7 +86,7 @@ def write(
     path : path
         File to write.
     analysis : ClipAnalysis, optional
-        Analysis of the motion, whose plots get tabs of their own.
+        Analysis of the motion, whose plots get their own tabs.
     video : path, optional
         Video to show behind the picture of a camera.
     first_frame : int

@@ -1,7 +1,7 @@
 """Show a recording in rerun's web viewer, for machines without a display or behind a tunnel.
 
-The rerun package contains its web viewer. With rerun's own server, the viewer would ask rerun's servers for fonts,
-examples and new versions, and every user of this machine could read the recording. Therefore rerun's server runs
+The rerun package contains its web viewer. If rerun's own server were used, the viewer would ask rerun's servers for
+fonts, examples and new versions, and every user of this machine could read the recording. Therefore rerun's server runs
 without a recording, and only until `LocalServer` has the viewer's files. `LocalServer` then serves these files and the
 recording under an address that nobody can guess, with a policy that allows connections to itself only.
 """
