@@ -1,4 +1,4 @@
-"""Compare a reconstruction with ground truth: MPJPE and related errors.
+"""Compare a reconstruction with ground truth by MPJPE and related errors.
 
 Positions are arrays (T, J, 3) in metres, NaN where missing. A joint counts in the frames in which both the
 reconstruction and the truth have it. Centring, scaling and rotating use only these common joints.

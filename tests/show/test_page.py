@@ -105,7 +105,7 @@ def test_a_page_has_no_link_to_a_file_that_was_changed(folder, tmp_path):
     (copy / "angles.csv").write_text("x")
     answer = report(PageSettings(folder=copy))
     assert len(answer.notes) == 1
-    assert says(answer.notes[0], "angles.csv", "no link")
+    assert says(answer.notes[0], "angles.csv", "not linked")
     links = Page(answer.data["page"]).attributes("a", "href")
     assert set(links) == set(read_manifest(folder).files) - {"angles.csv"}
 
