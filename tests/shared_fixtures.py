@@ -172,7 +172,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
 
 @pytest.fixture(scope="session")
 def level_results(made_once) -> Path:
-    """Return the same results without a calibration and with a tilt, in the camera frame. Not to be written to."""
+    """Return results of the sample without a calibration and with a tilt, in the camera frame. Not to be written to."""
     settings = FitSettings(
         keypoints=SAMPLES / "whole.csv", hfov_deg=60, image_size_px=(1920, 1080), tilt_deg=3, fps=60, fast=True
     )
@@ -324,7 +324,7 @@ def small_trajectory() -> Motion:
 
 @pytest.fixture(scope="session")
 def world_trajectory(small_trajectory: Motion) -> Motion:
-    """Return the same motion seen by a camera at (1, 2, 3) m that looks along x, with its right along -y, z up."""
+    """Return `small_trajectory` seen by a camera at (1, 2, 3) m that looks along x, with its right along -y, z up."""
     rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     camera = replace(small_trajectory.camera, rotation=rotation, translation_m=-rotation @ [1.0, 2.0, 3.0])
     level = small_trajectory.solution
@@ -355,7 +355,7 @@ def world_trajectory(small_trajectory: Motion) -> Motion:
 
 @pytest.fixture(scope="session")
 def two_cameras(world_trajectory: Motion) -> Motion:
-    """Return the same motion, also seen by a second camera.
+    """Return `world_trajectory`, also seen by a second camera.
 
     `cam2` is at (10, -8, 2.5) m and looks along y, with its right along x. It did not see frames 10 and 11, and puts
     the `tail_base` of frame 15 200 px off.

@@ -1,11 +1,11 @@
-"""Rooms import in one direction only, and nothing that the base install lacks.
+"""Test that rooms import in one direction only, and import only packages of the base install.
 
-`LAYERS` is the order: a room, which is a package directly under `recon`, imports from those named before it and from
-its own package, wherever the import stands: at the top of a module, in a function, or for types only. `WINGS` can be
-taken away one by one: each imports rooms and itself, no other wing, and no room imports a wing, but for the few
-functions of `UPWARD` (benchmarks/house.py). `TOPS` import all of them, and none imports these. `recon/__init__.pyi` is
-the public API: it may name all of them, and none imports it. Every import names the module that defines a name, never
-the `__init__` of a room or of the package.
+`LAYERS` is the order of the rooms, which are packages directly under `recon`. A room imports only from rooms before it
+and from its own package, at the top of a module, in a function, and for types. Each of the `WINGS` can be removed: a
+wing imports rooms and itself but no other wing, and no room imports a wing, except in the few functions of `UPWARD`
+(benchmarks/house.py). `TOPS` import all rooms, and no room imports `TOPS`. `recon/__init__.pyi` is the public API: it
+may name all of them, and none imports it. Every import names the module that defines a name, never the `__init__` of a
+room or of the package.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ def number(item: Finding, name: str) -> float:
 
 
 def with_focal_scale(baseline: Baseline, log_factor: float, focal_sigma: float | None = None) -> Baseline:
-    """Return the same pictures with a longer stated focal length and the animal proportionally farther away."""
+    """Return a view with a longer stated focal length and the animal proportionally farther away: equal pictures."""
     (view,) = baseline.clip.views
     axis, states = view.T_camera_world[2, :3], baseline.states.copy()
     states[:, :3] += np.expm1(log_factor) * (states[:, :3] @ axis)[:, None] * axis

@@ -33,7 +33,7 @@ def true_camera(baseline: Baseline) -> Camera:
 
 
 def seen_by(baseline: Baseline, camera: Camera) -> Baseline:
-    """Return the same pictures with another camera at the same point, and the animal moved in front of that camera."""
+    """Return a view by another camera at the same point, with the animal moved in front of it: equal pictures."""
     pose, states = camera_poses([camera])[0], baseline.states.copy()
     states[:, :3] = states[:, :3] @ (pose[:3, :3].T @ baseline.view.rotation).T
     return Baseline(baseline.with_view(replace(baseline.view, camera=camera, T_camera_world=pose)), states)

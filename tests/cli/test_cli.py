@@ -106,7 +106,7 @@ def fitted(tmp_path_factory) -> tuple[Path, Ended]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> tuple[Path, Ended]:
-    """Return the same with the default method, which fits the whole animal over the whole clip."""
+    """Return folder and outcome of `recon fit` with the default method, which fits the whole animal."""
     out = tmp_path_factory.mktemp("fit") / "whole"
     return out, run(*whole_args(out))
 

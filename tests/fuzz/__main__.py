@@ -1,11 +1,12 @@
-"""Spoilt files for every reader and settings file: each is read, or refused in words (`recon.base.errors.InputError`).
+"""Damage files of every kind, and check that each is read, or refused with an `InputError`.
 
     python -m tests.fuzz [--cases 100000] [--seed 0] [--jobs 2] [--first 0]
-    python -m tests.fuzz --case 1234 --seed 0     # one of them again, with its traceback; the file is left
+    python -m tests.fuzz --case 1234 --seed 0     # repeat one case with its traceback, and keep its file
 
-Files of every kind are made by the package's own writers, then spoilt (`mutations.py`) and read in children with limits
-of time and memory (`pool.py`). Prints what happened, by cause, and ends with 1 if any was neither read nor refused.
-Real files are taken from the recordings' folder (`RECON_SHARED_DATA`, see CONTRIBUTING.md) with --real. Needs Unix.
+The package's own writers make files of every kind. They are damaged (`mutations.py`) and read in children with limits
+of time and memory (`pool.py`). `--real` also takes files from the recordings' folder (`RECON_SHARED_DATA`, see
+CONTRIBUTING.md). The script prints the outcomes by cause, and ends with 1 if a file was neither read nor refused. It
+needs Unix.
 """
 
 from __future__ import annotations

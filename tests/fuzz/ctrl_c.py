@@ -1,11 +1,11 @@
-"""Ctrl-C at random times, in every command that takes a while: each ends with one line on stderr and exit code 130.
+"""Interrupt every longer command at random times, and check for one line on stderr and exit code 130.
 
     python tests/fuzz/ctrl_c.py [--count 50] [--seed 0] [--only WORD ...]
 
-SIGINT goes to the command and its children, as from a terminal, at a time that is drawn evenly from what the command
-takes, counted from where `recon.__main__` has been reached: while Python itself starts, nothing can be done about it.
-A run that ended before the signal came is not counted, and another one takes its place. Prints what became of each
-run, and ends with 1 if any did not end as it should.
+SIGINT goes to the command and its children, as from a terminal. Its time is drawn evenly from the duration of the
+command, counted from the moment when `recon.__main__` is reached, because nothing can be done while Python itself
+starts. A run that ended before the signal is not counted, and another run replaces it. The script prints the outcome
+of each run, and ends with 1 if a run did not end as it should.
 """
 
 from __future__ import annotations

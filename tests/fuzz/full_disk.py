@@ -1,10 +1,11 @@
-"""Full disks: every writer, into a folder of too little room, at several sizes.
+"""Write with every writer to disks that are too small, at several sizes.
 
     python tests/fuzz/full_disk.py [--sizes 20] [--only WORD ...] [--by-file]
 
-Each case runs in a child, in a file system of its own in memory (needs root) that is too small for what the case
-writes, or, with --by-file, where no file may grow beyond a size. It ends well where it says one line and exit code 2,
-and leaves nothing half; or where everything fits after all, and reads back. Prints what did not, and ends with 1 then.
+Each case runs in a child, in its own file system in memory (needs root) that is too small for the output; with
+--by-file, no file may grow beyond a size. A case passes if it prints one line, ends with exit code 2 and leaves no
+partial file, or if everything fits and can be read back. The script prints the cases that failed, and ends with 1 if
+there are any.
 """
 
 from __future__ import annotations

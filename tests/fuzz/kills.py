@@ -1,11 +1,11 @@
-"""Kills in the moment in which results are put in place: none leaves a mixture of two runs that is taken for results.
+"""Kill processes while they put results in place, and check that no mixture of two runs is taken for results.
 
     python tests/fuzz/kills.py [--count 200] [--seed 0]
 
-One child after the other replaces the results of one fit by those of another and is killed meanwhile: before or after
-one of its steps, or at any time, drawn from what all steps take. What it leaves must be refused, or be the one or the
-other to the last byte; and the next child must be able to write. Prints how many were what, and ends with 1 if any was
-a mixture.
+One child after the other replaces the results of one fit by those of another. It is killed before or after one of its
+steps, or at any time, drawn from the duration of all steps. What it leaves must be refused, or be one of the two
+results to the last byte, and the next child must be able to write. The script prints the number of each outcome, and
+ends with 1 if there was a mixture.
 """
 
 from __future__ import annotations

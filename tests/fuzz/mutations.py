@@ -1,5 +1,7 @@
-"""Ways to spoil a file: its bytes, its lines and cells, the values of JSON and TOML, the datasets of HDF5, the arrays
-of an archive. All are drawn from one generator, so that a seed gives the same file again."""
+"""Damage files: bytes, lines and cells, values of JSON and TOML, datasets of HDF5, arrays of an archive.
+
+All damage is drawn from one generator, so that a seed gives the same file again.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Fits of clips that no detector should give, but that one will be given: each ends in a result or in an InputError.
+"""Fit extremely bad clips, and check that each fit ends in a sound result or in an `InputError`.
 
     python tests/fuzz/stress_fits.py [--fits 400] [--seed 0] [--only WORD ...]
 
-Both methods, every built-in skeleton and four cameras, over clips that are spoilt in one way each (`SPOILT`). A result
-is written as `recon fit` writes it, without the playback, and has to hold what `faults` asks for. Prints what failed,
-and ends with 1 if anything did. Warnings are errors.
+Both methods, every built-in skeleton and four cameras are fitted to clips that are damaged in one way each (`SPOILT`).
+A result is written as by `recon fit`, without the playback, and must pass the checks of `faults`. The script prints
+what failed, and ends with 1 if anything did. Warnings are errors.
 """
 
 from __future__ import annotations

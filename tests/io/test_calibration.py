@@ -69,7 +69,7 @@ def refuses(path, *expected, name=None, **options) -> None:
 
 
 def both(field: str, *values):
-    """Return the same problem for both cameras of `scene`."""
+    """Return one problem for each of the two cameras of `scene`."""
     return [(f"cameras[{i}].{field}", *values) for i in (0, 1)]
 
 

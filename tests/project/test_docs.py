@@ -109,7 +109,7 @@ LONG = {
     r"recon ik ": "test_ik_clip.py",
     r"recon compare herd": "test_experiment.py",
 }
-"""Such patterns for steps after which all later steps of the page are slow, too."""
+"""Patterns of the beginnings of steps that are slow and after which all later steps of the page are slow, too."""
 FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
 

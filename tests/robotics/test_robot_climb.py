@@ -47,7 +47,7 @@ HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [
 
 
 def well(*numbers: float) -> _Well:
-    """Return the same well for all legs."""
+    """Return one potential well for all legs."""
     of_legs = ((number, number, number, number) for number in numbers)
     return _Well.model_construct(**dict(zip(_Well.model_fields, of_legs, strict=True)))
 
