@@ -32,7 +32,7 @@ SHAPES = {
     "covariances": "KAA",
     "mean": "A",
     "covariance": "AA",
-    "drift": "AB",  # B: 2A
+    "drift": "AB",  # B stands for 2A
     "acceleration_covariance": "AA",
 }
 """The arrays of a prior, with their shapes."""

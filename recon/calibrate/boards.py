@@ -256,7 +256,7 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
             continue
         sizes[name] = (image.shape[1], image.shape[0])
         if len(set(sizes.values())) > 1 or problems:
-            continue  # the input is refused already; the loop only goes on to list all problems
+            continue  # the input is refused, and the loop continues only to list all problems
         corners = board.detect(image)
         if corners is None:
             names_without.append(name)

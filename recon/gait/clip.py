@@ -495,10 +495,10 @@ def _by_size(motion: Motion) -> Array:
 
 
 def error_time_s(xyz_m: Array, fps: float) -> float:
-    """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
+    """Return the geometric mean of the correlation time of the detections' errors and that of the pose.
 
-    The pose's time is that of the joints (T, J, 3) relative to their mean: the root mean square distance from their
-    average position over the root mean square speed, and at most the correlation time of the detections' errors.
+    The time of the pose is computed from the joints (T, J, 3) relative to their mean, as the root mean square distance
+    from their average position divided by the root mean square speed. The time of the errors is its upper limit.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)

@@ -343,7 +343,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
         is_near = is_whole & (start < end[i] + stride_s[i]) & (end > start[i] - stride_s[i])
         typical = np.median(drawn_s[:, is_near], axis=1)
         spread = STANCE_SPREAD * typical[0]
-        # If the two estimates of the duration disagree, the combined uncertainty is larger than each suggests.
+        # If the two estimates of the duration disagree, the combined uncertainty is larger than either suggests.
         inflation = max(1.0, (typical[0] - drawn_s[0, i]) ** 2 / (variance[i] + spread**2))
         change = inflation * (typical + spread * noise[:, i] - drawn_s[:, i]) / (inflation * variance[i] + spread**2)
         starts[:, i] -= start_sigma[i] ** 2 * change

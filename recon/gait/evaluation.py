@@ -361,7 +361,7 @@ def _nothing_in_common(
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
     """Return the PCK thresholds, m, for the median extent over the frames of joints (T, J, 3)."""
     size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
-    # a single joint has no extent
+    # A single joint has no extent.
     tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0
     return tuple(float(threshold_m / 10.0 ** max(tens, 0.0)) for threshold_m in PCK_THRESHOLDS_M)
 
@@ -404,7 +404,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
         aligned_m, pose_part = (part @ (u @ vt) for part in (np.where(is_enough, aligned_m, np.nan), pose_part))
     if scale:
         product, square = (np.sum(pose_part * part, axis=(1, 2)) for part in (truth_part, pose_part))
-        # if all joints coincide, every factor is equally good
+        # If all joints coincide, every factor is equally good.
         factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
         aligned_m = factor[:, None, None] * aligned_m
     return aligned_m + truth_mean

@@ -153,7 +153,7 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
-    # So many points outside are no errors of labelling: the labels belong to other pictures.
+    # So many points outside cannot be labelling errors, so the labels belong to other pictures.
     if outside.sum() > OUTSIDE * read.labelled.sum():
         i, k = np.argwhere(outside)[0]
         detail = (

@@ -291,8 +291,8 @@ def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: floa
         region = cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     moved = (cv2.absdiff(picture, background).max(axis=2) > MOVED_LEVELS).astype(np.uint8) * 255
     moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), region)
-    # Holes are filled where the animal looks like the background. The space between its legs is open to the ground and
-    # stays.
+    # Holes are filled where the animal looks like the background. The space between its legs is not filled, because it
+    # is open to the ground.
     gap = 2 * max(1, round(0.25 * margin_px)) + 1
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
     outlines, _ = cv2.findContours(moved, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

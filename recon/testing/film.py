@@ -181,7 +181,7 @@ def _draw_animal(
     canvas = np.clip(picture, 0, 255).astype(np.uint8)
     nearest = min(depth for depth, _, _ in parts)
     for depth, ends, part in sorted(parts, key=lambda p: -p[0]):
-        shade = 1.0 - 0.45 * min(1.0, (depth - nearest) / 0.35)  # the far legs are in the shade of the body
+        shade = 1.0 - 0.45 * min(1.0, (depth - nearest) / 0.35)  # so that the far legs are darker
         _draw_part(canvas, ends, part, camera, shade, spots[part[:2]])
     return canvas.astype(float)
 

@@ -504,7 +504,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
     """
     stream = rr.RecordingStream("recon")
     try:
-        if not hasattr(os, "mkfifo"):  # Windows
+        if not hasattr(os, "mkfifo"):  # Windows has no named pipes
             memory = stream.memory_recording()
             stream.send_blueprint(layout, make_active=True, make_default=True)
             yield stream
