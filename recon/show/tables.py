@@ -254,7 +254,7 @@ Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
 """Columns and rows of a table."""
 Columns = dict[str, np.ndarray]
-"""Columns of a long table."""
+"""Columns by name, of a table with a row for each frame or sample."""
 
 
 def joints(analysis: ClipAnalysis) -> Table:

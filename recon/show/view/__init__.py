@@ -4,25 +4,25 @@ The recording has the following entities. Entities without "(static)" have a row
 has no pose. States and points that are often absent have rows only where they change, and ellipsoids have a new shape
 at most 25 times a second.
 
-- `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints; `world/path` (static) and
-  `world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each
-  segment from its first frame on); `world/camera` (static, unless the camera moves), its frustum; `world/followed`,
-  an invisible box that the view follows; `world/uncertainty`, one standard deviation of the joints' positions relative
-  to their mean, red in frames with a flag; `world/stance`, the standing feet.
-- `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
-  `picture/outliers`, `picture/reprojections` with the skeleton's lines, `picture/links` between detections and
-  reprojections, except those that their dots would hide.
-- `picture/animal`: the middle of the reprojected skeleton in each frame, at which the close view is.
-- `picture/video`: the frames of a video, if given.
-- Each of several cameras has its own `world/camera/<name>` and `picture/<name>/...`, and there is
-  `world/camera_names`.
-- `angles/...` in degrees: `left`, `right` and `middle`, split if there are many; `speed` of the reference point in
-  m/s; `residuals` in px over all cameras: the median of a frame, and the largest one without outliers.
-- `uncertainty` in m; and states over time: each flag of a frame by its name, and each foot while it stands.
-- With an analysis: `analysis/...`; and `world/forces`, arrows under the feet, with the path
+- `world` is in metres, in the motion's frame of reference. It contains `world/skeleton` and its joints; `world/path`
+  (static) and `world/trail` of the reference point; `world/ground` (static, or for several segments the ground of each
+  segment from its first frame on); `world/camera`, the camera's frustum (static, unless the camera moves);
+  `world/followed`, an invisible box that the view follows; `world/uncertainty`, one standard deviation of the joints'
+  positions relative to their mean, red in frames with a flag; and `world/stance`, the standing feet.
+- `picture` is in pixels of the distorted picture. It contains `picture/frame`, the picture's edge (static);
+  `picture/detections`; `picture/outliers`; `picture/reprojections` with the skeleton's lines; `picture/links` between
+  detections and reprojections, except links that their dots would hide; `picture/animal`, the middle of the reprojected
+  skeleton, on which the close view is centred; and `picture/video`, the frames of a video, if given.
+- If there are several cameras, each has its own `world/camera/<name>` and `picture/<name>/...`, and
+  `world/camera_names` has their names.
+- `angles/...` has the angles in degrees as `left`, `right` and `middle`, split if there are many. `speed` is the speed
+  of the reference point in m/s. `residuals` are in px over all cameras, the median of a frame and the largest one
+  without outliers.
+- `uncertainty` is in m. States over time are each flag of a frame by its name, and each foot while it stands.
+- If an analysis is given, `analysis/...` has its curves, and `world/forces` arrows under the feet, with the path
   `world/forces/centre_of_mass`.
 
-Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since frame 0 of that file.
+The timelines are `frame`, the frame number of the keypoint file, and `time`, seconds since frame 0 of that file.
 """
 
 from __future__ import annotations
