@@ -132,7 +132,7 @@ def test_rough_poses_say_how_large_the_animal_is():
 
 
 def test_deviations_beside_the_first_camera():
-    """Standard deviations relative to the first camera, which is uncertain itself, are those by finite differences."""
+    """Standard deviations relative to the first camera, which is uncertain itself, agree with finite differences."""
     rng, poses = np.random.default_rng(0), [AHEAD, ASIDE, BEHIND]
     root = rng.normal(size=(18, 18))
 

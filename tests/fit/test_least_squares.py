@@ -282,7 +282,7 @@ class _Quiet(LeastSquares):
 
 @pytest.mark.slow
 def test_minimum_of_the_whole_problem_is_a_minimum():
-    """The minimum of the whole problem is one: no direction leads down, and scipy's dense solver stays there."""
+    """The minimum of the whole problem is a minimum: no direction leads down, and scipy's solver stays there."""
     problem = whole_problem()
     found = problem.minimise(some_states(), 1e-10, 200)
     assert found.converged

@@ -15,7 +15,7 @@ NAN = float("nan")
 
 
 def test_expected_calibration_error_by_hand():
-    """The expected calibration error is that by hand.
+    """The expected calibration error is that computed by hand.
 
     There are three bins: 2 points at 0.05 (0 right), 4 at 0.55 (3 right), 4 at 1.0 (3 right): (2 * 0.05 + 4 * 0.2 + 4 *
     0.25) / 10.
@@ -46,7 +46,7 @@ def test_calibration_stays_finite_where_all_points_are_right():
 
 
 def test_scores_by_hand():
-    """Scores are those by hand: errors of 3, 4 and 12 px, a point not found, and an unlabelled one, ignored."""
+    """Scores are those computed by hand, for errors of 3, 4 and 12 px, a missed point and an unlabelled one."""
     label = np.array([[[0, 0], [10, 0], [0, 10]], [[0, 0], [10, 0], [NAN, NAN]]], float)
     xy = np.array([[[3, 0], [10, 4], [NAN, NAN]], [[0, 12], [10, 0.5], [5, 5]]], float)
     xy[1, 1] = [10, 0.5]

@@ -189,7 +189,7 @@ def test_the_base_lengths_prior_is_the_one_that_is_told():
 
 
 def test_precision_shares_of_a_problem_done_by_hand():
-    """Shares of the precision are those by hand.
+    """Shares of the precision are those computed by hand.
 
     Each of two unknowns is observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 +
     p^2).
@@ -246,7 +246,7 @@ def test_detections_outside_of_what_the_lens_can_see_are_left_out():
 
 
 def test_covariance_of_the_joints_done_by_hand():
-    """The covariance of the joints is that by hand, in the world's axes.
+    """The covariance of the joints is that computed by hand, in the world's axes.
 
     An uncertain position moves all joints equally; an uncertain size moves them in proportion.
     """
@@ -273,7 +273,7 @@ def test_covariance_of_the_joints_done_by_hand():
 
 
 def test_deviations_of_the_angles_done_by_hand():
-    """Deviations of the angles are those by hand: the chain's for the links, by Euler angles for the root."""
+    """Deviations of angles are those computed by hand: the chain's for links, by Euler angles for the root."""
     view = still_view(gallop(n_frames=2).camera, np.zeros((1, 9, 2)), np.ones((1, 9)))
     rng = np.random.default_rng(0)
     state, root = mean_pose(SK)[None], rng.normal(0, 0.01, (SK.n_state, SK.n_state))

@@ -78,7 +78,7 @@ def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{getattr(t, 'form', '')}")
 def test_jacobian_against_central_differences(term: Objective):
-    """The Jacobian is that by central differences at ten random configurations."""
+    """The Jacobian agrees with central differences at ten random configurations."""
     h = 1e-6
     residual, jacobian = evaluate(term, NOW)
     assert jacobian.shape == (*residual.shape, SK.n_state)
