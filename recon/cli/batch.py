@@ -102,7 +102,7 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
         return _dry_run_answer(plan, input_problems(clips), settings.strict)
-    # a problem of all clips is raised even if each clip has a file of its own
+    # a problem that all clips share ends the batch, even if each clip has a file of its own
     shared = distinct_problems(input_problems(clips, shared_only=True))
     raise_problems(problem for problem, clip_indices in shared if len(clip_indices) == len(clips))
     left = sum(planned.action != "done" for planned in plan)

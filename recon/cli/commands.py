@@ -38,7 +38,7 @@ HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
 """Names of --fps in other programs."""
 _METHOD = "recon frame, which is the published method, or --set method=VALUE"
-"""Replacement for --method, for the message."""
+"""Text that a message gives as the replacement for --method."""
 _SET = "set_"
 """Name of the parameter of --set."""
 

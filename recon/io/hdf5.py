@@ -263,7 +263,7 @@ def _text_of(item: object) -> str:
 def _require_readable(dataset: h5py.Dataset) -> None:
     """Raise ValueError for a dataset that must not be read.
 
-    Rejected are items that are not datasets, other types, data in other files, and more data than the file has.
+    Items that are not datasets, other types, data in other files, and more data than the file has are rejected.
     """
     if not isinstance(dataset, h5py.Dataset):
         raise ValueError(f"{getattr(dataset, 'name', 'something')} is not a dataset")
