@@ -99,7 +99,7 @@ def test_missing_frames():
     assert np.isfinite(found.path_m).all()
     with pytest.raises(ValueError, match="consecutive frames with a pose"):
         find_stride(CHAIN, np.full((20, 3), np.nan), fps=100)
-    with pytest.raises(ValueError, match=r"within 0.150 to 0.590 s expected, got 0.050"):
+    with pytest.raises(ValueError, match=r"a stride within 0.150 to 0.590 s, got 0.050"):
         find_stride(CHAIN, q, fps=100, span_s=(0.05, 0.3))
 
 
