@@ -35,7 +35,8 @@ from recon import FitSettings, Motion, fit_clip, load_skeleton, samples_folder
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, off_gravity, shape
-from recon.gait.kinematics import OVERSAMPLING, net_acceleration, point_kinematics
+from recon.gait.kinematics import net_acceleration, point_kinematics
+from recon.gait.series import OVERSAMPLING
 from recon.gait.stances import FEET, INTERVAL
 from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, compare_forces, with_exact_states
 

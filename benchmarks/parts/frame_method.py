@@ -26,7 +26,8 @@ from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import frame_jitter_m, frame_times, net_acceleration, series_kinematics
+from recon.gait.kinematics import frame_times, net_acceleration
+from recon.gait.series import frame_jitter_m, series_kinematics
 from recon.gait.stances import INTERVAL
 from recon.thesis.solution import frame_solution
 

@@ -23,7 +23,7 @@ from cheetah_runs import PUBLISHED, best_90_px
 from markdown_table import print_header, print_row
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
-from recon.gait.kinematics import frame_jitter_m
+from recon.gait.series import frame_jitter_m
 from recon.thesis import solver as frame
 from recon.thesis.objectives import FrameOptions, Objective, ResidualAndJacobian, frame_objectives
 from recon.thesis.solution import FrameSolution

@@ -23,8 +23,9 @@ from recon.api.compare import measurement_sigma
 from recon.api.experiment import SPEED, runs_of_clips
 from recon.fit.posterior import radius
 from recon.gait.clip import analyse
-from recon.gait.kinematics import frame_times, series_kinematics
+from recon.gait.kinematics import frame_times
 from recon.gait.quantities import shared_sigma_columns
+from recon.gait.series import series_kinematics
 from recon.gait.stances import INTERVAL
 
 

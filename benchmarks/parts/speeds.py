@@ -19,7 +19,8 @@ from markdown_table import print_table
 from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import at_frames, frame_times, net_acceleration, series_kinematics
+from recon.gait.kinematics import at_frames, frame_times, net_acceleration
+from recon.gait.series import series_kinematics
 from recon.gait.stances import INTERVAL
 
 METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory": {}}

@@ -46,7 +46,7 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 from recon.gait.clip import POSE_ERROR_TIME, POSITION_ERROR_TIME, error_time_s
 from recon.gait.evaluation import aligned, joint_errors, score
-from recon.gait.kinematics import Errors, series_kinematics
+from recon.gait.series import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
 from recon.testing.gallop import gallop
 

@@ -33,9 +33,10 @@ from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import Gait, Stride, gait
-from recon.gait.kinematics import AngleKinematics, Errors, JointKinematics, at_frames
+from recon.gait.kinematics import AngleKinematics, JointKinematics, at_frames
 from recon.gait.nearest_return import longest_stretch, nearest_return
 from recon.gait.quantities import AnalysedClip, GaitQuantity, gait_quantities
+from recon.gait.series import Errors, jitter_errors, lasting_errors
 from recon.gait.spline import MIN_POINTS
 from recon.gait.stances import BODY, interval_of, interval_text, pose_tracks
 from recon.io.common import Pose3D
@@ -117,7 +118,7 @@ class ClipAnalysis(Brief):
         pose = self.tracked
         if not self.motion.jitters:
             return pose
-        errors, options = kinematics.jitter_errors(pose.xyz_m), {"smooth": True, "propagate": False, "oversampling": 1}
+        errors, options = jitter_errors(pose.xyz_m), {"smooth": True, "propagate": False, "oversampling": 1}
         paths = [kinematics.joint_kinematics(pose, name, self.motion.fps, errors, **options) for name in pose.names]
         xyz_m = np.stack([path.series.value for path in paths], axis=1)
         if self.motion.solution.reference_path is not None:
@@ -174,7 +175,7 @@ class ClipAnalysis(Brief):
         motion = self.motion
         sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
         stated = [[Errors(column, self.errors[-1].correlation_s)] for column in sigma.T]
-        errors = map(kinematics.jitter_errors, motion.posture_rad.T) if motion.jitters else stated
+        errors = map(jitter_errors, motion.posture_rad.T) if motion.jitters else stated
         rows = zip(motion.posture_names, motion.posture_rad.T, errors, strict=True)
         return {
             name: kinematics.angle_kinematics(motion.time_s, angle, errors, smooth=motion.jitters)
@@ -470,7 +471,7 @@ def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
     """Return the errors of a motion's joints (T, J, 3), given the motion's `error_time_s`."""
     solution, floor = motion.solution, 1e-4
     if motion.jitters:
-        independent_and_lasting, path = kinematics.lasting_errors(xyz_m, motion.fps), solution.reference_path
+        independent_and_lasting, path = lasting_errors(xyz_m, motion.fps), solution.reference_path
         position_time_s = solution.position_error_time_s
         if path is None or position_time_s is None:
             return independent_and_lasting

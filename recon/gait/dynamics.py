@@ -39,7 +39,8 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding
 from recon.gait import kinematics
 from recon.gait.gait import Gait
-from recon.gait.kinematics import OVERSAMPLING, Errors, JointKinematics
+from recon.gait.kinematics import JointKinematics
+from recon.gait.series import OVERSAMPLING, Errors, parabola_acceleration, series_kinematics
 from recon.gait.stances import INTERVAL, interval_of
 from recon.geometry.kinematics import Marker, Tree
 
@@ -218,7 +219,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     )
     # The rotation about the centre is computed at the frames only, because the fine grid would take far longer.
     flat_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
-    rod_motion = kinematics.series_kinematics(motion.time_s, flat_rods_m, oversampling=1)
+    rod_motion = series_kinematics(motion.time_s, flat_rods_m, oversampling=1)
     value, rate = (values.reshape(len(values), -1, 3) for values in (rod_motion.value, rod_motion.rate))
     end_shares = np.repeat(share / 2, 2)
     internal = 0.5 * np.sum(rate**2, axis=2) @ end_shares
@@ -226,7 +227,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     end_joints = _nearest(motion, rods_m)
     near = Errors(errors[-1].sigma[:, end_joints], errors[-1].correlation_s)
     spread = _turning_sigma(value, rate, end_shares, sigma, end_joints, near)
-    turning = kinematics.series_kinematics(motion.time_s, np.column_stack([internal, momentum, spread])).value
+    turning = series_kinematics(motion.time_s, np.column_stack([internal, momentum, spread])).value
     stance_forces, force = _forces(gait)
     return Dynamics(
         centre=centre,
@@ -399,7 +400,7 @@ def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, erro
             if stop - first >= FLIGHT_FRAMES:
                 row_errors = [Errors(error.sigma[rows, 2], error.correlation_s) for error in errors]
                 row_errors += [Errors(column, np.inf) for column in by_mass_m[rows, :, 2].T]
-                vertical = kinematics.parabola_acceleration(time_s[rows], centre_m[rows, 2], row_errors)
+                vertical = parabola_acceleration(time_s[rows], centre_m[rows, 2], row_errors)
                 flights.append(Flight(int(first), int(stop), float(time_s[first]), float(time_s[stop - 1]), *vertical))
     return flights
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from recon.base.arrays import Array, Index
-from recon.gait.kinematics import series_kinematics
+from recon.gait.series import series_kinematics
 
 REAR_SHARE = 0.25
 """Rear fraction of the range of the horizontal position, within which a swing may begin."""

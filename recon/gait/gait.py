@@ -19,7 +19,7 @@ import numpy as np
 
 from recon.base.arrays import Bools, Brief, mean, median
 from recon.base.numbers import percent
-from recon.gait.kinematics import Errors
+from recon.gait.series import Errors
 from recon.gait.spline import MIN_POINTS
 from recon.gait.stances import FEET, OVERSAMPLING, Stance, Tracks, interval_of, pose_tracks, stances, why_no_ground
 from recon.io.common import Pose3D

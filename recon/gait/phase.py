@@ -38,7 +38,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from recon.base.arrays import Array, Brief, mean
-from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
+from recon.gait.kinematics import AngleKinematics, frame_times, joint_index
+from recon.gait.series import series_kinematics
 from recon.io.common import Pose3D
 
 if TYPE_CHECKING:

@@ -29,7 +29,8 @@ from recon.base.numbers import percent
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait.gait import Gait, Stride
-from recon.gait.kinematics import Errors, JointKinematics
+from recon.gait.kinematics import JointKinematics
+from recon.gait.series import Errors
 from recon.gait.stances import Stance, interval_of
 
 Origin = Literal["path", "footfalls", "period of the motion"]

@@ -42,7 +42,7 @@ from recon.base.numbers import interval, length_text
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics
-from recon.gait.kinematics import Errors, Series
+from recon.gait.series import Errors, Series, series_kinematics
 from recon.gait.spline import MIN_POINTS
 from recon.io.common import Pose3D
 
@@ -261,7 +261,7 @@ def pose_tracks(
         raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
 
     def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
-        return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+        return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
         """Return positions, speeds and standard deviations of one foot, so that memory is needed for one path only."""

@@ -16,8 +16,9 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, Gait, Stride, rejection_text
-from recon.gait.kinematics import angle_kinematics, jitter_errors
+from recon.gait.kinematics import angle_kinematics
 from recon.gait.phase import Portrait, phase_portrait
+from recon.gait.series import jitter_errors
 from recon.gait.spline import MIN_POINTS
 from recon.ik.animal_chain import (
     body_chain,

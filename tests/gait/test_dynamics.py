@@ -27,7 +27,7 @@ from recon.gait.dynamics import (
     over_stride,
     shape,
 )
-from recon.gait.kinematics import Errors
+from recon.gait.series import Errors
 from recon.gait.stances import Stance
 from recon.show import plots
 from recon.show.page.pages import clip_page

@@ -24,7 +24,7 @@ from recon.gait.gait import (
     rejection_text,
     strides,
 )
-from recon.gait.kinematics import Errors
+from recon.gait.series import Errors
 from recon.gait.stances import FEET, SLOW, Stance, ground_plane, pose_tracks, stances
 from recon.testing.gallop import KEYPOINT_NAMES, gallop
 

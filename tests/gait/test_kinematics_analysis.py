@@ -7,10 +7,6 @@ import pytest
 
 from recon import InputError
 from recon.gait.kinematics import (
-    Errors,
-    _curve,
-    _discrepancy_lam,
-    _evaluate,
     angle_between,
     angle_kinematics,
     angle_sigma,
@@ -19,9 +15,9 @@ from recon.gait.kinematics import (
     joint_kinematics,
     point_kinematics,
     sagittal_flexion,
-    series_kinematics,
     spine_flexion,
 )
+from recon.gait.series import Errors, _curve, _discrepancy_lam, _evaluate, series_kinematics
 from recon.io.common import Pose3D
 from recon.testing.gallop import gallop
 

@@ -7,17 +7,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from recon.gait.clip import SPEED_KNOWN
-from recon.gait.kinematics import (
-    MAX_GAP_S,
-    Errors,
-    JointKinematics,
-    frame_jitter_m,
-    jitter_errors,
-    lasting_errors,
-    net_acceleration,
-    point_kinematics,
-    speed_at_frames,
-)
+from recon.gait.kinematics import JointKinematics, net_acceleration, point_kinematics, speed_at_frames
+from recon.gait.series import MAX_GAP_S, Errors, frame_jitter_m, jitter_errors, lasting_errors
 from recon.gait.spline import cubic_spline
 
 FPS = 30.0

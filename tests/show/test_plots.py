@@ -19,8 +19,9 @@ from recon.animal.body import Side
 from recon.animal.skeleton_file import load_skeleton
 from recon.fit.posterior import radius
 from recon.gait.gait import Stride, gait
-from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
+from recon.gait.kinematics import angle_kinematics, point_kinematics
 from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
+from recon.gait.series import Errors
 from recon.gait.stances import BODY, FEET, INTERVAL, Plane, Stance, pose_tracks
 from recon.ik import figures as ik_plots
 from recon.ik.chain import planar_chain, summed_chain

@@ -28,8 +28,9 @@ from recon.base.numbers import decimals, percent, plus_minus, quantity
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait
-from recon.gait.kinematics import JointKinematics, Series
+from recon.gait.kinematics import JointKinematics
 from recon.gait.phase import Closure, LinkField, Portrait, means_of_field
+from recon.gait.series import Series
 from recon.gait.stances import Stance, interval_of
 from recon.show.plots import style
 

@@ -13,7 +13,8 @@ from recon.base.arrays import mean, median
 from recon.base.numbers import decimals, length_text, percent, plus_minus
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import SolvedShape, TrajectorySolution
-from recon.gait.kinematics import frame_jitter_m, jitter_errors, point_kinematics
+from recon.gait.kinematics import point_kinematics
+from recon.gait.series import frame_jitter_m, jitter_errors
 from recon.gait.spline import MIN_POINTS
 from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name

@@ -49,7 +49,8 @@ from recon.base.numbers import quantity
 from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion, Picture
 from recon.gait.clip import ClipAnalysis
-from recon.gait.kinematics import frame_jitter_m, speed_at_frames
+from recon.gait.kinematics import speed_at_frames
+from recon.gait.series import frame_jitter_m
 from recon.gait.stances import interval_of
 from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
