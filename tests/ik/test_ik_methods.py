@@ -123,7 +123,7 @@ def test_extended_jacobian_solves_the_square_system(chain, full):
 
 @EACH
 def test_full_derivative_of_g(chain):
-    """The full derivative of G = N' grad g agrees with differences with a basis that does not turn."""
+    """The full derivative of G = N' grad g agrees with finite differences in which the basis does not turn."""
     cost = user_cost(lambda q: float(np.sum(np.cos(q)) + q[0] * q[2] ** 2))
     q, _ = configuration(chain)
     N = null_basis(chain.jacobian(q))

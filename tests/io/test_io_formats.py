@@ -557,7 +557,7 @@ TURN = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]).as_matrix()
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_dannce(tmp_path, packed):
-    """DANNCE's camera projects a point as DANNCE does: rows, K and r on the right, the first pixel (1, 1)."""
+    """A camera of DANNCE projects a point as DANNCE does, with K and r on the right and the first pixel (1, 1)."""
     path = dannce_file(tmp_path / "run_dannce.mat", packed)
     pose = read_pose3d(path, unit="mm")
     assert (pose.names, pose.frames.tolist()) == (("point1", "point2"), [10, 20])
