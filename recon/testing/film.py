@@ -198,7 +198,7 @@ def _draw_part(
     length = max(float(np.linalg.norm(along)), 1e-6)
     across = np.array([-along[1], along[0]]) / length
     if across[1] > 0:
-        across = -across  # towards the top of the picture
+        across = -across  # `across` points towards the top of the picture
     layers = 6
     for i in range(layers):
         share = i / (layers - 1)
