@@ -11,7 +11,9 @@ from recon.check.codes import EFFECTS, finding
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.check.one_step import Detections, Step, one_steps
 from recon.fit.clip_problem import ClipProblem
+from recon.fit.least_squares import piece_of
 from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.starts import APPROACH_HZ
 
 DRIFT_SIGMAS = 3.5
 """Drift of a clock, in standard deviations, from which the drift is reported.
@@ -19,7 +21,8 @@ DRIFT_SIGMAS = 3.5
 The drift is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera takes one picture a second fewer
 (`benchmarks/wrong_inputs.py --only limits`).
 """
-
+NO_DRIFT_SIGMAS = 0.5 * DRIFT_SIGMAS
+"""Drift in some frames of a long clip, in standard deviations, up to which the clip is not tested with all frames."""
 RAY_SIGMAS = 3.0
 """Number of standard deviations by which the drift shown by rays must be below half of an estimate to refute it.
 
@@ -28,18 +31,22 @@ clock does drift, by 1 frame, rays show 1.1 ± 0.05 (simulated pairs of `tests/c
 """
 
 
-def drifts_of(clip: ClipProblem, solution: TrajectorySolution) -> dict[int, Step]:
-    """Return the drift of each camera's clock over the clip, in frames, by the camera's number."""
+def drifts_of(clip: ClipProblem, solution: TrajectorySolution, every: int = 1) -> dict[int, Step]:
+    """Return the drift of each camera's clock over the clip, in frames, by the camera's number.
+
+    `every` above 1 is several times faster, and rough: see `one_steps`.
+    """
     segment = solution.longest_segment
     if segment is None:
         return {}
-    frames = segment.rows.stop - segment.rows.start
+    frames = len(range(segment.rows.start, segment.rows.stop, every))
 
     def by_drift(detections: Detections) -> Array:
         return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
 
     first = 1 if len(clip.views) == 2 else 0  # for two cameras, only the difference of their clocks is known
-    return one_steps(clip, solution, dict.fromkeys(range(first, len(clip.views)), by_drift))
+    steps = one_steps(clip, solution, dict.fromkeys(range(first, len(clip.views)), by_drift), every=every)
+    return {camera: Step(every * step.value, every * step.sigma) for camera, step in steps.items()}
 
 
 def drift_findings(
@@ -62,6 +69,10 @@ def drift_findings(
     if segment is None:
         return
     frames = segment.rows.stop - segment.rows.start
+    if frames > 2 * piece_of(fps):  # in a long clip, most of the time of this test is saved
+        rough = drifts_of(clip, solution, every=max(1, round(fps / APPROACH_HZ)))
+        if all(abs(step.value) < NO_DRIFT_SIGMAS * step.sigma for step in rough.values()):
+            return
     steps = drifts_of(clip, solution)
     sigmas = {camera: step.value / step.sigma for camera, step in steps.items()}
     camera = max(sigmas, key=lambda number: abs(sigmas[number]), default=None)

@@ -75,7 +75,11 @@ class _ExtendedReprojection(Reprojection):
 
 
 def one_steps(
-    clip: ClipProblem, solution: TrajectorySolution, unknowns: Mapping[int, ByUnknown], fixed: Sequence[str] = ()
+    clip: ClipProblem,
+    solution: TrajectorySolution,
+    unknowns: Mapping[int, ByUnknown],
+    fixed: Sequence[str] = (),
+    every: int = 1,
 ) -> dict[int, Step]:
     """Estimate unknowns, each of one camera and with the others at 0, in the longest segment of a clip.
 
@@ -89,6 +93,9 @@ def one_steps(
         The derivatives with respect to each unknown, by the number of the camera whose detections depend on it.
     fixed
         Names of shared unknowns that are assumed to be known.
+    every
+        Only every such frame is used, with more weight: the estimate is then rough, and the derivatives are those of a
+        clip at the lower frame rate.
 
     Returns
     -------
@@ -98,12 +105,13 @@ def one_steps(
     segment = solution.longest_segment
     if segment is None:
         return {}
-    clip, noise_px = clip.part(segment.rows).before_offsets(solution.time_offset_frames), solution.noise_px
+    correlation_frames, rows = clip.correlation_frames, slice(segment.rows.start, segment.rows.stop, every)
+    clip = clip.part(segment.rows).before_offsets(solution.time_offset_frames).thinned(every)
     clip = replace(clip, prior_weight=segment.prior_weight)
-    states = clip.nominal(solution.states[segment.rows], solution.size)
+    states = clip.nominal(solution.states[rows], solution.size)
     points_m = clip.markers(states)
     contact_terms = contacts(clip, points_m, solution.size)[-1] if clip.finds_ground else ()
-    problem = clip.problem(noise_px[:, segment.rows], 1.0, contact_terms, points_m, solution.size)
+    problem = clip.problem(solution.noise_px[:, rows], 1.0, contact_terms, points_m, solution.size)
     terms = [
         _extended(term, unknowns) if isinstance(term, Reprojection) and term.number in unknowns else term
         for term in problem.terms
@@ -111,17 +119,17 @@ def one_steps(
     extra = [SharedUnknown(_name(camera), np.zeros(1), np.full(1, _FREE)) for camera in unknowns]
     free, nuisance = ([u for u in group if u.name not in fixed] for group in (problem.shared, problem.nuisance))
     problem = replace(problem, terms=terms, shared=[*free, *extra], nuisance=nuisance)
-    values = problem.expected() | offset_values(solution.time_offset_frames)
+    values = problem.expected() | offset_values(solution.time_offset_frames / every)
     if SIZE in values:
         values[SIZE] = np.array([solution.size])
-    at_solution = curvature(problem, Estimate(states, 0.0, 0, True, values), clip.correlation_frames)
+    at_solution = curvature(problem, Estimate(states, 0.0, 0, True, values), correlation_frames)
     columns = np.array([problem.columns[_name(camera)].start for camera in unknowns])
     steps = {}
     for camera, column in zip(unknowns, columns, strict=True):
         kept = np.setdiff1d(np.arange(len(at_solution.shared_gradient)), columns[columns != column])
         covariance = np.linalg.inv(at_solution.shared_precision[np.ix_(kept, kept)])
         row = covariance[np.searchsorted(kept, column)]
-        variance = float(row[np.searchsorted(kept, column)]) * clip.correlation_frames
+        variance = float(row[np.searchsorted(kept, column)]) * correlation_frames
         steps[camera] = Step(-float(row @ at_solution.shared_gradient[kept]), math.sqrt(variance))
     return steps
 

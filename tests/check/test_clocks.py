@@ -23,8 +23,10 @@ def _with_drift(views, drift_frames: float):
     return views[0], replace(views[1], xy_px=late_px.reshape(T, -1, 2))
 
 
+@pytest.mark.parametrize("piece", [512, 1])  # the frames of a clip count as few, and as many
 @pytest.mark.parametrize("drift_frames", [-4.0, 0.0, 4.0])
-def test_a_clock_that_drifts_is_named_with_its_rate(drift_frames):
+def test_a_clock_that_drifts_is_named_with_its_rate(monkeypatch, drift_frames, piece):
+    monkeypatch.setattr("recon.check.clocks.piece_of", lambda _: piece)
     solution = two()
     T = len(solution.states)
     views = _with_drift(solution.views, drift_frames)
@@ -44,7 +46,7 @@ def test_a_drift_that_the_rays_do_not_show_is_not_a_clock(drift_frames, monkeypa
     views = _with_drift(solution.views, drift_frames)
     value, sigma = drift_by_rays(views, solution.markers_m, 1)
     assert value == pytest.approx(drift_frames, abs=max(4 * sigma, 0.3))
-    monkeypatch.setattr("recon.check.clocks.drifts_of", lambda *_: {1: Step(-4.0, 0.5)})
+    monkeypatch.setattr("recon.check.clocks.drifts_of", lambda *_, **__: {1: Step(-4.0, 0.5)})
     clip = ClipProblem.from_views(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, size_sigma=0.3))
     findings = [*drift_findings(clip, solution, ("A", "B"), FPS)]
     assert [item.code for item in findings] == ["clock_drifts"] * bool(drift_frames)
