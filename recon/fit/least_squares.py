@@ -141,23 +141,26 @@ class LeastSquares:
         terms = [term for term in self.terms if term.name in names]
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
-    def squares(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
-        """Return the sum of all squared residuals."""
+    def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
+        """Return the sum of all squared residuals, of the terms that are not linear only in some of the frames."""
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
         jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
-        for span in self.spans(states, self.expected() if shared is None else shared, jacobian):
+        for span in self.spans(states, self.expected() if shared is None else shared, jacobian, rows):
             for term in self.terms:
-                rows = term.point_rows(span) if isinstance(term, Reprojection) else term.evaluate(span, jacobian=True)
-                total += float(np.sum(rows.residual**2))
+                term_rows = (
+                    term.point_rows(span) if isinstance(term, Reprojection) else term.evaluate(span, jacobian=True)
+                )
+                total += float(np.sum(term_rows.residual**2))
         return total
 
     def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
         """Return the sum of all costs."""
         return sum(self.costs(states, shared).values())
 
-    def normal(self, states: Array, shared: Mapping[str, Array] | None = None) -> Normal:
-        """Return the normal equations at a point."""
-        (whole,) = self._pieces(states, shared, [len(states)])
+    def normal(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> Normal:
+        """Return the normal equations at a point, or those of some of the frames with the others known."""
+        start, stop, _ = rows.indices(len(states))
+        (whole,) = self._pieces(states, shared, [stop], start)
         return whole
 
     def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Callable[[], Iterable[Normal]]:
@@ -171,17 +174,19 @@ class LeastSquares:
         whole = [self.normal(states, shared)]
         return lambda: whole
 
-    def _pieces(self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int]) -> Iterator[Normal]:
-        """Yield the normal equations piece by piece.
+    def _pieces(
+        self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int], start: int = 0
+    ) -> Iterator[Normal]:
+        """Yield the normal equations piece by piece, from frame `start` on.
 
-        `stops` are the ends of the pieces; all but the last are multiples of `_FRAMES_AT_ONCE`.
+        `stops` are the ends of the pieces; all but the last are multiples of `_FRAMES_AT_ONCE` after the start.
         """
         shared = self.expected() if shared is None else shared
         (T, D), empty = states.shape, np.zeros(0)
         precision = np.concatenate([empty, *(unknown.sigma**-2.0 for unknown in self.shared)])
         deviation = np.concatenate([empty, *(shared[unknown.name] - unknown.mean for unknown in self.shared)])
         linear = [(term, term.residual(states)) for term in self.linear]
-        spans, start, P = self.spans(states, shared, jacobian=True), 0, len(deviation)
+        spans, P = self.spans(states, shared, jacobian=True, rows=slice(start, stops[-1])), len(deviation)
         span, overlap = next(spans, None), None
         for stop in stops:
             # a span includes the next frame, which the terms of its last frame may read
@@ -290,16 +295,19 @@ class LeastSquares:
         states = with_step(current.states, share * states_step, *sizes)
         return replace(current, states=states, cost=self.cost(states, shared), shared=shared)
 
-    def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
-        """Yield the clip in spans that overlap by one frame."""
+    def spans(
+        self, states: Array, shared: Mapping[str, Array], jacobian: bool, rows: slice = slice(None)
+    ) -> Iterator[Span]:
+        """Yield the clip, or some of its frames, in spans that overlap by one frame."""
         tree = self.tree if self.shape is None else self.shape.applied(shared).detected
         pose = tree.pose_with_jacobian if jacobian else tree.pose
         if not any(isinstance(term, MARKER_TERMS) for term in self.terms):
             pose = _no_markers
         names = [segment.name for segment in tree.segments]
         segment_of_marker = [names.index(marker.segment) for marker in tree.markers]
-        for first in range(0, len(states), _FRAMES_AT_ONCE):
-            span_states = states[first : first + _FRAMES_AT_ONCE + 1]
+        start, stop, _ = rows.indices(len(states))
+        for first in range(start, stop, _FRAMES_AT_ONCE):
+            span_states = states[first : min(first + _FRAMES_AT_ONCE, stop) + 1]
             last = first + len(span_states) == len(states)
             orientations = (
                 tree.orientations(span_states)[:, segment_of_marker]

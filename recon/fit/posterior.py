@@ -37,16 +37,19 @@ times a variable that has Fisher's F distribution with k and nu degrees of freed
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import tee
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dtrmm
 from scipy.special import fdtri
 
 from recon.animal.body import Body
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
+from recon.clip import densest_window
 from recon.fit import constants
 from recon.fit.banded import Normal, Window, eliminated
 from recon.fit.body_shape import Shape
@@ -308,14 +311,16 @@ def _with_reestimated_noise(
     """Return the problem of `with_reestimated_noise`, and, for a short clip, its normal equations with all unknowns."""
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
         return problem, None
-    equations = _EquationsByNoise.of_problem(problem, estimate)
-    all_squares = problem.subset(("reprojection",)).squares(estimate.states, estimate.shared)
-    reprojections = [term for term in problem.terms if isinstance(term, Reprojection)]
-    detections = 2 * sum(int(term.view.present.sum()) for term in reprojections)
+    equations, shared = _EquationsByNoise.of_problem(problem, estimate), dict(estimate.shared)
+    counts = np.sum([term.view.present.sum(axis=1) for term in _reprojections(problem)], axis=0)
+    rows = densest_window(counts, 2 * problem.piece)  # a longer clip shows the noise in these frames as well
+    all_squares = problem.subset(("reprojection",)).squares(estimate.states, estimate.shared, rows)
+    detections = 2 * int(counts[rows].sum())
     factor, scaled = 1.0, problem
     for _ in range(_NOISE_ROUNDS):
         freed = _with_free_nuisance(scaled)
-        shared_curvature = _shared_curvature(freed, estimate, variance_factor, equations.normal(factor))
+        normal = equations.normal(factor) or freed.normal(estimate.states, freed.expected() | shared, rows)
+        shared_curvature = _shared_curvature(freed, estimate, variance_factor, normal)
         covariance = np.linalg.inv(shared_curvature.precision)
         gradient, expected = shared_curvature.gradient, shared_curvature.expected_precision
         step = covariance @ gradient  # step of the shared unknowns to the best bias
@@ -331,12 +336,15 @@ def _with_reestimated_noise(
     return scaled, equations.normal(factor)
 
 
+def _reprojections(problem: LeastSquares) -> list[Reprojection]:
+    return [term for term in problem.terms if isinstance(term, Reprojection)]
+
+
 def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
     """Return the problem with the variance of all detections multiplied by a factor."""
     reprojections = [
         replace(term, view=replace(term.view, confidence=term.view.confidence / factor))
-        for term in problem.terms
-        if isinstance(term, Reprojection)
+        for term in _reprojections(problem)
     ]
     other_terms = [term for term in problem.terms if not isinstance(term, Reprojection)]
     return replace(problem, terms=[*reprojections, *other_terms])
@@ -439,7 +447,7 @@ def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
     """Add the uncertainty of the shared unknowns other than the size, in place: Y S^-1 Y'."""
     for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
-        lasting = by_others[rows] @ root
+        lasting = _times_root(by_others[rows], root)
         state_covariance[rows] += lasting @ lasting.swapaxes(1, 2)
 
 
@@ -464,7 +472,7 @@ def _add_shape(
         rows = slice(first, first + _FRAMES_OF_SHAPE)
         pose, by_length = body.tree.pose_with_jacobian(states[rows]), shape.jacobian(body, states[rows])
         n, J, _, D = pose.jacobian.shape
-        root_of_states = -(by_others[rows].reshape(n * D, -1) @ at_minimum.covariance_root).reshape(n, D, -1)
+        root_of_states = -_times_root(by_others[rows], at_minimum.covariance_root)
         roots = np.concatenate([root_of_states, np.repeat(root_of_lengths[None], n, axis=0)], axis=1)
         V = roots @ roots.swapaxes(1, 2)
         state_covariance[rows] += V[:, :D, :D]
@@ -490,14 +498,21 @@ def _without_pixels(
     without_pixels = prior_frames.normals(states)
     with_pixels = normals if 2 * problem.piece >= T else frames.normals(states, estimate.shared)
     is_position = np.isin(np.arange(D), [*range(D)[ROOT], YAW])
-    variances = np.empty((2, T, len(body.markers)))
-    for variance, normals_of_frames in zip(variances, (with_pixels, without_pixels), strict=True):
-        pieces = (piece.without_shared() for piece in normals_of_frames())
-        for window in eliminated(pieces, np.where(is_position, _FIXED, 0.0), bounded=True):
-            variance[window.rows] = _relative_variances(body, states[window.rows], window.marginal_blocks()[:, 0])
-    angle_variance = np.empty((T, D - YAW))
-    for window in eliminated(without_pixels(), np.where(is_position, _NEARLY_FREE, 0.0), bounded=True):
-        angle_variance[window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
+    fixed, nearly_free = (np.where(is_position, precision, 0.0) for precision in (_FIXED, _NEARLY_FREE))
+    variances, angle_variance = np.empty((2, T, len(body.markers))), np.empty((T, D - YAW))
+    for_joints, for_angles = tee(without_pixels())  # computed once for both
+    windows = (
+        eliminated(pieces, position, bounded=True)
+        for pieces, position in (
+            ((piece.without_shared() for piece in with_pixels()), fixed),
+            (for_joints, fixed),
+            (for_angles, nearly_free),
+        )
+    )
+    for of_pixels, of_joints, of_angles in zip(*windows, strict=True):
+        rows, pair = of_pixels.rows, [window.marginal_blocks()[:, 0] for window in (of_pixels, of_joints)]
+        variances[:, rows] = _relative_variances(body, states[rows], pair)
+        angle_variance[rows] = np.diagonal(of_angles.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
     return _data_share(*variances), angle_variance
 
 
@@ -572,15 +587,23 @@ def _joint_covariances(
     return absolute, relative, by_size
 
 
-def _relative_variances(body: Body, states: Array, state_covariance: Array) -> Array:
-    """Return the traces (T, J) of the joints' covariances relative to their mean, from the states' (T, D, D)."""
-    variances = np.empty((len(states), len(body.markers)))
+def _relative_variances(body: Body, states: Array, state_covariances: Sequence[Array]) -> Array:
+    """Return the traces (C, T, J) of the joints' covariances relative to their mean, from C covariances (T, D, D)."""
+    variances = np.empty((len(state_covariances), len(states), len(body.markers)))
     for first in range(0, len(states), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         by_states = body.tree.pose_with_jacobian(states[rows]).jacobian
         by_states = by_states - by_states.mean(axis=1, keepdims=True)
-        variances[rows] = np.einsum("tjad,tjad->tj", _times(by_states, state_covariance[rows]), by_states)
+        for variance, covariance in zip(variances, state_covariances, strict=True):
+            variance[rows] = np.einsum("tjad,tjad->tj", _times(by_states, covariance[rows]), by_states)
     return variances
+
+
+def _times_root(by_others: Array, root: Array) -> Array:
+    """Return derivatives (n, D, P) with respect to shared unknowns times their covariance's lower root (P, P)."""
+    n, D, P = by_others.shape
+    transposed = np.array(by_others, order="C").reshape(n * D, P).T  # a copy, which is overwritten
+    return dtrmm(1.0, root.T, transposed, overwrite_b=1).T.reshape(n, D, P)  # half the work of a full product
 
 
 def _times(by_states: Array, state_covariance: Array) -> Array:
