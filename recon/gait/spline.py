@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import solve_banded
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Index
 
 Curve = Callable[[Array, int], Array]
 """Function of times (M,) and the order of the derivative that returns values (M, ...)."""
@@ -19,7 +19,7 @@ MIN_POINTS = 4
 """Smallest number of values for a cubic spline."""
 
 
-def cubic_spline(t: Array, values: Array) -> Curve:
+def cubic_spline(t: Array | Index, values: Array) -> Curve:
     """Return the cubic spline through values, with not-a-knot ends.
 
     Parameters
