@@ -56,6 +56,8 @@ A step is extended if the expected further decrease of the cost exceeds this fra
 """
 _LONGEST = 4.0
 """Largest factor by which a step is extended."""
+_TRIED = 4
+"""Number of iterations after which a search is given up if its cost is too high to be useful."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
@@ -231,13 +233,18 @@ class LeastSquares:
             _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, stencil, rows)
 
     def minimise(
-        self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
+        self,
+        states: Array,
+        tolerance: float,
+        max_iterations: int,
+        shared: Mapping[str, Array] | None = None,
+        useful_cost: float = np.inf,
     ) -> Estimate:
         """Return the minimum reached from a start.
 
         The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps,
         the search also stops if the decrease that is expected of the next step, from the ratio of the last two
-        decreases, is that small.
+        decreases, is that small. A search whose cost after `_TRIED` iterations is above `useful_cost` is given up.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
@@ -250,6 +257,8 @@ class LeastSquares:
             done = min(rate, 1.0) * decrease < enough
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # also if no direction lowers the cost, which is a minimum to rounding
+                break
+            if iteration >= _TRIED and current.cost > useful_cost:
                 break
             last_decrease = decrease if is_whole else 0.0
         return current
