@@ -61,7 +61,7 @@ def test_same_file_again(small_trajectory: Motion, tmp_path: Path) -> None:
     assert first == second == third
 
 
-# -- damage -----------------------------------------------------------------------------------------------------------
+# Damage
 
 
 @pytest.fixture
@@ -249,7 +249,7 @@ def test_motion_of_an_earlier_version(saved: Path) -> None:
     refuses(saved, ("schema", "version 1", again))
 
 
-# -- other dataclasses ------------------------------------------------------------------------------------------------
+# Other dataclasses
 
 
 @dataclasses.dataclass(frozen=True)

@@ -61,7 +61,7 @@ RACEHORSE = ("nose", "poll", "withers", "croup", "LF_carpi", "LF_hoof_tip", "RF_
 RACEHORSE += ("RH_hoof_tip", "RH_fetlock")
 """Names of a real project, with croup for the rear."""
 
-# -- maps ----------------------------------------------------------------------------------------------------------
+# Maps
 
 
 WOLF = detectors.split_names(
@@ -211,7 +211,7 @@ def test_detectors_whose_names_are_a_skeletons(names, skeleton, unused):
     assert {*markers} <= {*names}
 
 
-# -- near misses ---------------------------------------------------------------------------------------------------
+# Near misses
 
 
 def test_near_misses():
@@ -252,7 +252,7 @@ def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
         assert dict(build_report(motion)["lines"])["keypoints"] == said
 
 
-# -- a skeleton of these names -------------------------------------------------------------------------------------
+# Choosing a skeleton from keypoint names
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_recon_skeleton_from_keypoints(tmp_path):
     assert prepare(settings(clip, skeleton=out)).body.name == "mine"
 
 
-# -- commands ------------------------------------------------------------------------------------------------------
+# Commands
 
 
 def as_named_by(bundled: str, path: Path, names: tuple[str, ...]) -> Path:

@@ -222,7 +222,7 @@ def test_prior_from_body(body):
     assert not prior.drift.any()
 
 
-# -- files --------------------------------------------------------------------------------------------------------
+# Files
 
 
 def test_round_trip(body, prior, tmp_path):
@@ -379,7 +379,7 @@ def test_a_prior_must_fit_together(prior):
         replace(prior, weights=2 * prior.weights, mean=np.zeros(3))
 
 
-# -- the command --------------------------------------------------------------------------------------------------
+# The command
 
 
 def pose_csv(path: Path, body: Body, states: np.ndarray, frames: np.ndarray, without: tuple[str, ...] = ()) -> Path:

@@ -97,7 +97,7 @@ def output(*arguments: object, code: int = 0) -> str:
     return result.output
 
 
-# -- the skeletons themselves --------------------------------------------------------------------------------------
+# Contents of the skeletons
 
 
 @pytest.mark.parametrize(("name", "markers"), [("dog-27", DOG), ("horse-22", HORSE)])
@@ -179,7 +179,7 @@ def test_the_quadruped_has_the_names_of_the_cheetah_and_of_every_map_of_its_kind
     assert at["withers"][2] - at["l_front_paw"][2] == pytest.approx(0.65, abs=0.02)
 
 
-# -- names of sides ------------------------------------------------------------------------------------------------
+# Names of sides
 
 
 @pytest.mark.parametrize(
@@ -291,7 +291,7 @@ def test_markers_of_other_names_are_mirrored_onto_their_segments(tmp_path):
         load_skeleton(other)
 
 
-# -- a user's own file ---------------------------------------------------------------------------------------------
+# A user's own file
 
 
 def walking_cat(folder: Path) -> tuple[Path, np.ndarray, Body]:
@@ -353,7 +353,7 @@ def test_a_chain_may_extend_a_file_beside_it(tmp_path, monkeypatch):
     assert next(part["length_m"] for part in check["parts"] if part["name"] == "J1") == pytest.approx(0.5)
 
 
-# -- recon skeleton ------------------------------------------------------------------------------------------------
+# recon skeleton
 
 
 def test_list():
@@ -509,7 +509,7 @@ def test_pictures(tmp_path):
     assert "theta 1" in (out / "angles.svg").read_text(encoding="utf-8")
 
 
-# -- recordings ----------------------------------------------------------------------------------------------------
+# Recordings
 
 
 def test_the_horse_on_its_recording(shared_data):

@@ -36,7 +36,7 @@ pytestmark = pytest.mark.usefixtures("no_playback", "undrawn", "frames_solved_on
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at processes in /proc")
 
 
-# ---- what is done, and what is done again ----
+# Clips that are fitted, skipped or fitted again
 
 
 def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str, str]]:
@@ -294,7 +294,7 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
     assert says(ended.out, "3 clips", "0 new", "0 to fit", "0 done", "3 that cannot")
 
 
-# ---- processes ----
+# Processes
 
 
 def killer(*, once: str = "", always: str = "") -> Any:
@@ -376,7 +376,7 @@ def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
     assert (out / "a" / "crash.log").read_text() == "mine"
 
 
-# ---- the command ----
+# The command
 
 
 def args(clips: Path, out: Path, *more: object) -> list[object]:
@@ -550,7 +550,7 @@ def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middl
     assert staging_folders(out) == []
 
 
-# ---- a cluster ----
+# A cluster
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from recon.io.calibration import read_cameras
 pytestmark = pytest.mark.usefixtures("no_playback", "undrawn", "frames_solved_once")
 
 
-# ---- inputs ----
+# Inputs
 
 
 def test_files_patterns_and_folders(clips):
@@ -236,7 +236,7 @@ def test_what_every_clip_lacks_is_said_once(clips):
     refuses([clips], ("--camera", "camera", "nothing", ["--hfov-deg", "columns keypoints, camera and fps"]), common={})
 
 
-# ---- several cameras of one clip ----
+# Several cameras of one clip
 
 SCENE = SAMPLES / "whole_scene.json"
 TWO = {"camera": SCENE, "fps": 120, "fast": True, "frames": "0:8"}

@@ -224,7 +224,7 @@ def test_a_pose_out_of_sight_is_not_converged():
     assert all(r is not None and r.status == "not_converged" and not r.in_view for r in solution.reports)
 
 
-# -- several cameras ------------------------------------------------------------------------------------------------
+# Several cameras
 
 
 def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_trajectory, tmp_path):

@@ -350,7 +350,7 @@ def test_what_is_hardly_known_is_not_drawn(whole):
     assert replace(whole.reference_motion, acceleration_sigma_m_s2=known).why_no_acceleration == ""
 
 
-# -- the command -----------------------------------------------------------------------------------------------------
+# The command
 
 
 def test_command_writes_tables_figures_and_plots(of_results, whole_results, monkeypatch):

@@ -51,7 +51,7 @@ def experiment(tables: tuple[pd.DataFrame, pd.DataFrame]) -> Experiment:
     return model_experiment(*tables, WITH_SIZE, ["speed_m_s"])
 
 
-# -- the design ---------------------------------------------------------------------------------------------------
+# The design
 
 
 def test_a_design_is_a_table_a_manifest_or_names(tmp_path: Path, design_file: Path):
@@ -98,7 +98,7 @@ def test_a_wrong_design_is_refused(tmp_path: Path):
         design_of_names("{animal}-{run}", ["a-b", "ab"])
 
 
-# -- the cameras of a run -----------------------------------------------------------------------------------------
+# The cameras of a run
 
 
 def joined(
@@ -161,7 +161,7 @@ def test_the_cameras_of_a_run_count_once(experiment: Experiment, tables: tuple[p
     assert experiment.variances["strides"].tolist() == [28] * 4
 
 
-# -- the mixed model ----------------------------------------------------------------------------------------------
+# The mixed model
 
 
 def test_the_effect_of_a_group_with_the_speed_as_covariate(experiment: Experiment):
@@ -202,7 +202,7 @@ def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFra
     assert says(constant.notes[0], "age cannot be separated from the groups")
 
 
-# -- plans --------------------------------------------------------------------------------------------------------
+# Plans
 
 
 def test_a_plan_says_how_many_animals_an_effect_needs(experiment: Experiment):
@@ -236,7 +236,7 @@ def test_a_wrong_plan_is_refused(experiment: Experiment):
         plan_experiment(read_plan(["effect=1 quantity=weight"]), experiment.variances)
 
 
-# -- the command --------------------------------------------------------------------------------------------------
+# The command
 
 
 def test_the_command_compares_a_herd_and_plans(

@@ -113,7 +113,7 @@ def test_kill_leaves_only_a_hidden_folder_which_the_next_run_removes(tmp_path):
     assert not hidden.exists()
 
 
-# -- many at a time --------------------------------------------------------------------------------------------------
+# Writing several files at once
 
 
 def test_two_at_a_time_leave_each_other_alone(tmp_path):
@@ -201,7 +201,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path):
         pass
 
 
-# -- results ---------------------------------------------------------------------------------------------------------
+# Results
 
 
 def write_results(out: Path, **files: str) -> None:
@@ -303,7 +303,7 @@ def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, mo
     assert read_manifest(out).changed() == []
 
 
-# -- errors ----------------------------------------------------------------------------------------------------------
+# Errors
 
 
 @pytest.mark.parametrize("stage", [staged_file, lambda path: staged_folder(path.parent)], ids=["file", "folder"])

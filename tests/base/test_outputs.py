@@ -39,7 +39,7 @@ def written(out: Path, kind: str = "fit", overwrite: bool = True, **files: str) 
             (folder / f"{name}.csv").write_text(text)
 
 
-# -- one folder ------------------------------------------------------------------------------------------------------
+# One folder
 
 
 def test_own_unchanged_files_are_replaced_and_obsolete_ones_go(tmp_path):
@@ -248,7 +248,7 @@ def test_a_file_that_appears_or_changes_meanwhile_stays(tmp_path):
     assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text() == "mine"
 
 
-# -- one file that the user names -------------------------------------------------------------------------------------
+# A single output file
 
 
 def test_one_named_file_is_replaced_if_it_is_own(tmp_path):
@@ -320,7 +320,7 @@ def test_inputs_are_the_paths_among_the_settings_that_are_there(tmp_path):
     )
 
 
-# -- made from results -----------------------------------------------------------------------------------------------
+# Outputs made from results
 
 
 def test_what_was_made_from_results_goes_with_them(tmp_path):
@@ -360,7 +360,7 @@ def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
         assert not (folder / "b.csv").exists()
 
 
-# -- locks -----------------------------------------------------------------------------------------------------------
+# Locks
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
@@ -406,7 +406,7 @@ def test_another_user_s_lock_is_taken_if_it_is_stale_and_named_if_it_cannot_be_o
             assert lock.exists() == (mode == 0o600)
 
 
-# -- every command ---------------------------------------------------------------------------------------------------
+# Every command
 
 Arguments = Sequence[object]
 

@@ -72,7 +72,7 @@ def chess_views() -> BoardViews:
     return exact_views(BOARD_CAMERAS["radtan"], board, where)
 
 
-# ---- boards ----
+# Boards
 
 
 def test_boards_are_read():
@@ -130,7 +130,7 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
     assert np.abs(off.mean(axis=0)).max() < 0.03  # no half pixel between the conventions
 
 
-# ---- cameras from pictures ----
+# Calibration from pictures
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_a_picture_with_wrong_corners_is_left_out(chess_views):
     assert (dropped.verdict, dropped.value) == ("ok", pytest.approx(100 / 14))
 
 
-# ---- what is refused ----
+# Refused calibrations
 
 
 def refused(views: BoardViews, model="radtan") -> dict[str, str]:
@@ -284,7 +284,7 @@ def test_too_few_views_is_an_input_error(chess_views):
         calibrate(replace(chess_views, views=chess_views.views[:2]), "radtan")
 
 
-# ---- videos ----
+# Videos
 
 
 def test_sharp_and_different_frames_are_chosen():
@@ -330,7 +330,7 @@ def test_a_video_gives_some_of_its_frames(tmp_path):
     assert views.with_board + len(views.without_board) == views.examined
 
 
-# ---- input, picture, command ----
+# Input files, the coverage picture and the command
 
 
 def test_all_bad_inputs_are_named_at_once(tmp_path):

@@ -229,7 +229,7 @@ def test_marks_that_do_not_tell_are_refused(tmp_path):
         read_marks(path)
 
 
-# -- the command ------------------------------------------------------------------------------------------------------
+# The command
 
 
 def film(path, pictures) -> None:

@@ -99,7 +99,7 @@ def exchanged(kind: str, first: int, stop: int) -> View:
     return with_exchanged(view(), stretch(kind, first, stop))
 
 
-# -- sides ---------------------------------------------------------------------------------------------------------
+# Sides
 
 
 def test_pairs_are_those_of_the_other_side():
@@ -363,7 +363,7 @@ def test_mending_swaps_back(small_trajectory: Motion, stop, code):
     np.testing.assert_array_equal(again.keypoints.confidence, source.keypoints.confidence)
 
 
-# -- gross outliers---------------------------------------------------------------------------------------------------
+# Gross outliers
 
 
 def test_frames_of_gross_outliers_are_left_out_and_flagged(small_trajectory: Motion):
@@ -399,7 +399,7 @@ def test_where_most_frames_are_outliers_none_is_left_out(small_trajectory: Motio
     np.testing.assert_array_equal(kept.keypoints.present, source.keypoints.present)
 
 
-# -- the picture ---------------------------------------------------------------------------------------------------
+# Bounds of the picture
 
 
 def test_keypoints_from_0_to_1():
@@ -522,7 +522,7 @@ def test_a_smaller_video():
     np.testing.assert_allclose(half.project(points)[0], (CAMERA.project(points)[0] + 0.5) / 2 - 0.5)
 
 
-# -- the frame rate ------------------------------------------------------------------------------------------------
+# The frame rate
 
 
 def test_the_frame_rate_that_the_file_states():
@@ -571,7 +571,7 @@ def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
     assert number(codes["too_fast"], "speed_m_s") > 40
 
 
-# -- what files say ------------------------------------------------------------------------------------------------
+# Contents of the files
 
 
 def test_a_file_says_which_rate_it_is_of(tmp_path):

@@ -154,7 +154,7 @@ translation = [0, 0, 0]
 
 """
 
-# ---- a whole fit ----
+# A whole fit
 
 
 def test_fit_writes_every_output(fitted):
@@ -314,7 +314,7 @@ def test_brackets_in_names_are_printed_as_they_are(tmp_path):
     refused(fit_args(tmp_path / "b", keypoints=nowhere), (nowhere, "file", "no such file"))
 
 
-# ---- the default: the whole animal over the whole clip ----
+# The default method
 
 
 def test_trajectory_writes_every_output(whole):
@@ -427,7 +427,7 @@ def test_tilted_camera(tmp_path):
     assert assumptions["camera_tilt_rad"] == pytest.approx(np.deg2rad(3))
 
 
-# ---- bad input ----
+# Bad input
 
 NO_OUT = ("--out", "folder", "nothing", "results/clip1")
 FRAME = ["--set", "method=frame"]
@@ -662,7 +662,7 @@ def test_bad_input_in_a_process_of_its_own_is_one_line(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-# ---- clips that cannot be solved ----
+# Clips that cannot be solved
 
 
 @pytest.mark.usefixtures("no_playback")
@@ -699,7 +699,7 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
     assert quiet == Ended(1, "", ended.err)
 
 
-# ---- overwriting, and runs that are cut short ----
+# Overwriting and interrupted runs
 
 
 def write_old(out: Path) -> None:
@@ -787,7 +787,7 @@ def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-# ---- the other commands ----
+# The other commands
 
 
 def test_evaluate_prints_the_numbers_of_the_function(fitted):

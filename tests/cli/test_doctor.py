@@ -41,7 +41,7 @@ def doctor() -> tuple[_Check, ...]:
         return run_doctor()
 
 
-# -- recon doctor -------------------------------------------------------------------------------------------------
+# recon doctor
 
 
 @pytest.mark.slow
@@ -183,7 +183,7 @@ def test_self_test_that_does_not_end(monkeypatch):
     assert (check.status, check.state) == ("broken", "did not end within 0 s")
 
 
-# -- JSON for every table -----------------------------------------------------------------------------------------
+# JSON output of every table
 
 
 @pytest.mark.usefixtures("fitted_demo")
@@ -241,7 +241,7 @@ def test_prior_fit_prints_its_table_as_json(tmp_path):
     assert line == [row["name"], str(row["frames"]), "60", f"{row['speed_m_s']:.1f}", f"{row['misfit_mm']:.1f}", "yes"]
 
 
-# -- colours ------------------------------------------------------------------------------------------------------
+# Colours
 
 COLOUR = re.compile(r"\x1b\[[\d;]*(?<![\d])(?:3[0-8]|9[0-7]|4[0-8])[\d;]*m")
 
@@ -284,7 +284,7 @@ def test_no_color_is_respected_by_the_help(no_color, monkeypatch):
     assert bool(COLOUR.search(run_process("fit", "--help").out)) is not no_color
 
 
-# -- shell completion ---------------------------------------------------------------------------------------------
+# Shell completion
 
 NAMES = {name for panel in COMMANDS.values() for name in panel if name.split()[0] not in GROUPS}
 

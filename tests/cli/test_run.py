@@ -338,7 +338,7 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     assert all(stage.status != "done" for stage in run_video(job)[0])
 
 
-# -- folders ----------------------------------------------------------------------------------------------------------
+# Folders
 
 
 def test_the_keypoints_of_a_video_have_its_name(tmp_path):

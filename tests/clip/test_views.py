@@ -23,7 +23,7 @@ from recon.testing.cameras import level_pose
 SAMPLES = samples_folder()
 
 
-# -- a view --------------------------------------------------------------------------------------------------------
+# A view
 
 
 def test_poses_of_cameras_keep_the_files_world_where_z_points_up():
@@ -89,7 +89,7 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
     np.testing.assert_allclose(found[1], found[0], rtol=0.06)
 
 
-# -- motions -------------------------------------------------------------------------------------------------------
+# Motions
 
 
 def test_two_cameras_find_the_place_and_the_size():

@@ -253,7 +253,7 @@ def test_a_drone_that_hovers_does_not_tell_the_size():
     assert np.linalg.norm(found.joints_m - markers_m, axis=2).mean() < 0.5
 
 
-# -- names ---------------------------------------------------------------------------------------------------------
+# Names
 
 
 @pytest.mark.parametrize(
@@ -411,7 +411,7 @@ def test_a_draft_of_an_animal_that_stands_still(names):
     assert still[labels.index(front), 0] < still[labels.index(rear), 0]
 
 
-# -- small rigs ----------------------------------------------------------------------------------------------------
+# Small rigs
 
 
 @pytest.mark.slow

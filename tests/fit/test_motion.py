@@ -94,7 +94,7 @@ def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
     assert np.abs(np.delete(difference, j, axis=1)).max() == 0
 
 
-# -- states ---------------------------------------------------------------------------------------------------------
+# States
 
 
 def test_states_of_a_body_give_its_joints_in_the_world(world_trajectory):
@@ -142,7 +142,7 @@ def test_states_of_the_frame_method_give_its_joints_in_the_world(small_motion):
     assert small_motion.names == chain.body.keypoint_names("right")
 
 
-# -- uncertainty ----------------------------------------------------------------------------------------------------
+# Uncertainty
 
 
 def test_sigmas_are_along_the_axes_of_the_frame_of_reference(small_trajectory, world_trajectory):
@@ -212,7 +212,7 @@ def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):
         with_first(small_motion, keypoints=replace(small_motion.keypoints, fps=None))
 
 
-# -- several cameras ------------------------------------------------------------------------------------------------
+# Several cameras
 
 
 def test_a_second_camera_does_not_change_the_picture_of_the_first(two_cameras, world_trajectory):

@@ -129,7 +129,7 @@ def test_sides_of_limbs(whole_results, frame_results):
     assert chain == {"hind leg": "right", "spine": None, "front leg": "right"}
 
 
-# -- of one run ------------------------------------------------------------------------------------------------------
+# Results of one run
 
 
 def refuses(folder: Path, *expected: object) -> None:

@@ -280,7 +280,7 @@ def test_real_views(shared_data):
         assert evaluate(found, read_pose3d(folder / "truth.csv")).mpjpe_m.mean < below_m
 
 
-# -- clips that say little ------------------------------------------------------------------------------------------
+# Clips with little information
 
 
 def chain_points(T: int) -> np.ndarray:

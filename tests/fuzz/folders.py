@@ -94,7 +94,7 @@ def _refused(path: Path, write: Callable[[], object]) -> InputError | None:
     return None
 
 
-# -- among a user's files and links ----------------------------------------------------------------------------------
+# Folders with a user's files and links
 
 
 def _put(random: Random, path: Path) -> None:
@@ -160,7 +160,7 @@ def write_among_others(path: Path) -> object:
     return overwrite
 
 
-# -- with spoilt records ---------------------------------------------------------------------------------------------
+# Folders with damaged records
 
 _PLACES = {"record": f"out/{RECORD}", "manifest": f"out/{MANIFEST}", "analysis": f"out/analysis/{RECORD}"}
 

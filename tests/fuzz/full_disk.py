@@ -184,7 +184,7 @@ def prepare(folder: Path) -> None:
             write(np.asarray(cv2.resize(small, (1920, 1080)), dtype=np.uint8))
 
 
-# -- one run ---------------------------------------------------------------------------------------------------------
+# One run
 
 
 class Child:

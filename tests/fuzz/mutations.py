@@ -109,7 +109,7 @@ def spoilt_name(name: str, random: Random) -> str:
     return os.fsdecode(b"".join(parts)[-200:]) + name
 
 
-# -- bytes --------------------------------------------------------------------------------------------------------
+# Bytes
 
 
 def in_bytes(content: bytes, random: Random) -> bytes:
@@ -146,7 +146,7 @@ def replaced(content: bytes, random: Random) -> bytes:
     return random.choice(other)
 
 
-# -- text ---------------------------------------------------------------------------------------------------------
+# Text
 
 
 def _text(content: bytes) -> str:
@@ -211,7 +211,7 @@ def words(content: bytes, random: Random) -> bytes:
     return _encoded(text[: match.start()] + with_ + text[match.end() :], random)
 
 
-# -- values of JSON and TOML --------------------------------------------------------------------------------------
+# Values of JSON and TOML
 
 
 def _altered(value: Any, random: Random) -> Any:
@@ -251,7 +251,7 @@ def in_toml(content: bytes, random: Random) -> bytes:
     return tomli_w.dumps(_altered(tomllib.loads(content.decode()), random)).encode("utf-8", errors="surrogateescape")
 
 
-# -- HDF5 and archives --------------------------------------------------------------------------------------------
+# HDF5 and archives
 
 
 def _odd_array(array: np.ndarray, random: Random) -> np.ndarray:

@@ -52,7 +52,7 @@ SIZE_PX = (1920, 1080)
 CAMERAS = ("pinhole", "world", "fisheye", "radtan")
 
 
-# -- clips ---------------------------------------------------------------------------------------------------------
+# Clips
 
 
 @dataclass(frozen=True)
@@ -336,7 +336,7 @@ def cases(count: int, seed: int) -> list[Case]:
     return chosen
 
 
-# -- what has to hold ----------------------------------------------------------------------------------------------
+# Invariants of a fit
 
 
 @dataclass(frozen=True)

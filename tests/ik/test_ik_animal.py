@@ -13,7 +13,7 @@ from recon.ik.chain import planar_chain
 from recon.testing.gallop import gallop
 from recon.thesis.chain import load_chain
 
-# -- the spine-front-leg chain ---------------------------------------------------------------------------------------
+# The spine-front-leg chain
 
 
 def test_spine_front_leg_has_the_skeleton_s_links():
@@ -72,7 +72,7 @@ def test_chain_angles_leave_missing_frames_missing():
     assert np.isfinite(np.delete(q, 2, axis=0)).all()
 
 
-# -- whole animals ---------------------------------------------------------------------------------------------------
+# Whole animals
 
 
 def cheetah():

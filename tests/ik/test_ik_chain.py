@@ -106,7 +106,7 @@ def test_cost_values():
     assert harmonic_map().value(q) == pytest.approx(0.5 * -0.4 * np.sqrt(1.16))
 
 
-# -- the two-link arm ------------------------------------------------------------------------------------------------
+# The two-link arm
 
 
 def test_two_link_known_answer():

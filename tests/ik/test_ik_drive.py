@@ -126,7 +126,7 @@ def test_measures_of_a_drive():
     assert drive.manipulability[3] == pytest.approx(np.sqrt(np.linalg.det(J @ J.T)))
 
 
-# -- closed paths ----------------------------------------------------------------------------------------------------
+# Closed paths
 
 
 def circle(chain, q, radius_m=0.15, points=400):
@@ -189,7 +189,7 @@ def test_degree_of_closure():
     assert np.isnan(degree_of_closure(np.full(4, 1.3)))
 
 
-# -- along the null space --------------------------------------------------------------------------------------------
+# Motion along the null space
 
 
 @pytest.mark.parametrize("dim", [2, 3])

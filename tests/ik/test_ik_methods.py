@@ -187,7 +187,7 @@ def test_singular_extended_jacobian_is_reported():
     np.testing.assert_allclose(chain.jacobian(q) @ step.dq, dx, atol=1e-9)
 
 
-# -- parameters from rates -------------------------------------------------------------------------------------------
+# Parameters fitted to joint rates
 
 
 @EACH

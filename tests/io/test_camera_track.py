@@ -59,7 +59,7 @@ def refuses(text: str, path: Path, *expected: tuple[object, ...]) -> None:
         read_camera_track(path)
 
 
-# -- reading -------------------------------------------------------------------------------------------------------
+# Reading
 
 
 def test_a_table(tmp_path):
@@ -288,7 +288,7 @@ def test_files_of_other_kinds(tmp_path):
         read_camera_track(tmp_path)
 
 
-# -- settings ------------------------------------------------------------------------------------------------------
+# Settings
 
 
 def test_settings_that_do_not_fit(runs, tmp_path):
@@ -346,7 +346,7 @@ def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(runs, tm
     assert "camera_track" not in before["settings"]
 
 
-# -- clips ---------------------------------------------------------------------------------------------------------
+# Clips
 
 
 def test_frames_without_a_pose_have_no_detections(runs, tmp_path):

@@ -114,7 +114,7 @@ FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
 
 
-# -- running a page -----------------------------------------------------------------------------------------------
+# Running the commands of a page
 
 
 class Workshop:
@@ -296,7 +296,7 @@ def test_a_wrong_name_in_python_is_noticed(tmp_path):
         Workshop(tmp_path, "a page", tmp_path, pytest.fail).python("import recon; recon.fit_klip", {})
 
 
-# -- what no page may have ----------------------------------------------------------------------------------------
+# Faults that no page may have
 
 
 def test_blocks_have_a_language_that_is_checked():
@@ -377,7 +377,7 @@ def test_links_of_the_readme_lead_somewhere():
         assert (ROOT / link).exists(), link
 
 
-# -- the site -----------------------------------------------------------------------------------------------------
+# The site
 
 OFFLINE = """
 import socket, sys

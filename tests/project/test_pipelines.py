@@ -185,7 +185,7 @@ def test_all_of_it_is_on_the_page():
     assert sorted(re.findall(r"]\(\.\./(pipelines/[^)]+)\)", page)) == sorted(shown)  # for who reads it unbuilt
 
 
-# -- what they are -------------------------------------------------------------------------------------------------
+# Contents of the pipelines
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

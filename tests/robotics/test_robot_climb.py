@@ -90,7 +90,7 @@ def aibo() -> Quadruped:
     return load_robot("aibo")
 
 
-# -- fields ----------------------------------------------------------------------------------------------------------
+# Fields
 
 
 def test_slope_of_a_well_is_the_published_form():
@@ -164,7 +164,7 @@ def test_balance_pulls_to_the_centroid_with_a_gain_that_saturates():
     np.testing.assert_allclose(found / np.linalg.norm(found), planted / np.linalg.norm(planted), atol=1e-9)
 
 
-# -- equilibria ------------------------------------------------------------------------------------------------------
+# Equilibria
 
 
 @pytest.mark.parametrize("dofs", [PLANAR, SPATIAL])
@@ -195,7 +195,7 @@ def test_caps_shorten_a_step_as_a_whole():
     np.testing.assert_array_equal(capped(step, 1.0, 1.0), step)
 
 
-# -- paths, the step and margins -------------------------------------------------------------------------------------
+# Paths, the step and margins
 
 
 def test_a_path_rises_and_sinks_at_its_angles_and_goes_sideways_only_across():
@@ -258,7 +258,7 @@ def test_slack_is_how_far_a_foot_is_within_the_reach(aibo):
         assert leg.slack_m(leg.hip_m + np.array([[0, 0.8 * most, 0]])) < 0
 
 
-# -- recipes and climbs ----------------------------------------------------------------------------------------------
+# Recipes and climbs
 
 
 PUBLISHED = {
@@ -339,7 +339,7 @@ def test_robots_with_other_legs_are_refused():
         plan(load_robot("a1"), one_footfall())
 
 
-# -- other heights, other robots, and the command ---------------------------------------------------------------------
+# Other heights, other robots, and the command
 
 
 def one_footfall() -> Recipe:

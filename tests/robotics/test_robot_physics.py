@@ -107,7 +107,7 @@ def test_legs_that_meet():
     assert kept(check(near, simulated(motion.robot))[1])["legs_apart"]["share"] == 0
 
 
-# -- what the feet can carry -------------------------------------------------------------------------------------------
+# Forces that the feet can provide
 
 
 @pytest.fixture(scope="module")

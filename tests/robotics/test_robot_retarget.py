@@ -33,7 +33,7 @@ from recon.robotics.retarget import (
 from recon.robotics.retarget_clip import RetargetSettings, companion, repeated, report_of, run_retarget
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
-# -- footholds ---------------------------------------------------------------------------------------------------------
+# Footholds
 
 
 def hops(n=400):
@@ -75,7 +75,7 @@ def test_a_stride_repeats_with_a_stance_over_its_seam():
     np.testing.assert_allclose(foot[standing & (t > 0.5)] - [1, 0, 0], np.tile(foot[0], (20, 1)), atol=1e-12)
 
 
-# -- the reference -----------------------------------------------------------------------------------------------------
+# The reference motion
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
     assert np.abs(stride.feet_m - own).max() < gap + 0.05
 
 
-# -- on the robot ------------------------------------------------------------------------------------------------------
+# The motion on the robot
 
 
 @pytest.mark.parametrize("robot", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
@@ -261,7 +261,7 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(retargeted, tm
     assert companion(solved)[1].limb_sides["left front leg"] == "left"
 
 
-# -- the command -------------------------------------------------------------------------------------------------------
+# The command
 
 
 def table(path):

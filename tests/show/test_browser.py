@@ -457,7 +457,7 @@ def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
     assert got[2] == len(motion.frames)
 
 
-# -- the editor of recon fix ---------------------------------------------------------------------------------------
+# The editor of recon fix
 
 EDITOR = "document.querySelector('main.fix').editor"
 PLACED = """([position, x, y]) => {

@@ -259,7 +259,7 @@ def test_command(folder, video, tmp_path):
     assert CliRunner().invoke(app, [*args, "--overwrite", "-q"]).stdout == ""
 
 
-# -- stills -----------------------------------------------------------------------------------------------------------
+# Stills
 
 
 def test_every_still_has_its_animal(folder):
@@ -311,7 +311,7 @@ def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
     assert drawn.frames[rows].tolist() == [12 if offset_s > 0 else 10, 17]
 
 
-# -- several cameras ------------------------------------------------------------------------------------------------
+# Several cameras
 
 
 @pytest.fixture(scope="module")

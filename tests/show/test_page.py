@@ -272,7 +272,7 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
     assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
 
 
-# -- a batch ----------------------------------------------------------------------------------------------------------
+# A batch
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ def unpacked(packed: dict[str, Any]) -> np.ndarray:
     return np.where(units == nothing, np.nan, packed["offset"] + packed["unit"] * units)
 
 
-# -- data -------------------------------------------------------------------------------------------------------------
+# Data
 
 
 def test_the_poses_in_the_page_are_the_motions(small_trajectory):
@@ -130,7 +130,7 @@ def test_a_finding_names_its_keypoints_and_camera(small_trajectory):
     assert (item["frames"], item["camera"], item["keypoints"]) == ([12, 15], "cam1", ["l_front_paw"])
 
 
-# -- quality ----------------------------------------------------------------------------------------------------------
+# Quality
 
 
 def test_the_page_and_the_numbers_name_the_same_worst_keypoint(two_cameras):
@@ -172,7 +172,7 @@ def test_the_worst_keypoint_comes_first_with_where_it_is_stuck(small_trajectory)
     assert rows["nose"]["median_px"] == pytest.approx(0, abs=0.1)
 
 
-# -- pictures ---------------------------------------------------------------------------------------------------------
+# Pictures
 
 
 def noise(count: int, size_px: tuple[int, int]) -> list[np.ndarray]:
@@ -224,7 +224,7 @@ def test_a_small_animal_is_followed():
     assert shown.max() > 240
 
 
-# -- scripts ----------------------------------------------------------------------------------------------------------
+# Scripts
 
 
 def test_a_script_has_each_module_once_after_those_that_it_imports():

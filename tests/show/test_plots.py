@@ -184,7 +184,7 @@ def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypat
     assert "\n".join(problems) == ""
 
 
-# -- writing ---------------------------------------------------------------------------------------------------------
+# Writing figures
 
 
 @pytest.mark.usefixtures("laid_out")
@@ -224,7 +224,7 @@ def test_lines_differ_in_more_than_colour():
     assert all(style.look(i)["linestyle"] != style.look(i + 1)["linestyle"] for i in range(27))
 
 
-# -- nothing to draw -------------------------------------------------------------------------------------------------
+# Nothing to draw
 
 
 def test_nothing_known_is_said():
@@ -247,7 +247,7 @@ def test_nothing_known_is_said():
     assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
 
 
-# -- composites ------------------------------------------------------------------------------------------------------
+# Composites
 
 
 @pytest.mark.parametrize("heading", [2.0, *(pytest.param(h, marks=pytest.mark.slow) for h in (0.0, -2.5))])
@@ -326,7 +326,7 @@ def test_composites_choose_among_the_known():
     assert len(thick_lines(side)) == 4 * 3
 
 
-# -- speed -----------------------------------------------------------------------------------------------------------
+# Speed
 
 
 def test_speed_and_acceleration():
@@ -358,7 +358,7 @@ def test_speed_and_acceleration():
     assert above.get_ylabel() == "speed (m/s)"
 
 
-# -- vector fields ---------------------------------------------------------------------------------------------------
+# Vector fields
 
 
 def test_arrows_are_velocities_to_one_scale():
@@ -400,7 +400,7 @@ def test_lines_through_many_frames_have_no_dots():
     assert style.dots(501, 2.0) == {}
 
 
-# -- phase portraits -------------------------------------------------------------------------------------------------
+# Phase portraits
 
 
 def test_portraits_in_degrees():
@@ -519,7 +519,7 @@ def test_portraits_fit_on_a_page(figures):
     assert all(min(axes.bbox.width, axes.bbox.height) / 100 / style.MM > 18 for axes in figure.axes[:26])
 
 
-# -- footfall --------------------------------------------------------------------------------------------------------
+# Footfall
 
 
 @pytest.mark.usefixtures("laid_out")
@@ -581,7 +581,7 @@ def test_a_band_that_is_wider_than_the_curve_leaves_it_a_third_of_its_panel():
     assert highest / top > 0.3
 
 
-# -- inverse kinematics ----------------------------------------------------------------------------------------------
+# Inverse kinematics
 
 
 def test_paths_in_the_plane():

@@ -94,7 +94,7 @@ def test_to_plain():
     assert to_plain(given) == {"a": None, "b": [2, True, False], "p": "x", "f": 0.3}
 
 
-# -- frame method ---------------------------------------------------------------------------------------------------
+# Frame method
 
 
 def test_frames(small_motion):
@@ -240,7 +240,7 @@ def test_console_summary(report):
     assert 10 <= len(summary_lines(report)) <= 16
 
 
-# -- trajectory method ----------------------------------------------------------------------------------------------
+# Trajectory method
 
 
 def test_frames_of_a_trajectory(small_trajectory, two_cameras):
@@ -602,7 +602,7 @@ def test_lines_of_a_trajectory(trajectory):
     assert 10 <= len(summary_lines(trajectory)) <= 19
 
 
-# -- several cameras ------------------------------------------------------------------------------------------------
+# Several cameras
 
 
 @pytest.fixture(scope="module")
@@ -665,7 +665,7 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert says(sentences, "measured by ", ": 1.00 ± ", "cameras stand still")
 
 
-# -- both -----------------------------------------------------------------------------------------------------------
+# Both methods
 
 
 @pytest.mark.parametrize("method", ["report", "trajectory", "several"])

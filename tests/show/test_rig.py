@@ -44,7 +44,7 @@ def off_m(rig: Armature, joints: bones.Joints) -> float:
     return bones.largest_error_m(joints, rig.joints, rig.pose.xyz_m)
 
 
-# -- what is written -----------------------------------------------------------------------------------------------
+# Contents of the written files
 
 
 def test_the_joints_are_those_of_the_skeleton():
@@ -200,7 +200,7 @@ def test_names_with_blanks_are_refused(write, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-# -- of results ----------------------------------------------------------------------------------------------------
+# Rigs of results
 
 
 @pytest.mark.parametrize("extension", bones.READERS)

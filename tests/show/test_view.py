@@ -284,7 +284,7 @@ def test_a_motion_without_any_pose_can_be_written(small_motion: Motion, tmp_path
     assert all(not recording.values(entity, 12) for entity in recording.frames)
 
 
-# -- the trajectory method ------------------------------------------------------------------------------------------
+# The trajectory method
 
 
 @pytest.fixture(scope="module")
@@ -438,7 +438,7 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, 
     assert all(not recording.values(entity, 12) for entity in WHOLE)
 
 
-# -- several cameras ------------------------------------------------------------------------------------------------
+# Several cameras
 
 
 def moving(motion: Motion) -> Motion:

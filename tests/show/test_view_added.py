@@ -38,7 +38,7 @@ def by_frame(of: list[dict[str, Any]], component: str) -> dict[int, Any]:
     return {row["frame"]: row[component] for row in of if "frame" in row and component in row}
 
 
-# -- an analysis ----------------------------------------------------------------------------------------------------
+# An analysis
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_without_masses_there_are_no_forces(found: ClipAnalysis, tmp_path: Path)
     assert not {"/analysis/forces", "/world/forces"} & {*data}
 
 
-# -- a video --------------------------------------------------------------------------------------------------------
+# A video
 
 
 @pytest.fixture(scope="module")
