@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -80,9 +81,28 @@ class MotionPrior:
         if wrong:
             raise ValueError("; ".join(f"{field}: {value}, expected {expected}" for field, value, expected in wrong))
 
+    @cached_property
+    def pose_whitener(self) -> Array:
+        """Return L' (A, A) with L L' = covariance^-1: L' d has unit covariance."""
+        return _whitener(self.covariance)
+
+    @cached_property
+    def mixture_whiteners(self) -> Array:
+        """Return the matrix like `pose_whitener` of each component of the mixture, shape (K, A, A)."""
+        return _whitener(self.covariances)
+
+    @cached_property
+    def acceleration_whitener(self) -> Array:
+        """Return the matrix like `pose_whitener` of the accelerations' noise, shape (A, A)."""
+        return _whitener(self.acceleration_covariance)
+
     def with_accelerations(self, scale: Array) -> MotionPrior:
         """Return the prior with the standard deviations of the accelerations multiplied by factors (A,)."""
         return replace(self, acceleration_covariance=self.acceleration_covariance * np.outer(scale, scale))
+
+
+def _whitener(covariance: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2), dtype=np.float64)
 
 
 def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:

@@ -221,22 +221,17 @@ def _rate(fps: float, weight: float) -> float:
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 
-def _whitener(covariance: Array) -> Array:
-    """Return L' with L L' = covariance^-1: residuals L' d have unit covariance."""
-    return np.asarray(np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(-1, -2), dtype=np.float64)
-
-
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
     """Return the term of one Gaussian of poses."""
     rows = np.zeros((len(prior.mean), n_state))
-    rows[:, ANGLES] = _whitener(prior.covariance) * _rate(fps, weight)
+    rows[:, ANGLES] = prior.pose_whitener * _rate(fps, weight)
     return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
     """Return the term of the angles' accelerations, which the prior expects to be linear in angles and their rates."""
     A = len(prior.mean)
-    white = _whitener(prior.acceleration_covariance) * _rate(fps, weight)
+    white = prior.acceleration_whitener * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
     slots = np.zeros((3, A, n_state))
     for slot, bend, slope in zip(slots, (1.0, -2.0, 1.0), (-0.5, 0.0, 0.5), strict=True):
@@ -279,7 +274,7 @@ class PoseMixture:
     _offset: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        white = _whitener(self.prior.covariances)
+        white = self.prior.mixture_whiteners
         offset = -np.log(self.prior.weights) - np.log(np.diagonal(white, axis1=1, axis2=2)).sum(axis=1)
         object.__setattr__(self, "_precision", white.swapaxes(1, 2) @ white)
         object.__setattr__(self, "_offset", offset - offset.min())
