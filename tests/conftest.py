@@ -13,7 +13,7 @@ from recon.base.file_names import encodable
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
-# Modules are no garbage, nor is most of what a test makes: it is looked for less often than Python does by itself.
+# Collect garbage less often than by default, since modules and most objects of tests are not garbage.
 gc.set_threshold(20_000)
 
 

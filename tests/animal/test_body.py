@@ -87,7 +87,7 @@ def test_a_body_is_complete(body: Body):
     assert (body.sigma_rad > 0).all()
     assert (body.acceleration_rad_s2 > 0).all()
     assert {*body.forward, *body.feet, *(m for limb in body.limbs.values() for m in limb)} <= {*body.markers}
-    assert len(body.feet) >= 2 or body.name == "mouse-top"  # of which no camera sees the paws
+    assert len(body.feet) >= 2 or body.name == "mouse-top"  # a camera above a mouse does not see its paws
 
 
 def test_the_expected_pose_stands_on_its_feet_and_faces_forwards(body: Body):

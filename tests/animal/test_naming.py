@@ -141,7 +141,7 @@ def test_bundled_maps(bundled, names, of_cheetah):
     """Bundled maps have only names of their detector and keep the sides; the fit finds its own map."""
     by = load_names(bundled)
     cheetah = load_skeleton("cheetah-24")
-    if names not in (MMPOSE_AP_10K, WOLF):  # by their words
+    if names not in (MMPOSE_AP_10K, WOLF):  # these maps match words, not whole names
         assert {*by.names} <= {*names}
     _, new, note = new_names(names, by, "clip.csv")
     assert len({*new} & {*cheetah.markers}) == of_cheetah

@@ -497,7 +497,7 @@ def test_pictures(tmp_path):
     names = ["angles.png", "angles.svg", "skeleton.png", "skeleton.svg"]
     assert sorted(path.name for path in out.iterdir()) == [RECORD, *names]
     picture = (out / "skeleton.svg").read_text(encoding="utf-8")
-    assert "left/right_knee" in picture  # in the side view both are one
+    assert "left/right_knee" in picture  # both are at the same point in the side view
     assert all(marker in picture for marker in body_of(file).markers)
     angles = (out / "angles.svg").read_text(encoding="utf-8")
     assert "l hind shin pitch" in angles
@@ -534,7 +534,7 @@ def test_the_horse_on_its_recording(shared_data):
     px, _ = motion.camera.project(solution.joints_camera_m)
     off = np.linalg.norm(px - motion.keypoints.xy_px, axis=-1)
     assert np.nanmedian(off) < 2.5
-    # to the right, and nearer: it grows in the picture
+    # The animal moves to the right and towards the camera, since it grows in the picture.
     assert -0.7 < np.median(solution.states[:, 3]) < 0.0
 
 

@@ -129,11 +129,12 @@ def test_command(runs, tmp_path):
     assert (length_m - low) / bones["trunk"]["sigma_m"] == pytest.approx(1.645, rel=0.1)
     assert 0.3 < bones["trunk"]["data_share"] < 1
     found = load_skeleton("cheetah-24", out)
-    # What was filmed is the animal of `phantom`, smaller than the skeleton.
+    # The filmed animal is that of `phantom`, which is smaller than the skeleton.
     assert said["size"] == pytest.approx(_mean_factor(body()), abs=0.03)
     assert found.size_sigma == pytest.approx(said["size_sigma"], abs=1e-4)
     assert run("subject", "fit", config, "--out", tmp_path / "lengths.toml").code == 0
-    assert load_skeleton("cheetah-24", tmp_path / "lengths.toml").keypoint_offset_m == {}  # the detector's are not its
+    # The offsets belong to the detector.
+    assert load_skeleton("cheetah-24", tmp_path / "lengths.toml").keypoint_offset_m == {}
     table = run("subject", "fit", config, "--out", out, "--overwrite", "--no-lengths", "--offsets")
     assert "offset from the marker" in table.out
     assert "length of" not in table.out

@@ -113,7 +113,7 @@ def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     started, finished = (out / RECORD).read_text().splitlines()
-    for left in (started, f"{started}\n{finished[:-20]}"):  # the second after a full disk
+    for left in (started, f"{started}\n{finished[:-20]}"):  # the second record was cut off by a full disk
         (out / RECORD).write_text(left)
         assert plan_batch(found(clips / "a.csv"), out)[0].reason == "not finished before"
     assert fit(found(clips / "a.csv"), out) == [("refit", "not finished before")]
@@ -123,8 +123,8 @@ def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
 def test_results_of_others_are_left_alone(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
-    run_clip(FitSettings(keypoints=clips / "b.csv", **QUICK), out / "b")  # by hand
-    run_clip(FitSettings(keypoints=clips / "a.csv", **QUICK), out / "a", overwrite=True)  # over a batch's
+    run_clip(FitSettings(keypoints=clips / "b.csv", **QUICK), out / "b")  # a fit outside the batch
+    run_clip(FitSettings(keypoints=clips / "a.csv", **QUICK), out / "a", overwrite=True)  # replaces a fit of the batch
     other = tmp_path / "other"
     other.mkdir()
     (other / "c.csv").write_text((clips / "c.csv").read_text())
@@ -148,7 +148,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
     (planned,) = plan_batch(found(clips / "a.csv"), out)
     assert planned.action == "done"
     table = (out / "a" / "pose3d.csv").read_bytes()
-    (out / "a" / "pose3d.csv").write_bytes(table.replace(b"1", b"2", 1))  # of the same size
+    (out / "a" / "pose3d.csv").write_bytes(table.replace(b"1", b"2", 1))  # the size of the file stays the same
     for overwrite in (False, True):
         with refusal((out / "a" / "pose3d.csv", "file", "did not write, or that was changed since", "moved away")):
             plan_batch(found(clips / "a.csv"), out, overwrite)
@@ -202,7 +202,8 @@ def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
     assert len((out / RECORD).read_text().splitlines()) == 4
     before = Record(out / RECORD).rows
     with (out / RECORD).open("a") as file:
-        file.write('{"schema": 1, "part": 3}\n{"part": "a", "sch')  # of another version, and cut off
+        # A row of another version, and a row that is cut off.
+        file.write('{"schema": 1, "part": 3}\n{"part": "a", "sch')
     assert fit(found(clips), out) == [("done", ""), ("done", ""), ("new", "")]
     rows = [json.loads(line) for line in (out / RECORD).read_text().splitlines()]
     assert [(row["part"], "files" in row) for row in rows] == [("a", True), ("b", True), ("c", False), ("c", True)]
@@ -558,14 +559,14 @@ def cluster() -> Iterator[Any]:
     """Start two Dask workers, each a process with one thread."""
     distributed = pytest.importorskip("distributed")
     with (
-        warnings.catch_warnings(action="default"),  # Dask's own
+        warnings.catch_warnings(action="default"),  # Dask raises warnings of its own
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
     ):
         yield cluster
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # Dask's own
+@pytest.mark.filterwarnings("default")  # Dask raises warnings of its own
 def test_dask_cluster(clips, tmp_path, cluster):
     (clips / "broken.csv").write_text("scorer,x\n")
     out = tmp_path / "out"
@@ -577,7 +578,7 @@ def test_dask_cluster(clips, tmp_path, cluster):
         if summary.rows[event.name]["status"] == "done" and not killed:
             nanny = next(iter(cluster.workers.values()))
             pid = pids[nanny.worker_address]
-            nanny.close_gracefully()  # it starts no other in its place: the one that is left does its clips
+            nanny.close_gracefully()  # so that no new worker is started
             killed.append(pid)
             os.kill(pid, signal.SIGKILL)
 
@@ -608,7 +609,7 @@ def certificates(tmp_path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # Dask's own
+@pytest.mark.filterwarnings("default")  # Dask raises warnings of its own
 def test_a_cluster_with_certificates(clips, tmp_path, certificates):
     """A cluster uses the certificates of Dask's own configuration; without them a message ends the batch."""
     dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
@@ -644,4 +645,4 @@ def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
         found, expected = ("0.3 s", "tcp://") if scheme == "tcp" else ("TLS", "distributed.comm.tls")
         with refusal(("--scheduler", at, found, expected)):
             parallel._client(at)
-        assert time.monotonic() - began < 60  # for ever without the limit
+        assert time.monotonic() - began < 60  # without the limit it would never end

@@ -53,7 +53,7 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
         disk.setattr("recon.api.batch_inputs.recognised", fails)
         with refusal((clips, "files", "no keypoint files")):
             find_clips([clips], QUICK)
-    if Path("/proc/self/mem").exists():  # nothing of it can be read
+    if Path("/proc/self/mem").exists():  # the file exists but cannot be read
         (clips / "mem.csv").symlink_to("/proc/self/mem")
         assert names(clips / "*.csv") == ["a", "b", "c", "mem"]
 
@@ -71,7 +71,7 @@ def test_no_cell_of_the_summary_is_a_formula(tmp_path):
 
 
 def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):
-    (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged: the clip will say so
+    (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged, which the fit of the clip reports
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0].name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
     assert [says(note, clips, "same name: b.csv") for note in notes] == [True]
@@ -309,7 +309,8 @@ def test_a_pattern_finds_cameras_and_clips(tmp_path):
     assert says(several, "2 files", "1 clip", "by --cameras-by")
     assert input_problems(clips) == [()]
     named = {"s1": ("v1", "v2"), "s1 late": ("v2",)}
-    assert cameras([tmp_path / "s1 v*.csv"], by="v[12]") == named  # all that it fits is the name
+    # The pattern matches the whole name of s1 v1 and s1 v2.
+    assert cameras([tmp_path / "s1 v*.csv"], by="v[12]") == named
 
 
 def test_what_is_wrong_with_cameras_in_names(tmp_path):
@@ -384,7 +385,7 @@ def test_projects_of_anipose(tmp_path):
     assert cameras(both[:1], common, "none") == {"walk-camA": ("A",), "walk-camB": ("B",)}
     (clip,), _ = find_clips(both[:1], common | {"camera": SCENE})
     assert clip.settings.camera == (SCENE,)
-    (tmp_path / "config.toml").unlink()  # then the cameras' names are those of the calibration
+    (tmp_path / "config.toml").unlink()  # without it, the calibration names the cameras
     assert cameras(both[:1], common) == {"walk": ("A", "B")}
 
 
@@ -414,10 +415,10 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
     assert third.settings.camera_name == ("1",)
     manifest(tmp_path, "keypoints\nz*.csv\n")
     refuses([path], (path, "line 2, keypoints", "z*.csv"))
-    manifest(tmp_path, "keypoint,camera\nx1.csv,scene.json\n")  # not a keypoint file of an unknown format
+    manifest(tmp_path, "keypoint,camera\nx1.csv,scene.json\n")  # is read as a manifest with a wrong column name
     refuses([path], (path, "column 'keypoint'", "unknown"), (path, "line 2, keypoints", "nothing"))
     manifest(tmp_path, "frame,bodypart,x,y,camera\n0,nose,1,2,north\n")
-    assert not is_manifest(path)  # keypoints, of which a column says by which camera
+    assert not is_manifest(path)  # a table of keypoints with a column of cameras
 
 
 def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):

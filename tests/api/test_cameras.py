@@ -192,7 +192,7 @@ def test_what_is_wrong_is_said(runs, tmp_path):
     with refusal(("scene.json", "camera", ["2 cameras", "clip.csv"], ["cam1, cam2", "--camera-name"])):
         prepare(given)
     gone = tmp_path / "gone.csv"
-    with refusal((gone, "file", "no such file")):  # and not also for having no camera in its name
+    with refusal((gone, "file", "no such file")):  # its name without a camera is not reported as well
         prepare(replace(given, keypoints=(gone, runs / "run_cam2.csv")))
     with refusal((gone, "file", "no such file")):
         prepare(replace(given, keypoints=(gone,)))
@@ -260,7 +260,7 @@ def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_p
     as_said = fit_clip(settings(runs, 1, 2, cameras_known=True, frames="10:30", fast=True, **known))
     assert ["pair_refined" in {one.code for one in fit.findings} for fit in (motion, as_said)] == [True, False]
     still_off = Rotation.from_matrix(np.asarray(motion.sources[1].camera.rotation) @ ASIDE[:3, :3].T).magnitude()
-    # a part of the turn is given to the first camera; 0.7 where feet stay on the ground that the turned camera saw
+    # The fit attributes a part of the rotation to the first camera.
     assert still_off < np.radians(0.35)
     given = prepare(settings(runs, 1, 2, **known)).sources[1].camera
     assert as_said.sources[1].camera.to_dict() == given.to_dict()

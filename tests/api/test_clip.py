@@ -25,7 +25,7 @@ from recon.thesis.solver import solve_frames
 pytestmark = pytest.mark.usefixtures("no_playback")
 
 EXAMPLE = (Path(__file__).parents[1] / "files" / "trunk-and-leg.toml").read_text()
-# The same chain, hung from its front end: the root is the joint that the animal's front is known by.
+# The same chain with its root at the front end.
 FRONT_ROOT = EXAMPLE
 for old, new in (
     ('root = "hip"\nroot_keypoint = "tail_base"', 'root = "shoulder"\nroot_keypoint = "neck_base"'),

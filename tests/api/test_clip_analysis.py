@@ -59,7 +59,7 @@ def test_velocities_are_central_differences_but_for_their_third_order(whole, tab
     found = tables["velocities"][[f"spine_v{axis}_m_s" for axis in "xyz"]].to_numpy()
     assert np.abs(found[2:-2] - central[1:-1]).max() < 0.06
     np.testing.assert_array_equal(tables["velocities"]["frame"], np.arange(60))
-    # Halves of steps of the fine grid add up to the way.
+    # The distance is the sum of the steps on the fine grid.
     path = tables["reference"][["x_m", "y_m", "z_m"]].to_numpy()
     row = tables["joints"].set_index("joint").loc["spine"]
     assert row["distance_m"] == pytest.approx(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
@@ -89,7 +89,7 @@ def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
 
 
 def test_errors_of_a_slower_animal_last_longer(whole):
-    # At most as long as those of detections; without a pose as long.
+    # Errors of poses last at most as long as errors of detections, which is also the value without a pose.
     pose_m = whole.motion.upright.xyz_m
     runs_s = error_time_s(pose_m, 120.0)
     assert error_time_s(pose_m, 60.0) == pytest.approx(np.sqrt(2) * runs_s)
@@ -138,7 +138,7 @@ def test_events_are_near_those_of_the_true_joints(whole, tables):
     assert len(ground) >= 10
     np.testing.assert_allclose(ground["start_frame"], 60 * ground["start_s"], atol=4e-5)
     np.testing.assert_allclose(ground["duration_s"], ground["end_s"] - ground["start_s"], atol=2e-6)
-    # A foot that stands goes slowly: less than a quarter of the body's speed at the middle of its stance.
+    # In the middle of its stance, a foot has less than a quarter of the body's speed.
     tracks = whole.gait.tracks
     for row in ground.to_dict("records"):
         at = int(np.argmin(np.abs(tracks.time_s - (row["start_s"] + row["end_s"]) / 2)))
@@ -179,7 +179,7 @@ def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
     phis = [name for name in found.motion.posture_names if name.startswith("phi")]
     assert {*phis} < {*found.not_measured}
     assert not any(name.startswith("theta") for name in found.not_measured)
-    # The path that ties the frames adds to what the pixels tell of nearly all angles: without it at most 0.015 here.
+    # Without the path, which couples the frames, these information fractions are at most 0.015.
     assert max(found.motion.data_shares[name] for name in phis) < {"one_sided": 0.03, "chain": 0.02}[fit]
     assert summarise(found, "clip")["angles"]["not_measured"] == [*found.not_measured]
     assert f"grey in figures: {', '.join(found.not_measured)}." in [*notes(found)][fit == "one_sided"]
@@ -223,7 +223,7 @@ def test_vector_field_of_a_knee(whole, tables):
     means = tables["vector_field_means"].set_index("link")
     assert means.loc["l_back_knee-l_back_ankle", "speed_m_s"] == pytest.approx(rows["speed_m_s"].mean(), abs=1e-4)
     assert means.loc["l_back_knee-l_back_ankle", "frames"] == 60
-    # Rigid links in the plane: the speed errs by the radius times what the rate does.
+    # The error of the speed is the radius times the error of the rate, since links are rigid and in the plane.
     about = rows["speed_sigma_m_s"] / (radius * rows["dtheta_sigma_rad_s"])
     assert about.median() == pytest.approx(1.0, abs=0.02)
     assert 1.0 < means.loc["l_back_knee-l_back_ankle", "speed_sigma_m_s"] < 2.5
@@ -359,7 +359,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     monkeypatch.chdir(ran_in)
     folder = Path("results/clip")
     results = {path.name: path.read_bytes() for path in whole_results.iterdir()}
-    for name in ("config.toml", "manifest.json"):  # of a copy: its paths are those from its folder
+    for name in ("config.toml", "manifest.json"):  # the copy's paths are relative to its own folder
         results[name] = (folder / name).read_bytes()
         assert (folder / name).stat().st_mtime_ns < (folder / "analysis").stat().st_mtime_ns
     assert "transverse gallop" in printed

@@ -40,7 +40,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory, whole_motion: Motion) -> Pat
 
 def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path, whole_analysis: ClipAnalysis):
     out = tmp_path / "out"
-    # as a shell writes out all/*
+    # The arguments that a shell passes for all/*.
     ended = run("compare", *clips.iterdir(), "--table", clips / "animals.csv", "--by", "sex", "--out", out)
     assert (ended.code, ended.err) == (0, "")
     assert says(
@@ -58,16 +58,16 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
     assert page.count('<g class="dot') == 3 * len(QUANTITIES)
     assert page.count("n = 2</text>") == page.count("n = 1</text>") == len(QUANTITIES)
     assert f"{by_clip['speed_m_s'].iloc[0]:.1f} <span" in page
-    # The same interval everywhere: that of the clip's own analysis. Group m has one clip.
+    # All parts show the interval of the clip's own analysis. Group m has one clip.
     for name in QUANTITIES:
         quantity = whole_analysis.quantities[name]
         number, _, ends = interval(quantity.value, *quantity.interval).partition(" (")
         assert page.count(f'{number} <span class="soft">({ends}</span>') == 4
         assert f" {ends.removesuffix(')')} " in ended.out
     for name in QUANTITIES:
-        # The same clip thrice: the same means, no spread, and two clips know what is no clip's own as well as one.
+        # The three clips are copies: means are equal, the spread is 0, and errors that clips share do not average out.
         np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-5)
-        assert groups[f"{name}_spread"].fillna(-groups["clips"]).tolist() == [0, -1]  # not known of a single clip
+        assert groups[f"{name}_spread"].fillna(-groups["clips"]).tolist() == [0, -1]  # unknown for a single clip
         f, m = groups[f"{name}_sigma"]
         if QUANTITIES[name][1]:
             shared = by_clip["size_sigma"].iloc[0] * by_clip[name].iloc[0]
@@ -79,7 +79,7 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
 def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
     (source,) = whole_motion.sources
     later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
-    other = {**whole_motion.settings, "keypoints": "other.csv"}  # of the same camera
+    other = {**whole_motion.settings, "keypoints": "other.csv"}  # filmed by the same camera
     second = replace(source, camera=replace(source.camera, name="second"))
     motions = {
         "a": whole_motion,
@@ -108,7 +108,7 @@ def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, wh
     assert [row["clips"] for row in data["groups"]] == [3]
     assert says(data["notes"][0], "same keypoints and cameras", "b (of a)")
     table = pd.read_csv(tmp_path / "out" / "clips.csv")
-    assert [*table["clip"]] == ["a", "c", "'=later"]  # no spreadsheet runs it
+    assert [*table["clip"]] == ["a", "c", "'=later"]  # the quote keeps a spreadsheet from running it as a formula
 
 
 def test_only_what_some_clip_has_is_drawn():

@@ -69,14 +69,14 @@ def test_a_design_is_a_table_a_manifest_or_names(tmp_path: Path, design_file: Pa
     manifest.write_text("keypoints,camera,out,animal,group\nfilm/a.csv,,first,x,g\nfilm/b.csv,,,y,h\n")
     of_manifest = design_of_table(manifest, ["first", "b"], "group", ())
     assert of_manifest["animal"].tolist() == ["x", "y"]
-    assert of_manifest["run"].tolist() == ["first", "b"]  # each clip is a run
+    assert of_manifest["run"].tolist() == ["first", "b"]  # without a column of runs, each clip is a run
     (tmp_path / "film").mkdir()
     for name in ("a", "b"):
         (tmp_path / "film" / f"{name}.csv").touch()
     assert [{*draft.row} for draft in _drafts_of_manifest(manifest)] == [
         set(),
         set(),
-    ]  # a fit reads none of the columns
+    ]  # no fit reads these columns
 
 
 def test_a_wrong_design_is_refused(tmp_path: Path):
@@ -118,19 +118,19 @@ def joined(
 
 def test_cameras_of_a_run_weigh_by_their_uncertainty_and_share_the_size():
     assert joined([4.0, 4.1], [0.1, 0.2]) == pytest.approx((4.02, 1 / np.sqrt(125), 0.0))
-    # An expected size and a focal length are not averaged away; the size that the pictures show is.
+    # Errors of the expected size and of the focal length do not average out; errors of a measured size do.
     assert joined([4.0, 4.0], [0.1, 0.1], size=0.1, prior=0.1)[1:] == pytest.approx((0.1 / np.sqrt(2), 0.1))
     assert joined([4.0, 4.0], [0.1, 0.1], focal=0.02)[1:] == pytest.approx((0.1 / np.sqrt(2), 0.02))
     _, sigma, shared = joined([4.0, 4.0], [0.1, 0.1], size=0.05, prior=0.1)
     assert shared == pytest.approx(0.025)
     assert sigma == pytest.approx(np.sqrt((0.1**2 + (4 * 0.05) ** 2 * 0.75) / 2))
-    # A camera that the lens's error does not reach weighs more.
+    # A camera without an error of its focal length has a larger weight.
     assert joined([4.0, 4.4], [0.1, 0.1], focal=[0.0, 0.1])[0] < 4.1
-    # A period that all cameras see alike is no more certain with two of them.
+    # An error that all cameras of a run share does not average out.
     assert joined([4.0, 4.0], [0.1, 0.1], in_run=0.08)[1] == pytest.approx(np.sqrt(0.06**2 / 2 + 0.08**2))
     assert joined([4.0, 4.2], [0.1, 0.105], in_run=[0.1, 0.105])[0] == pytest.approx(4.1, abs=0.01)
     assert joined([4.0, 4.2], [0.1, 0.1], focal=[0.0, 0.5])[0] == pytest.approx(4.0, abs=0.01)
-    # Cameras that disagree know what their difference says.
+    # If cameras disagree, their difference determines the standard deviation.
     assert joined([3.5, 4.5], [0.1, 0.1])[1] == pytest.approx(0.5)
 
 
@@ -175,7 +175,7 @@ def test_the_effect_of_a_group_with_the_speed_as_covariate(experiment: Experimen
     assert difference["value"] == pytest.approx(0.2, abs=0.08)
     assert slope["value"] == pytest.approx(0.3, abs=0.12)
     assert [difference[name] for name in ("animals", "runs", "clips", "strides")] == [6, 7, 8, 28]
-    # The size's error is 5 % of every value, however many animals there are.
+    # The error of the size is 5 % of every value for any number of animals.
     assert length["mean of control"]["sigma"] > length["mean of control"]["shared_sigma"]
     for row in length.values():
         assert row["shared_sigma"] == pytest.approx(0.05 * abs(row["value"]))

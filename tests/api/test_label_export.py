@@ -72,7 +72,7 @@ def test_corrected_frames_become_labels(whole_results: Path, corrections: Path, 
     table = pd.read_hdf(folder / "CollectedData_me.h5")
     row = table.loc[("labeled-data", "run", "img0018.png"), "me"]
     assert row["r_front_knee"].tolist() == [636.0, 588.0]
-    assert np.isnan(row["tail1"]).all()  # only accepted from the model
+    assert np.isnan(row["tail1"]).all()  # this label was predicted by the model, and only accepted
     assert np.isnan(table.loc[("labeled-data", "run", "img0020.png"), "me"]["nose"]).all()
     detected = read_keypoints(SAMPLE)
     assert row["nose"].tolist() == detected.xy_px[18, detected.names.index("nose")].tolist()

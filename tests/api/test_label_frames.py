@@ -41,7 +41,7 @@ def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
     assert [number // 10 for number in chosen] == [0, 1, 2]
     assert choose_frames(film, 3) == chosen
     assert choose_frames(film, 100) == [*range(30)]
-    assert len(choose_frames(film, 12)) == 12  # more than there are kinds of pictures
+    assert len(choose_frames(film, 12)) == 12  # the film has fewer than 12 different pictures
 
 
 def test_with_a_result_frames_are_those_whose_labels_tell_most(small_motion: Motion):
@@ -55,7 +55,7 @@ def test_with_a_result_frames_are_those_whose_labels_tell_most(small_motion: Mot
     gain_m2[0, 4, 0] = np.nan
     motion = replace(small_motion, correction_gain_m2=gain_m2)
     assert frames_by_gain(motion, 0, 2) == [10, 15]
-    assert frames_by_gain(motion, 0, 100) == [10, 15, 11]  # no frame in which no error would fall
+    assert frames_by_gain(motion, 0, 100) == [10, 15, 11]  # frames whose labels would lower no error are left out
     with refusal(("--result", "method")):
         frames_by_gain(replace(motion, correction_gain_m2=None), 0, 2)
 

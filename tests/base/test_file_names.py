@@ -73,7 +73,7 @@ def test_a_name_of_bytes_and_of_texts_like_their_codes_is_read_again(tmp_path):
     except (OSError, UnicodeError):
         pytest.skip("names are Unicode here")
     assert existing_path(encodable(str(path))) == str(path)
-    many = str(tmp_path / (r"\xe9" * 60))  # ends
+    many = str(tmp_path / (r"\xe9" * 60))  # the search for a name ends
     assert existing_path(many) == many
 
 

@@ -281,8 +281,8 @@ def test_what_fails_on_the_way_leaves_the_earlier_results(tmp_path, monkeypatch,
         is_new = failing not in raised or failing == 8
         assert texts == ({"a.csv": "2", "b.csv": "2", "c.csv": "2"} if is_new else {"a.csv": "1", "b.csv": "1"})
         assert read_manifest(out).changed() == []
-    # Moves: the record, three files away, four in, and the record. A disk without links is no error, nor is one that is
-    # full at the end, where all is there.
+    # Moves: the record, three old files, four new files, the record. It is no error if the disk has no links, or if it
+    # is full after all files have arrived.
     assert raised == ([0, 1, 2, 3] if isinstance(exception, OSError) else [*range(9)])
 
 
@@ -299,7 +299,7 @@ def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, mo
             taken.append((number, contents(out)["a.csv"]))
 
     steps_of_replacing(out, monkeypatch, look)
-    assert taken == [(0, "1"), (1, "1"), (8, "2")]  # the record first and last
+    assert taken == [(0, "1"), (1, "1"), (8, "2")]  # the record is written first and last
     assert read_manifest(out).changed() == []
 
 

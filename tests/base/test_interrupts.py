@@ -16,7 +16,7 @@ from recon.base.interrupts import MESSAGE
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 FIT = ("fit", "clip.csv", "--camera", "camera.toml", "--fps", "60", "--out", "results")
 
-# In place of the pipeline, so that the process is at a known place; the real ones are for tests/fuzz/ctrl_c.py.
+# A stand-in for the pipeline that waits at a known line. tests/fuzz/ctrl_c.py interrupts real fits.
 START = """
 import atexit, hashlib, os, signal, sys, time, types
 from recon.base import interrupts
@@ -238,7 +238,7 @@ def test_from_outside(after_s, tmp_path):
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     fit = ["fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     ended = interrupted([*map(str, fit)], after_s, tmp_path)
-    if ended.in_time:  # otherwise this machine was done before
+    if ended.in_time:  # otherwise the command ended before the signal
         assert not fault(ended), ended
 
 

@@ -57,12 +57,12 @@ def test_processes_have_one_thread_and_are_replaced(monkeypatch):
     monkeypatch.setattr(parallel, "TASKS_PER_PROCESS", 2)
     held, stop = [], parallel._Process.stop
     monkeypatch.setattr(parallel._Process, "stop", lambda self: (held.append(self.pid), stop(self)))
-    for library in ("OMP", "OPENBLAS"):  # which the tests set, too
+    for library in ("OMP", "OPENBLAS"):  # the tests set these variables, too
         monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
     first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
     assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
     assert (first["threads"], first["new_objects"]) == ("1", NEW_OBJECTS)
-    assert held == [third["pid"]]  # those before it keep no files open, however many there are
+    assert held == [third["pid"]]  # only the last process still has files open
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are of POSIX")
@@ -76,7 +76,7 @@ def test_processes_that_die_are_failures():
         "fault": ("failed", "the worker crashed: KeyError: 'fault'"),
     }
     assert outcomes["crash"]["log"].startswith("last words\n")
-    assert "in work" in outcomes["crash"]["log"]  # where in Python
+    assert "in work" in outcomes["crash"]["log"]  # the log names the Python function
     assert "Traceback" in outcomes["fault"]["log"]
     assert {outcome["attempts"] for outcome in ended("exit", "fault", jobs=2, retries=1).values()} == {2}
 

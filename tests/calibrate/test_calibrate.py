@@ -144,7 +144,7 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
 def test_intrinsics_come_back(lens, text):
     """Intrinsics are found within 0.5 % of the truth, and the lens within a pixel where boards were seen."""
     camera, board = BOARD_CAMERAS[lens], parse_board(text)
-    count = 14 if text == CHESS else 24  # its corners are half as many and half as exact
+    count = 14 if text == CHESS else 24  # ChArUco boards have half as many corners, with twice the error
     found = [board.detect(picture) for picture in pictures(camera, text, count)]
     views = tuple(BoardView(str(n), *corners) for n, corners in enumerate(found) if corners is not None)
     assert len(views) >= count - 1
@@ -155,7 +155,7 @@ def test_intrinsics_come_back(lens, text):
     y, x = np.mgrid[60:540:10j, 80:720:10j]
     pixels = np.stack((x, y), axis=-1)
     seen, _ = calibration.camera.project(camera.rays(pixels)[0])
-    # The place of the axis and a small turn of the camera look alike: a shift of all is left out.
+    # A common shift is ignored, since the principal point and a small rotation of the camera are equivalent.
     off = seen - pixels
     assert np.linalg.norm(off - off.mean(axis=(0, 1)), axis=-1).max() < 1.0
     assert [c for c in check(calibration) if c.verdict == "refused"] == []
@@ -189,7 +189,7 @@ def test_standard_deviations_of_a_fisheye_are_the_scatter_over_noise():
     runs = [calibrate(exact_views(camera, board, where, seed=seed), "fisheye") for seed in range(9)]
     scatter = np.std([list(run.parameters.values())[:4] for run in runs], axis=0, ddof=1)
     stated = np.mean([run.sigma[:4] for run in runs], axis=0)
-    assert (np.abs(np.log(scatter / stated)) < math.log(1.9)).all()  # nine draws: 1 +- 0.25
+    assert (np.abs(np.log(scatter / stated)) < math.log(1.9)).all()  # the scatter of nine draws is known to 25 %
 
 
 def test_a_picture_with_wrong_corners_is_left_out(chess_views):

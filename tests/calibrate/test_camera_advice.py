@@ -35,7 +35,7 @@ def test_the_camera_looks_at_the_middle_and_stands_upright():
         pixels, _ = camera.project(camera.world_to_camera(target + np.array([[0.0, 0, 0], [0, 0, 0.1]])))
         np.testing.assert_allclose(pixels[0], [959.5, 539.5], atol=1e-9)
         assert pixels[1, 0] == pytest.approx(959.5)
-        assert pixels[1, 1] < 539.5  # up is up
+        assert pixels[1, 1] < 539.5  # a higher point is higher in the picture
         centre = -camera.rotation.T @ camera.translation_m
         expected = 5 * np.array([np.cos(azimuth) * np.cos(np.pi / 6), np.sin(azimuth) * np.cos(np.pi / 6), 0.5])
         np.testing.assert_allclose(centre - target, expected, atol=1e-12)
@@ -72,7 +72,7 @@ def test_nearer_is_better_and_out_of_the_picture_is_nothing():
 def test_the_stride_runs_straight_with_the_prior_s_swing():
     speed = np.diff(STATES[:, 0]) * 60
     np.testing.assert_allclose(speed, 5 * length_m(BODY))
-    np.testing.assert_allclose(STATES[:20, 4:].mean(axis=0), PRIOR.mean, atol=1e-9)  # one period
+    np.testing.assert_allclose(STATES[:20, 4:].mean(axis=0), PRIOR.mean, atol=1e-9)  # the mean over one period
     top = np.sqrt(np.linalg.eigvalsh(PRIOR.covariance)[-1])
     assert np.abs(STATES[:, 4:] - PRIOR.mean).max() == pytest.approx(top, rel=0.01)
 

@@ -264,7 +264,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     assert track.intrinsics_px is not None
     np.testing.assert_allclose(track.intrinsics_px[:, :2], 300, rtol=2e-3)
     report = json.loads((tmp_path / "track_report.json").read_text())
-    assert (report["video"], report["camera"]["file"]) == ("pan.avi", "camera.toml")  # nobody reads where they lay
+    assert (report["video"], report["camera"]["file"]) == ("pan.avi", "camera.toml")  # the report contains no folders
     assert report["by_frame"]["tilt_deg"][0] == pytest.approx(10)
     assert report["by_frame"]["frame"] == list(range(5, 13))
     assert "rolling shutter" in " ".join(report["notes"])
@@ -289,7 +289,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
     write_camera(PINHOLE, tmp_path / "camera.toml")
     decoded = sum(1 for _ in timed_frames(video))
     args = ("camera-motion", video, "--camera", tmp_path / "camera.toml", "--out", tmp_path / "track.csv")
-    for rows, code in ((frames, 2), (decoded, 0)):  # of the whole video, and of what is left of it
+    for rows, code in ((frames, 2), (decoded, 0)):  # frame counts of the whole video and of the readable part
         lines = "".join(f"{t},nose,160,90,0.9\n" for t in range(rows))
         (tmp_path / "points.csv").write_text(f"frame,keypoint,x,y,likelihood\n{lines}")
         ended = run(*args, "--keypoints", tmp_path / "points.csv")
@@ -300,7 +300,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
     report = json.loads((tmp_path / "track_report.json").read_text())
     assert (report["frames"], report["frames_missing"], missing) == (decoded, frames - decoded, frames - decoded)
     track = read_camera_track(tmp_path / "track.csv")
-    whole = track.frames != at - 1  # the picture that the hole has cut
+    whole = track.frames != at - 1  # the frame whose picture is damaged
     found = track.T_camera_world[whole, :3, :3]
     truth = np.delete(rotations, np.s_[at : at + missing], axis=0)[track.frames[whole]]
     off = (found @ found[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)

@@ -20,7 +20,8 @@ from recon.testing.cameras import level_pose
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
     """Return the findings on a motion that has only what the rules read."""
-    late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)  # a lag that was found does not hide another
+    # A further lag of 0.3 frames that the fit did not find.
+    late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)
     leads = [view.offset_frames for view in views]
     sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
     frames, solution = np.arange(100, 100 + len(views[0].xy_px)), SimpleNamespace(views=[late, *views[1:]])
@@ -61,7 +62,7 @@ def test_cameras_that_agree(n):
     assert notes(found)[0].max_level == 1.6
     for camera in notes(found):
         assert camera.points == truth_m()[..., 0].size
-        assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise has the keypoints' own, too
+        assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise includes that of the keypoints
     if n > 2:
         assert max(camera.turn_rad for camera in notes(found)) < np.radians(0.3)
         assert {camera.late_frames for camera in notes(found)} <= {-0.25, 0.0, 0.25}

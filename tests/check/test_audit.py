@@ -185,7 +185,7 @@ def test_steps_over_missing_frames_are_likelier_than_a_change_of_speed():
     assert gain > 40
     assert share == pytest.approx((intervals > 1).mean(), abs=0.1)
     assert missing_gain(errors)[0] < 0
-    gait = 0.5 * np.sin(np.arange(60))  # a speed that changes smoothly, by 2.7 in three frames
+    gait = 0.5 * np.sin(np.arange(60))  # the logarithm of a smooth speed, which changes by 2.7 times in three frames
     assert missing_gain(np.diff(gait) + errors)[0] < 0
 
 

@@ -23,7 +23,7 @@ def _with_drift(views, drift_frames: float):
     return views[0], replace(views[1], xy_px=late_px.reshape(T, -1, 2))
 
 
-@pytest.mark.parametrize("piece", [512, 1])  # the frames of a clip count as few, and as many
+@pytest.mark.parametrize("piece", [512, 1])  # all frames in one piece, and each frame in its own piece
 @pytest.mark.parametrize("drift_frames", [-4.0, 0.0, 4.0])
 def test_a_clock_that_drifts_is_named_with_its_rate(monkeypatch, drift_frames, piece):
     monkeypatch.setattr("recon.check.clocks.piece_of", lambda _: piece)

@@ -272,7 +272,7 @@ def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
         assert verdict is not None
         return [verdict.level, verdict.reason]
 
-    assert named()[0] == named("left-right swap")[0] == "use"  # a swap has a finding of its own
+    assert named()[0] == named("left-right swap")[0] == "use"  # left-right swaps have their own finding
     level, reason = named("ambiguous depth", "left-right swap")
     assert level == "check"
     assert says(reason, f"of {len(motion.frames)} frames have a flag", "ambiguous depth", "from the front or the back")

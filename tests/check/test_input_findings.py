@@ -292,7 +292,7 @@ def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
         negative_log_density(view(), xy_px + off[np.random.default_rng(0).permutation(T)], sigma_px, 10.0) - none
     )
     assert 0 < 3 * lasts < jumps_about
-    # of a steady error the frames that are alike count once, but for the first ones
+    # If the error is constant, equal frames count once, except for the first ones.
     each, alike = (
         negative_log_density(view(), xy_px + np.array([0.3, 0.0]), sigma_px, n)
         - negative_log_density(view(), xy_px, sigma_px, n)
@@ -375,7 +375,7 @@ def test_frames_of_gross_outliers_are_left_out_and_flagged(small_trajectory: Mot
     source = replace(source, keypoints=replace(source.keypoints, xy_px=xy_px))
     spoilt = replace(solution, views=(replace(solution.views[0], xy_px=xy_px),))
     ratios = outlier_ratios(spoilt.views[0], spoilt.markers_m, spoilt.noise_px[0])
-    assert np.isnan(ratios[3])  # nothing was seen
+    assert np.isnan(ratios[3])  # the keypoint has no detections
     assert ratios[5:7].min() > 40
     assert np.nanmax(np.delete(ratios, [5, 6])) < -40
     (kept,), (found,) = without_gross_outliers((source,), spoilt)

@@ -341,7 +341,7 @@ def test_a_treadmill_is_named_at_any_speed(slower):
     (found,) = movement(replace(motion, sources=(slow,)))
     assert found.code == "treadmill"
     run_m_s = np.linalg.norm(plain().states[-1, :2] - plain().states[0, :2]) / (len(states) - 1) * FPS / slower
-    assert 0.5 * run_m_s < found.numbers["slide_m_s"] < run_m_s  # the simulated feet hardly stand
+    assert 0.5 * run_m_s < found.numbers["slide_m_s"] < run_m_s  # the simulated feet have hardly any stance
 
 
 @pytest.mark.parametrize("slower", [1, 10])

@@ -278,7 +278,7 @@ def test_camera_from_its_field_of_view(tmp_path):
     assert report["frame_of_reference"] == "camera"
     assert report["summary"]["frames_converged"] == 10
     assert report["assumptions"]["camera_level"] is True
-    # In front of the camera, at about the distance of the sample's own.
+    # The animal is in front of the camera, at about the distance of the sample's animal.
     depth = pd.read_csv(tmp_path / "pose3d.csv", header=[0, 1], index_col=0).xs("z", axis=1, level=1)
     assert 8 < depth.to_numpy().mean() < 22
 
@@ -323,7 +323,7 @@ def test_trajectory_writes_every_output(whole):
     assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     assert all(path.stat().st_size for path in out.iterdir())
     assert "30 of 30 with a pose" in ended.out
-    assert ended.out.startswith("verdict     check: The frame rate is low")  # 30 a second of a fast gallop
+    assert ended.out.startswith("verdict     check: The frame rate is low")  # 30 frames per second of a fast gallop
     assert f"recon view {out}" in ended.out
 
 
@@ -374,7 +374,8 @@ def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
     assert run("fit", "--config", out / "config.toml", "--out", "other").code == 0
     other = tmp_path / "other"
     for name in OUTPUT_FILES:
-        if name not in ("report.json", "motion.npz", "motion.rrd", "manifest.json", "config.toml"):  # with times
+        # These files contain times of the run.
+        if name not in ("report.json", "motion.npz", "motion.rrd", "manifest.json", "config.toml"):
             assert (other / name).read_bytes() == (out / name).read_bytes(), name
     assert_same_reports(out, other)
 
@@ -566,7 +567,7 @@ def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
     problems = refused(["fit", *args, "--out", tmp_path / "a" / "b"], *expected)
     assert all(problem.found and problem.expected for problem in problems)
     head, *rows = problems[0].details or ("",)
-    if case == "none of the skeleton's keypoints":  # and the map to write
+    if case == "none of the skeleton's keypoints":  # the message includes a map to complete
         assert head == "file,skeleton"
         assert [row.split(",")[0] for row in rows] == [f"wing_{name}" for name in read_keypoints(CLIP).names]
         assert "wing_neck_base,neck_base" in rows
@@ -601,7 +602,7 @@ def test_no_camera(tmp_path):
     nothing = ("--camera", "camera", "nothing", "--hfov-deg")
     out = tmp_path / "a"
     refused(fit_args(out, camera=None), nothing)
-    # What is wrong with the file comes first.
+    # Problems of the file come first.
     first, _ = refused(fit_args(out, camera=None, keypoints=CAMERA), (CAMERA, "format", "calibration"), nothing)
     assert first.file == CAMERA
     no_size = ("--image-size", "image_size_px", "nothing", "--hfov-deg")
@@ -619,7 +620,7 @@ def test_out_is_a_file(tmp_path, below):
 
 def test_results_are_not_replaced_unasked(tmp_path):
     (tmp_path / "angles.csv").write_text("mine")
-    # Said at once, before any other file is looked at.
+    # This problem is reported before any other file is read.
     there = (tmp_path / "angles.csv", "file", "did not write, or that was changed since", "another --out")
     for more in ((), ("--overwrite",)):
         refused(fit_args(tmp_path, *more, keypoints=tmp_path / "no.csv"), there)
@@ -721,7 +722,7 @@ def test_a_config_repeats_the_run_bit_for_bit_and_overwrite_keeps_other_files(tm
     stale.mkdir(parents=True)
     (stale / "pose3d.csv").write_text("half")
     assert run("fit", "--config", out / "config.toml", "--out", ".", "--overwrite").code == 0
-    # Nothing of the other method's results stays behind.
+    # No file of the other method's results is left.
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*OUTPUT_FILES, RECORD, "notes.txt"])
     assert (tmp_path / "notes.txt").read_text() == "mine"
     for name in ("pose3d.csv", "angles.csv", "reprojection.csv"):
@@ -896,7 +897,7 @@ def test_only_short_clips_have_a_playback_by_default(tmp_path, fitted, monkeypat
     write_clip(motion, replace(settings, playback="auto"), out)
     assert read_config(out / CONFIG, {}).playback == "auto"
     assert json.loads(run("view", out, "--json").out) == {"recording": None}
-    assert run("view", out, "--out", out / "playback.rrd").code == 0  # as the answer of the fit says
+    assert run("view", out, "--out", out / "playback.rrd").code == 0  # the command that the fit's output suggests
     assert json.loads(run("view", out, "--json").out) == {"recording": str(out / "playback.rrd")}
     write_clip(motion, settings, out, solve_s=2.0)  # other results: the playback is stale
     assert json.loads(run("view", out, "--json").out) == {"recording": None}
@@ -910,7 +911,7 @@ def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitt
     monkeypatch.setattr("recon.show.view.open_viewer", opened.append)
     assert run("view", out, "--out", out / "playback.rrd").code == 0
     assert run("view", out).code == 0
-    (out / ".recon.json").unlink()  # nobody knows of which results it is
+    (out / ".recon.json").unlink()  # the playback's results are unknown without the record
     assert run("view", out).code == 0
     assert opened == [out / "playback.rrd", out / "motion.rrd"]
     refused(["view", out, "--web", "--out", tmp_path / "a.rrd"], ("--web", "viewer", "--out"))

@@ -121,7 +121,8 @@ def test_a_camera_is_chosen_before_the_keypoints_are_found(film):
 
 def test_nothing_is_done_twice(film, called):
     assert done(job(film), called) == ALL
-    assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), (), ()]  # said again
+    # The note of the earlier run is repeated.
+    assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), (), ()]
     assert job(film).fit.fps == 60
     assert done(job(film), called) == []
     assert done(job(film, given={"likelihood_min": 0.4}), called) == ALL

@@ -98,7 +98,7 @@ def test_a_corner_that_several_keypoints_have_stands_for_missing_points(at):
     np.testing.assert_array_equal(cleaned.present, ~missing)
     assert report.constant_px == at
     assert report.total("missing_constant") == missing.sum()
-    xy_px[:, 0] = at  # one keypoint in the corner all the time is where it is
+    xy_px[:, 0] = at  # a single constant keypoint is not a missing value
     assert clean(Keypoints(tuple("abcd"), xy_px, np.ones((40, 4)), np.arange(40)), 0.5)[1].constant_px is None
 
 

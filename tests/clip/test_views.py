@@ -84,7 +84,8 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
         middle = np.median(points, axis=1, keepdims=True)
         steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
         moved, at = view.project(middle + steps)[0], view.project(middle)[0]
-        along = np.sqrt(np.sum((moved - at) ** 2, axis=(1, 2)) / 4)  # both ways of three axes, by two coordinates
+        # Root mean square over two directions of three axes, per coordinate.
+        along = np.sqrt(np.sum((moved - at) ** 2, axis=(1, 2)) / 4)
         np.testing.assert_allclose(found[-1], 1e6 * along, rtol=1e-4)
     np.testing.assert_allclose(found[1], found[0], rtol=0.06)
 
@@ -98,7 +99,7 @@ def test_two_cameras_find_the_place_and_the_size():
     error = np.linalg.norm(solution.joints_m - truth_m(), axis=-1)
     assert error.mean() < 0.02
     assert solution.size == pytest.approx(1.0, abs=3 * solution.size_sigma)
-    assert solution.size_sigma < 0.03  # keypoints beside their markers look like as much
+    assert solution.size_sigma < 0.03  # offsets of keypoints from their markers limit the size to this
     assert solution.size_from == ("prior", "views")
     assert solution.weight.shape == (2, *error.shape)
 
@@ -199,7 +200,7 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
     along = np.gradient(points.mean(axis=1), axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     more = np.einsum("ta,tjab,tb->tj", along, one.covariance_m2 - sure.covariance_m2, along)
-    assert 0.7 < np.median(more) / (0.5 * step_m) ** 2 < 1.0  # the motion's own expectations say a little
+    assert 0.7 < np.median(more) / (0.5 * step_m) ** 2 < 1.0  # the motion prior reduces the uncertainty a little
 
 
 def test_a_camera_that_pans_is_as_good_as_a_still_one():
@@ -273,7 +274,7 @@ def test_cameras_beside_their_poses_come_back():
     assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 0.7
     off = found.joints_m - truth_m()
     assert np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=-1).mean() < 0.03
-    assert np.nanmean(found.weight[1]) > 0.8  # beside the refined camera, not beside the one that was given
+    assert np.nanmean(found.weight[1]) > 0.8  # weights are those for the refined pose, not for the given pose
 
 
 def test_a_wrong_focal_length_is_found_by_two_cameras():

@@ -143,7 +143,7 @@ def test_intervals_widen_where_lengths_are_others():
         centred_m = aligned(solution.joints_m, true_m) - true_m
         place = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
         shares.append([place, coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)])
-    assert np.min(shares) > 0.83  # 0.65 to 0.82 with keypoints as near as expected
+    assert np.min(shares) > 0.83  # 0.65 to 0.82 if the keypoint bias is ignored
     assert np.all(np.mean(shares, axis=0) < 0.97)  # 0.98 where a bias that was found counts twice
 
 
@@ -449,5 +449,5 @@ def test_refined_cameras_of_a_small_rig_stay_near_their_places():
         return float(np.degrees(max(turns))), float(np.linalg.norm(found.markers_m - true_m, axis=2).mean())
 
     held, refined = off(False), off(True)
-    assert refined[0] < 3  # 4.3 to 5.0 where cameras may stand 5 cm from their places, as before an animal of 1 m
+    assert refined[0] < 3  # 4.3 to 5.0 with the position prior of a rig for an animal of 1 m (5 cm)
     assert refined[1] < min(0.007, 1.1 * held[1])

@@ -95,7 +95,7 @@ def test_cameras_are_placed_beside_those_already_placed():
     (placed,) = _initial_poses([setting(views)], silent)
     for view, true in zip(placed.views, poses, strict=True):
         turned_deg, off_m = apart(view.T_camera_world @ inverse(placed.views[0].T_camera_world), true @ inverse(AHEAD))
-        assert turned_deg < 10.0  # the errors that the next step expects
+        assert turned_deg < 10.0  # the next step expects errors up to these limits
         assert off_m < 1.0
 
 
@@ -115,7 +115,7 @@ def test_poses_that_are_roughly_known():
     np.testing.assert_allclose(rig.T_camera_world[0], AHEAD, atol=1e-4)
     (degrees, metres), before = apart(rig.T_camera_world[1], ASIDE), apart(wrong, ASIDE)
     assert degrees < 0.4 * before[0]
-    assert metres < 0.05  # as expected beforehand: two clips of half a second hardly tell the place
+    assert metres < 0.05  # as in the prior, since two clips of half a second hardly determine positions
 
 
 def test_rough_poses_say_how_large_the_animal_is():

@@ -201,7 +201,8 @@ def test_the_posterior_is_that_of_the_dense_equations():
     n, P = states.size, len(normal.corner)
     border = normal.border.reshape(n, P)
     whole = np.block([[to_dense(normal.blocks), border], [border.T, normal.corner]])
-    given = np.linalg.inv(np.delete(np.delete(whole, n, 0), n, 1))[:n, :n]  # the size, first of the border, held
+    # The size, the first unknown of the border, is fixed.
+    given = np.linalg.inv(np.delete(np.delete(whole, n, 0), n, 1))[:n, :n]
     jacobian = BODY.tree.pose_with_jacobian(states).jacobian
     assert jacobian is not None
     D = states.shape[1]
@@ -302,7 +303,7 @@ def test_reports_when_it_did_not_converge():
     ("whole_until", "iterations"),
     [
         (9, 3),  # decreases of 500, 50 and 5: the next one will be 0.5, less than 400 x 0.002
-        (0, 4),  # parts of steps say nothing about the next decrease
+        (0, 4),  # shortened steps do not predict the next decrease
     ],
 )
 def test_a_search_ends_when_the_next_step_will_gain_too_little(monkeypatch, whole_until, iterations):
@@ -404,6 +405,6 @@ def test_a_step_of_the_size_keeps_the_animal_in_the_picture_of_one_camera():
 def test_a_step_is_extended_to_the_least_cost_on_its_parabola():
     from recon.fit.least_squares import _best_length
 
-    cost = np.polynomial.Polynomial([3.0, -2.0, 0.5])  # least at 2
+    cost = np.polynomial.Polynomial([3.0, -2.0, 0.5])  # the minimum is at 2
     assert _best_length(float(cost(0.0) - cost(1.0)), -2.0) == pytest.approx(2.0)
     assert _best_length(2.5, -2.0) == 4.0  # the cost bends downwards

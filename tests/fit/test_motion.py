@@ -238,7 +238,7 @@ def test_every_camera_has_its_picture(two_cameras):
 def test_a_moving_cameras_place_is_that_of_each_frame(two_cameras):
     first, second = two_cameras.solution.views
     poses = np.tile(second.T_camera_world, (8, 1, 1))
-    poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]  # one metre along x a frame
+    poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]  # the camera moves along x by one metre per frame
     moving = replace(two_cameras.solution, views=(first, replace(second, T_camera_world=poses)))
     places_m = replace(two_cameras, solution=moving).pictures[1].T_reference_camera[:, :3, 3]
     np.testing.assert_allclose(places_m - [10, -8, 2.5], np.arange(8)[:, None] * [1, 0, 0], atol=1e-12)

@@ -87,7 +87,7 @@ def test_if_it_is_open_which_camera_is_turned_each_is_turned_by_half_and_both_ar
     assert np.degrees(poses.expected[[PAN, SECOND_PAN]]) == pytest.approx([-1.5, 1.5], abs=0.02)
     sigma_deg = np.degrees(np.sqrt(np.diagonal(poses.covariance_about(poses.expected))))
     assert sigma_deg[PAN] == pytest.approx(sigma_deg[SECOND_PAN])
-    assert 1.4 < sigma_deg[PAN] < 1.8  # 3 degrees or 0, as likely
+    assert 1.4 < sigma_deg[PAN] < 1.8  # 3 degrees and 0 are equally likely
 
 
 def random_problem(correlation: float) -> tuple[LeastSquares, np.ndarray]:
@@ -107,25 +107,26 @@ def test_the_poses_of_a_problem_become_as_uncertain_as_all_explanations_leave_th
     changed = with_uncertain_poses(problem, shared, (S, gradient), correlation)
     before, after = np.linalg.inv(S), np.linalg.inv(changed)
     prior = np.diag(np.tile(problem.shared[1].sigma, 2)) ** 2
-    lasting = S + np.diag([(correlation - 1.0) * 0.1**-2.0, *np.zeros(12)])  # the size counts once, too
+    # The prior of the size counts only once, too.
+    lasting = S + np.diag([(correlation - 1.0) * 0.1**-2.0, *np.zeros(12)])
     likelihood_precision = np.linalg.inv(np.linalg.inv(lasting)[1:, 1:]) - np.linalg.inv(prior)
     misplaced = np.where(np.arange(12) % 6 < 3, constants.MISPLACED_RAD, constants.MOVED * USUAL)
     poses = PairPoses.weigh(likelihood_precision / correlation, np.zeros(12), CALIBRATED, misplaced)
     np.testing.assert_allclose(correlation * after[1:, 1:], poses.covariance_about(np.zeros(12)), rtol=1e-6, atol=1e-15)
-    by_poses = np.linalg.solve(before[1:, 1:], before[1:, 0])  # the size follows the poses as before
+    by_poses = np.linalg.solve(before[1:, 1:], before[1:, 0])  # the size depends on the poses as before
     np.testing.assert_allclose(np.linalg.solve(after[1:, 1:], after[1:, 0]), by_poses, rtol=1e-5, atol=1e-9)
 
 
 def test_with_the_mean_of_its_prior_a_problem_has_its_minimum_at_the_expected_poses():
     problem, S = random_problem(4.0)
-    gradient = 0.02 * S[:, 2]  # shows a turn, and the explanations differ from the minimum
+    gradient = 0.02 * S[:, 2]  # indicates a rotation, so that the expected poses are not the minimum
     weighed = pair_poses(problem, problem.expected(), (S, gradient), 4.0)
     assert weighed is not None
     prior_pull = np.append(0.0, -weighed.prior_mean / np.tile(problem.shared[1].sigma, 2) ** 2)
     minimum = np.asarray(-np.linalg.solve(S, gradient + prior_pull), dtype=float)
     assert np.abs(weighed.poses.expected).max() > 1e-3
     np.testing.assert_allclose(minimum[1:], weighed.poses.expected, rtol=1e-8, atol=1e-12)
-    # from there, with this mean, the result is the same
+    # The result is the same if the fit starts there with this prior mean.
     means = {unknown.name: unknown.mean for unknown in problem.shared}
     means |= {extrinsic_correction(i): weighed.prior_mean[6 * i : 6 * i + 6] for i in range(2)}
     shared = [replace(unknown, mean=means[unknown.name]) for unknown in problem.shared]

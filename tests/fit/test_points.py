@@ -72,7 +72,7 @@ def test_missing_markers(cheetah):
     assert np.isfinite(states[2:]).all()
     assert rms_m[2:].max() < 1e-6
     np.testing.assert_allclose(states[2, PITCH:], truth[2, PITCH:], rtol=0, atol=1e-5)
-    # Nothing says where the foot points but what is expected of it.
+    # Only the prior determines the direction of the foot.
     foot = cheetah.state_names.index("l_fore_foot_pitch")
     assert states[3, foot] == pytest.approx(cheetah.mean_rad[foot - 4], abs=1e-6)
 

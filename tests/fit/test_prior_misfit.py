@@ -45,7 +45,7 @@ def test_the_level_is_the_scale_of_the_variances(fps):
         truth[:, ANGLES] = NARROW.mean + scale * np.sqrt(constants.MISFIT_USUAL) * sigma * rng.normal(
             size=(300, len(sigma))
         )
-        # seen so well that the prior hardly draws
+        # The data are so precise that the prior has hardly any effect.
         seen = Linear("seen", (0,), 1e3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
         problem = LeastSquares(BODY.tree, [prior, seen], [])
         found = prior_misfit_of(problem, Estimate(truth, 0.0, 1, True))
@@ -67,7 +67,7 @@ def test_pixels_that_say_nothing_make_no_surprise():
 def test_few_unknowns_have_to_be_further_off():
     assert not PriorMisfit(1.99, 1e4).unlike
     assert PriorMisfit(2.01, 1e4).unlike
-    assert not PriorMisfit(2.2, 10.0).unlike  # 2.32 of a chi square with ten degrees of freedom: one in 100
+    assert not PriorMisfit(2.2, 10.0).unlike  # 2.32 is the 99 % quantile of chi square / 10 with ten degrees of freedom
     assert PriorMisfit(2.4, 10.0).unlike
 
 

@@ -154,8 +154,9 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, undrawn, mon
         if target.writes == ("2D",) or (clip not in ODD and "3D" in target.writes):
             continue
         made = tmp_path / f"pose.{target.name}{target.suffixes[0]}"
-        convert(ConvertSettings(source=out, out=made, to=target.name, anyway=True))  # a mouse from 7 m
+        # Despite the finding on a mouse 7 m away.
+        convert(ConvertSettings(source=out, out=made, to=target.name, anyway=True))
         if "3D" in target.reads and "3D" in target.writes:
             np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)
-    if clip == "bare root":  # a page takes long
+    if clip == "bare root":  # a page takes long to write
         report(PageSettings(folder=out))

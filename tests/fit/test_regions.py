@@ -12,7 +12,7 @@ def test_intervals_are_those_of_students_t_with_the_stated_variance():
         scaled = float(t.ppf((1 + level) / 2, DEGREES_OF_FREEDOM) / t.std(DEGREES_OF_FREEDOM))
         assert radius(level) == pytest.approx(scaled)
         assert cumulative(scaled) - cumulative(-scaled) == pytest.approx(level)
-    # Heavier tails: 90 % take a little more than a Gaussian's, 50 % less.
+    # The tails are heavier than a Gaussian's, so the 90 % radius is a little larger and the 50 % radius smaller.
     assert 1.0 < radius(0.9, 3) / np.sqrt(chi2.ppf(0.9, 3)) < 1.05
     assert 0.85 < radius(0.5, 3) / np.sqrt(chi2.ppf(0.5, 3)) < 0.95
 

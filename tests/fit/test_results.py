@@ -70,7 +70,7 @@ def test_the_camera_frame_is_turned_upright(level_results):
     up = np.array([0.0, -np.cos(np.radians(3)), -np.sin(np.radians(3))])
     np.testing.assert_allclose(found.upright.xyz_m[..., 2], in_camera @ up, atol=2 * TABLES_M)
     np.testing.assert_allclose(found.upright.xyz_m[..., 0], in_camera[..., 0], atol=TABLES_M)
-    # The camera's y and z mix by the tilt; their covariances with them.
+    # The tilt mixes the camera's y and z, and their covariances.
     R = found.T_reference_world[:3, :3]
     j = found.names.index("spine")
     turned = R @ found.solution.covariance_m2[:, j] @ R.T

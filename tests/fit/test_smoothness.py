@@ -31,7 +31,7 @@ def test_likely_accelerations_are_those_of_the_motion(share):
     problem, states = solved_problem(share)
     scale = likely_scale(problem, states, {}, np.ones(states.shape[1]))
     assert np.median(scale[ANGLES]) == pytest.approx(share, rel=0.25)
-    assert np.all(scale[:3] == scale[0])  # no detection says anything about the position
+    assert np.all(scale[:3] == scale[0])  # no detection determines the position
 
 
 def test_accelerations_of_few_frames_stay_as_expected():

@@ -64,7 +64,7 @@ def test_noise_is_found_and_the_covariances_hold(count):
     assert known.mean() > 0.97
     assert result.sigma_px == pytest.approx(np.full(6, SIGMA_PX), rel=0.3)
     square = np.einsum("na,nab,nb->n", error_m[known], np.linalg.inv(result.covariance_m2[known]), error_m[known])
-    assert 0.84 < np.mean(square < 6.25) < 0.97  # 90 % of a chi square with three
+    assert 0.84 < np.mean(square < 6.25) < 0.97  # 6.25 is the 90 % quantile of chi square with three degrees of freedom
     assert np.median(np.linalg.norm(error_m[known], axis=-1)) < 0.008
 
 

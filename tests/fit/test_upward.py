@@ -58,7 +58,7 @@ def test_up_is_found_from_the_ground_that_feet_stand_on(tmp_path, scale, first):
     """
     true, rng = walking(scale), np.random.default_rng(0)
     centres = scale * np.array([first, [0.0, 4.5, 1.5], [-4.0, -1.0, 2.5], [1.0, -4.5, 1.0]])
-    cameras, points = [], true @ WORLD.T  # what the calibration calls them
+    cameras, points = [], true @ WORLD.T  # in the axes of the calibration
     for number, centre in enumerate(centres, start=1):
         level = looking(centre, f"cam{number}", 13.0)
         camera = replace(level, rotation=np.asarray(level.rotation) @ WORLD.T)

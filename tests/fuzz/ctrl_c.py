@@ -28,7 +28,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 CAMERA = ("--camera", SAMPLES / "camera.toml")
 PATIENCE_S = 60.0
 READY = "READY"
-# As the installed command does it, with a sign once Ctrl-C is waited for.
+# Runs the command line as the installed command does, and prints READY once Ctrl-C is handled.
 CODE = f"""
 import os, signal
 from recon.__main__ import main

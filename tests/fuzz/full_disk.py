@@ -61,7 +61,7 @@ def read_data(out: Path) -> object:
     from recon.base.errors import InputError
     from recon.cli.convert import ConvertSettings, read_any
 
-    if out.suffix in (".osim", ".glb"):  # by others
+    if out.suffix in (".osim", ".glb"):  # recon does not read these formats
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
         assert len(sizes) == (3 if out.suffix == ".osim" else 1)
         return sizes
@@ -300,7 +300,7 @@ def check(wanted: Iterable[Case], sizes: int, by_file: bool) -> int:
     wrong = 0
     for case in wanted:
         total = size_of(case)[by_file]
-        # From next to nothing to a little more than is needed.
+        # From almost no space to a little more than is needed.
         steps = [max(LEAST, round(1.1 * total * (k + 1) / sizes)) for k in range(sizes)]
         found = [verdict(case, size, by_file) for size in steps]
         counts = {kind: sum(1 for one, _ in found if one == kind) for kind in dict.fromkeys(one for one, _ in found)}

@@ -69,13 +69,13 @@ def spoilt(content: bytes, suffix: str, random: Random) -> bytes:
     """Return a file of this kind, damaged once or several times."""
     kinds = KINDS.get(suffix, (lines, lines, numbers, words, in_bytes))
     chosen = [random.choice(kinds) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
-    # Libraries must not see files whose bytes are spoilt before our readers do.
+    # Damage bytes last, because libraries must not open files with damaged bytes before recon's readers do.
     chosen.sort(key=lambda mutation: mutation in BINARY)
     for mutation in chosen:
         try:
             content = mutation(content, random)
         except Exception:
-            content = in_bytes(content, random)  # its values are spoilt beyond their own form
+            content = in_bytes(content, random)  # earlier mutations left a file that this one cannot parse
     return content
 
 
@@ -115,7 +115,7 @@ def spoilt_name(name: str, random: Random) -> str:
 def in_bytes(content: bytes, random: Random) -> bytes:
     made = bytearray(content)
     for _ in range(random.choice((1, 1, 2, 8, 32))):
-        # Headers matter more than data.
+        # Damage headers more often than data, since readers depend on them.
         at = random.randrange(min(len(made), random.choice((512, 8192, len(made) or 1))) or 1)
         what = random.randrange(6)
         if what == 0:
