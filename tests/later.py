@@ -16,7 +16,7 @@ class Later:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        if attribute.startswith("_"):  # pytest asks everything whether it is a test or a mock
+        if attribute.startswith("_"):  # pytest looks up private attributes of every object
             raise AttributeError(attribute)
         return getattr(import_module(self._name), attribute)
 

@@ -73,9 +73,10 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
     def once(name: str, make: Callable[[Path], object]) -> Path:
         path = shared / f"shared-{name}"
         if not path.exists():
-            making = shared / f"{os.environ.get('PYTEST_XDIST_WORKER', 'made')}-{name}"  # as deep: for relative paths
+            # At the same depth, so that relative paths hold.
+            making = shared / f"{os.environ.get('PYTEST_XDIST_WORKER', 'made')}-{name}"
             make(making)
-            with suppress(OSError):  # the other process was first
+            with suppress(OSError):  # another process was faster
                 making.rename(path)
         return path
 
@@ -280,7 +281,7 @@ def small_trajectory() -> Motion:
     weight[4, nose] = 0.05
     contact = np.zeros((8, 4))
     contact[1:3, body.feet.index("l_front_paw")] = 0.9
-    # Less certain along y, away from the camera.
+    # The uncertainty is larger along y, which points away from the camera.
     relative = np.tile(np.diag([0.02, 0.08, 0.02]) ** 2, (8, 24, 1, 1))
     solution = TrajectorySolution(
         body=body,

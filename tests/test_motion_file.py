@@ -118,7 +118,7 @@ def test_damaged_bytes(saved: Path) -> None:
         damaged = bytearray(whole)
         damaged[at] ^= 1 << rng.integers(8)
         saved.write_bytes(bytes(damaged))
-        with suppress(InputError):  # some bytes of an archive mean nothing
+        with suppress(InputError):  # some bytes of an archive have no effect
             Motion.load(saved.parent)
 
 
@@ -281,7 +281,7 @@ def test_any_dataclass(tmp_path: Path) -> None:
     loaded = load_record(_Tree, path, SCHEMA, "a tree")
     assert not differences(tree, loaded)
     with np.load(path) as file:
-        assert [*file.files] == ["record", "leaves.0.values"]  # once, though it stands there twice
+        assert [*file.files] == ["record", "leaves.0.values"]  # equal arrays are stored once
     with pytest.raises(TypeError, match="what: a set cannot be saved"):
         save_record(replace(tree, what={1}), path, SCHEMA)  # type: ignore[arg-type]
 

@@ -325,7 +325,7 @@ def test_mistakes_in_a_config_name_the_file(tmp_path):
     config = write_config(tmp_path, '[recon.fit]\nkeypoints = "c.csv"\nfps = "fast"\nspeed = 3\n')
     others = ("speed", "unknown", ", ".join(SETTINGS)), ("camera", "nothing", "--hfov-deg")
     refuses({}, ("fps", "'fast'", "number"), *others, config=config)
-    # A mistake on the command line is the command line's.
+    # An error on the command line is attributed to the command line.
     with refusal(("--fps", "fps", 0.0, "greater than 0"), *((config, *other) for other in others)):
         read_settings(config, {"fps": 0.0})
 
@@ -413,7 +413,7 @@ def test_settings_that_are_no_options(words, expected):
 
 def test_a_setting_that_is_no_option_is_checked():
     problems = ("a.csv", "file", "no such file"), ("--set sigma-px", "sigma_px", "'0'", "greater than 0")
-    height = "--height-m", "height_m", "'1e300'", "less than or equal to 10"  # of a larger one no number is left
+    height = "--height-m", "height_m", "'1e300'", "less than or equal to 10"  # larger heights overflow
     given = ["fit", "a.csv", "--camera", "c.toml", "--out", "x", "--set", "sigma-px=0", "--height-m", "1e300"]
     refused(given, *problems, height)
 
@@ -456,7 +456,7 @@ def test_options_that_are_numbers(arguments):
         app(arguments)
     problems = {(problem.file, problem.found): problem.expected for problem in caught.value.problems}
     assert (arguments[-2], "'90fps'") in problems
-    missing = problems.get(("--video", "nothing"), "")  # it is optional for `recon report`, whose settings these extend
+    missing = problems.get(("--video", "nothing"), "")  # optional for `recon report`, whose settings this class extends
     assert missing.startswith("video of the") == (arguments[0] == "overlay")
     assert [of.infos()["video"].default for of in (OverlaySettings, PageSettings)] == [MISSING, None]
 
@@ -503,7 +503,7 @@ def test_the_height_at_the_withers_is_a_size():
     np.testing.assert_allclose(heights[0], times * heights[1], atol=1e-12)
     assert horse.size_sigma == 0.05
     rough, _, _ = read_model_and_cameras(replace(settings, skeleton="quadruped"))
-    assert rough.size_sigma == 0.15  # the proportions of no species
+    assert rough.size_sigma == 0.15  # a skeleton without the proportions of a species
     with refusal(("--height-m", "height_m", ["mouse-top", "no feet"], "--set size")):
         read_model_and_cameras(replace(settings, skeleton="mouse-top"))
     refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size 2"], "only one of the two"))

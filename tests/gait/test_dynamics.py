@@ -74,7 +74,7 @@ def test_the_centre_of_mass_moves_as_the_body_and_is_within_it(motion: Motion, f
     trunk = [motion.upright.names.index(name) for name in motion.forward_names]
     middle = motion.upright.xyz_m[:, trunk].mean(axis=1)
     assert np.abs(centre - middle).max() < 0.35
-    # Moved and with other shares: all mass on one segment puts it into that one's middle, here between knee and ankle.
+    # With all mass on one segment, the centre of mass is the middle of that segment, here between knee and ankle.
     shares = {name: (1.0 if name == "l_fore_lower" else 1e-12, 1e-12) for name in motion.body.mass}
     body = replace(motion.body, mass=shares)
     one = analyse(replace(motion, solution=replace(motion.solution, body=body))).dynamics
@@ -104,7 +104,7 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
     assert d is not None
     assert gait is not None
     by_foot = d.forces.groupby("foot")["impulse_bw_s"].mean()
-    assert by_foot.sum() == pytest.approx(gait.stride_s, rel=1e-3)  # each stance's is that of the strides at its time
+    assert by_foot.sum() == pytest.approx(gait.stride_s, rel=1e-3)  # each stance uses the strides at its time
     assert len(d.forces)
     for force in d.forces.to_dict("records"):
         time_s = gait.tracks.time_s
@@ -116,7 +116,7 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
         assert force["peak_low_bw"] < force["peak_bw"] < force["peak_high_bw"]
         assert force["impulse_low_bw_s"] < force["impulse_bw_s"] < force["impulse_high_bw_s"]
         assert (low[inside] <= high[inside]).all()
-    # One that the clip cuts to an instant has no force, and divides nothing by its time.
+    # A stance that the clip's end cuts to an instant has no force, and causes no division by zero.
     cut = replace(gait.stances[0], end_s=gait.stances[0].start_s, ends=False, end_sigma_s=np.nan)
     of_others = _forces(replace(gait, stances=(cut, *gait.stances[1:])))[0]
     assert len(of_others) == len(d.forces) - (gait.stances[0].begins and gait.stances[0].ends)
@@ -194,12 +194,12 @@ def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(f
     short = replace(known, end_s=known.start_s + 2 * quarter_s, start_sigma_s=quarter_s, end_sigma_s=quarter_s)
     before, after = map(first_force, (known, short))
     assert after.foot == known.foot
-    assert after.peak_bw < 1.5 * before.peak_bw  # twice as high if it lasted half as long
+    assert after.peak_bw < 1.5 * before.peak_bw  # twice as high if the short duration were used
     assert after.peak_high_bw < 1.6 * before.peak_high_bw
-    # So does a part of one, whatever its ends seem to be; one that is known is taken as it is.
+    # A part of a stance also gets the usual duration. A stance with known ends keeps its own.
     part = replace(known, end_s=known.start_s + quarter_s / 2, start_sigma_s=quarter_s / 6, end_sigma_s=quarter_s / 6)
     longer = first_force(part)
-    assert longer.peak_bw < 3 * before.peak_bw  # eight times as high as it is
+    assert longer.peak_bw < 3 * before.peak_bw  # eight times as high if the short duration were used
     sure = replace(known, start_sigma_s=1e-4, end_sigma_s=1e-4)
     taken = first_force(sure)
     assert taken.impulse_bw_s == pytest.approx(taken.peak_bw * MEAN_OF_PEAK * sure.duration_s, rel=0.01)

@@ -90,7 +90,7 @@ def test_metrics_by_hand():
     small = evaluate(pose([[[-0.1, 0, 0.03], [0.116, 0, 0.03]]]), pose([[[-0.1, 0, 0], [0.1, 0, 0]]]))
     assert [(t, s.mean) for t, s in small.pck] == [(0.005, 0), (0.01, 1), (0.015, 1)]
     one = evaluate(pose([[[0, 0, 0]]] * 2), pose([[[0, 0, 0]], [[0, 0, np.nan]]]))
-    assert [t for t, _ in one.pck] == [0.05, 0.1, 0.15]  # a joint has no size
+    assert [t for t, _ in one.pck] == [0.05, 0.1, 0.15]  # a single joint has no extent
 
 
 def test_each_alignment_undoes_its_own_change():
@@ -111,7 +111,7 @@ def test_each_alignment_undoes_its_own_change():
 def test_a_mirrored_pose_is_not_mirrored_back():
     mirrored = TRUTH * [1, -1, 1]
     assert evaluate(pose(mirrored), pose(TRUTH)).pa_mpjpe_m.mean > 0.05
-    # A factor of -1 would make this one perfect.
+    # A factor of -1 would make this pose perfect.
     opposite = pose(TRUTH.mean(axis=1, keepdims=True) * 2 - TRUTH)
     spread = np.linalg.norm(TRUTH - TRUTH.mean(axis=1, keepdims=True), axis=2)
     assert evaluate(opposite, pose(TRUTH)).scale_mpjpe_m.per_frame == pytest.approx(spread.mean(axis=1))
@@ -281,12 +281,12 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
     """A folder of results is compared in the frame of the world and, without a calibration, of the camera."""
     truth = SAMPLES / "whole_truth.csv"
     found = evaluate_files(whole_results, truth)
-    of_table = evaluate_files(whole_results / "pose3d.csv", truth)  # which says nothing of its uncertainty
+    of_table = evaluate_files(whole_results / "pose3d.csv", truth)  # the table has no uncertainty
     assert found.mpjpe_m.mean == pytest.approx(of_table.mpjpe_m.mean, abs=1e-6)
     assert of_table.inside == {}
     assert found.notes == ()
     assert all(0.3 < half < often and 0.8 < often <= 1.0 for half, often in found.inside.values())
-    exchanged = evaluate_files(truth, whole_results)  # a folder may be the reference
+    exchanged = evaluate_files(truth, whole_results)  # a results folder may be the reference
     assert exchanged.mpjpe_m.mean == pytest.approx(found.mpjpe_m.mean)
     with refusal((whole_results, "unit, up", "recon fit", "no --unit")):
         evaluate_files(truth, whole_results, unit="mm")

@@ -123,7 +123,7 @@ def test_bands_hold_the_truth_of_the_sample(fitted):
         first, middle, last = (points_m[:, fitted.names.index(marker)] for marker in markers)
         up, down = middle - first, last - middle
         straight = np.sum(up * down, axis=1) / np.linalg.norm(up, axis=1) / np.linalg.norm(down, axis=1)
-        # The truth's angle in space is that in the sagittal plane, but for the width of the animal.
+        # The true angle in space nearly equals the angle in the sagittal plane.
         off = np.arccos(np.cos(flexion.angle_rad)) - np.arccos(straight)
         inside.append(np.abs(off) < 1.645 * flexion.sigma_rad)
     assert 0.85 < np.mean(inside) <= 1.0

@@ -85,8 +85,8 @@ def test_gaits_are_named(name):
     assert found.name.name == name, found.name
     for foot in FEET:
         assert (found.name.phase[foot] - phase[foot] + 0.5) % 1 == pytest.approx(0.5, abs=0.02)
-        # A foot counts as standing until it has a sixth of its speed in the swing, a half sine: a little more than it
-        # stands still.
+        # A foot counts as standing until it has a sixth of its largest speed in the swing, which is a half sine, so the
+        # duty factor is a little larger than the fraction of a stride without motion.
         extra = 2 * (1 - duty) * np.arcsin(SLOW[0]) / np.pi
         assert found.duty_factor[foot] == pytest.approx(duty + extra, abs=0.015)
     assert found.stride_frequency_hz == pytest.approx(2.5, rel=1e-3)
@@ -198,7 +198,7 @@ def test_events_are_as_uncertain_as_the_paths_and_the_thresholds():
     errors = (Errors(sigma, 0.05),)
     found = pose_gait(pose, FPS, errors)
     for a, b in zip(exact.stances, found.stances, strict=True):
-        # A foot that seems to move may stand: stances with errors are a little longer.
+        # With errors, a slowly moving foot may be standing, so stances are a little longer.
         assert a.start_s - 0.005 < b.start_s <= a.start_s
         assert a.end_s <= b.end_s < a.end_s + 0.005
         for known, before, after in (
@@ -206,7 +206,7 @@ def test_events_are_as_uncertain_as_the_paths_and_the_thresholds():
             (a.ends, a.end_sigma_s, b.end_sigma_s),
         ):
             assert (0 < before < after) if known else (np.isnan(before) and np.isnan(after))
-    # Poses with such errors have their events within the intervals as often as said.
+    # With such errors, the intervals contain the true events as often as stated.
     rng, time = np.random.default_rng(3), np.arange(len(pose.xyz_m)) / FPS
     together = np.linalg.cholesky(np.exp(-0.5 * ((time[:, None] - time) / 0.05) ** 2) + 1e-9 * np.eye(len(time)))
     inside = []
@@ -340,7 +340,7 @@ def test_feet_that_stand_longer_than_half_a_stride_do_not_gallop(duty, name):
     """
     phases = PATTERNS["transverse gallop"][0]
     all_stances = [Stance(foot, p, p + duty, 30 * p, 30 * (p + duty), ends=p < 0.5) for foot, p in phases.items()]
-    all_stances.append(Stance("LH", 0.95, 1.0, 28.5, 30.0, ends=False))  # the clip cuts it
+    all_stances.append(Stance("LH", 0.95, 1.0, 28.5, 30.0, ends=False))  # cut by the end of the clip
     found = name_gait(tuple(all_stances), (), 1.0)
     assert found.name == name
     assert ("more than half" in found.criterion) == (name == "unknown")

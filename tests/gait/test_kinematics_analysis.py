@@ -86,7 +86,7 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
     covariance = np.outer(sigma, sigma) * (np.exp(-0.5 * (lag / correlation_s) ** 2) if correlation_s else np.eye(20))
     noise = rng.multivariate_normal(np.zeros(20), covariance, 400).T
     sigma = sigma[:, None]
-    # One smoothing for all draws: what is propagated is the noise under a given lam.
+    # All draws have the same lam, since the propagated noise is that for a given lam.
     given = series_kinematics(
         time_s, np.sin(20 * time_s)[:, None] + noise[:, :1], [Errors(sigma, correlation_s)], smooth=smooth
     )
@@ -100,7 +100,7 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
     for found, sample in zip((given.value_sigma, given.rate_sigma, given.acceleration_sigma), drawn, strict=True):
         assert found is not None
         expected = sample.std(axis=1)
-        big = expected > 0.05 * expected.max()  # a natural end has no acceleration at all
+        big = expected > 0.05 * expected.max()  # the acceleration is zero at a natural end
         np.testing.assert_allclose(found[big, 0], expected[big], rtol=0.2)
 
 
@@ -194,7 +194,7 @@ def test_joint_angle_and_its_deviation():
     sigma = np.full((60, 3, 3), 0.01)
     angle = joint_angle(leg(bend), ("hip", "knee", "foot"), FPS, [Errors(sigma)])
     np.testing.assert_allclose(angle.series.value[::10, 0], bend, atol=1e-9)
-    # Each end turns its link by sigma / 1 m; the knee moves both, against one another by the angle between them.
+    # Errors of the ends rotate one link by sigma / 1 m each; an error of the knee rotates both links.
     expected = 0.01 * np.sqrt(2 + 2 - 2 * np.cos(bend))
     np.testing.assert_allclose(angle.series.value_sigma[::10, 0], expected, rtol=1e-6)
 
@@ -205,7 +205,7 @@ def test_angles_of_nothing():
     straight, upright = (np.array([[0.0 * axis, axis, 2 * axis]]) for axis in np.eye(3)[[0, 2]])
     assert angle_between(*straight.transpose(1, 0, 2))[0] == np.pi
     assert np.isnan(sagittal_flexion(*upright.transpose(1, 0, 2))).all()
-    # A straight back is no corner for the signed angle.
+    # The signed angle is smooth at a straight back.
     assert angle_sigma(sagittal_flexion, straight, np.full((1, 3, 3), 0.01))[0] == pytest.approx(0.01 * np.sqrt(6))
 
 

@@ -102,7 +102,7 @@ def test_circle():
     path = point_kinematics(TIME_S, circle(TIME_S))
     np.testing.assert_allclose(path.speed_m_s, 3.0, rtol=1e-4)
     np.testing.assert_allclose(path.acceleration_m_s2[50:-50], 4.5, rtol=1e-3)
-    np.testing.assert_allclose(path.acceleration_m_s2, 4.5, rtol=0.02)  # the ends of a spline are its weakest part
+    np.testing.assert_allclose(path.acceleration_m_s2, 4.5, rtol=0.02)  # a spline is least accurate at its ends
     assert path.distance_m == pytest.approx(3.0 * TIME_S[-1], rel=1e-5)
 
 
@@ -211,7 +211,7 @@ def test_errors_that_last_are_in_the_deviations_of_speeds():
     time_s = np.arange(120) / 90
     found = point_kinematics(time_s, points + noise, lasting_errors(points + noise, 90), smooth=True).series
     independent = point_kinematics(time_s, points + noise, jitter_errors(points + noise), smooth=True).series
-    # Smoothing goes by what is independent: only the deviations differ.
+    # Smoothing depends on the independent errors only, so the curves are equal and their standard deviations differ.
     np.testing.assert_array_equal(found.rate, independent.rate)
     error = found.rate - [12, 0, 0]
     ratios = [float(np.sqrt(np.mean((error / of.rate_sigma) ** 2))) for of in (found, independent)]

@@ -103,7 +103,7 @@ def test_asymmetry_is_refused_or_has_an_interval(whole: ClipAnalysis):
     quantity = analysis.quantities["asymmetry_excursion_hind"]
     assert quantity.value == pytest.approx(2 * (left.mean() - right.mean()) / (left.mean() + right.mean()))
     assert quantity.interval[0] < quantity.value < quantity.interval[1]
-    # Errors of touch-down that both feet share cancel: the scatter of the strides and the view's own share are left.
+    # Errors of touch-down that both feet share cancel, which leaves the scatter of the strides and the view's error.
     left, right = asymmetry_values(thrice, "stance", PAIRS["hind"])
     scatter = np.hypot(*(np.std(side, ddof=1) / len(side) ** 0.5 for side in (left, right)))
     expected_sigma = np.hypot(2 * scatter / (left.mean() + right.mean()), SIDE_SIGMA["stance"])

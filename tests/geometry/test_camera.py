@@ -255,7 +255,7 @@ def test_up_follows_the_world_only_where_its_z_points_up():
 def test_a_camera_without_a_pose_may_look_down_by_a_known_angle(tilt):
     """A camera without a pose may look down by a known angle, also straight down, as from a drone."""
     camera = make_camera("pinhole", tilt_rad=tilt)
-    # The same camera in a world: its axis, level at first, is lowered about its x axis.
+    # The same camera in a world, level and then tilted downwards about its x axis.
     level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rotation = Rotation.from_euler("x", tilt).as_matrix() @ level
     posed = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))

@@ -47,7 +47,7 @@ def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
     chain = spine_front_leg(skeleton)
     for t in range(20):
         np.testing.assert_allclose(chain.positions(q[t]), (joints[t] - root[t]) @ base.T, atol=1e-12)
-    # No link turns by a jump to the other pair of angles.
+    # No link jumps to its second pair of angles, which has the same direction.
     assert np.abs(np.diff(q[:, :5], axis=0)).max() < 1.5
     np.testing.assert_allclose(chain_angles(skeleton, states, travel=ahead), q, atol=1e-12)
     np.testing.assert_array_equal(chain_angles(skeleton, states, dim=2), q[:, :5])
@@ -117,7 +117,7 @@ def test_body_chain_of_a_front_leg():
     assert chain.upper_rad[6] == pytest.approx(body.mean_rad[pitch - 4] + 3 * body.sigma_rad[pitch - 4])
     np.testing.assert_allclose((chain.lower_rad[0], chain.upper_rad[0]), (-np.pi, np.pi))
     assert np.isinf(body_chain(body, "l_front_paw", limited=False).upper_rad).all()
-    # The trunk's joints turn the piece from the spine to the shoulder, the next ones the upper arm and so on.
+    # The trunk's joints rotate the link from the spine to the shoulder, the next joints the upper arm, and so on.
     shoulder = np.hypot(0.444, 0.1141)
     np.testing.assert_allclose(chain.joint_lengths_m[:8], [*[shoulder] * 6, 0.25, 0.275])
 
@@ -126,10 +126,10 @@ def test_travel_of_a_body_and_its_yaw():
     body = cheetah()
     states = np.zeros((5, body.n_state))
     states[:, YAW] = [3.0, 3.1, 3.2, 3.3, np.nan]
-    # It stands: it faces the way between the first and the last yaw, and there is no jump at half a turn.
+    # The animal stands, so its direction is between the first and the last yaw, without a jump at half a turn.
     q = body_chain_angles(body, "l_front_paw", states)
     np.testing.assert_allclose(q[:, 0], [-0.15, -0.05, 0.05, 0.15, np.nan], atol=1e-12)
-    # It walks along y, backwards along its own x.
+    # The animal walks backwards along y.
     states[:, 1] = np.arange(5) * -0.5
     q = body_chain_angles(body, "l_front_paw", states)
     np.testing.assert_allclose(q[:4, 0], np.array([3.0, 3.1, 3.2, 3.3]) + np.pi / 2 - 2 * np.pi, atol=1e-12)
@@ -155,7 +155,7 @@ def test_planar_chain_of_a_planar_motion_is_exact():
     np.testing.assert_allclose(found[known], q[known], atol=1e-12)
     np.testing.assert_allclose(misfit[known], 0, atol=1e-12)
     assert np.isnan(misfit[3])
-    # A link that is seen shorter in one frame: the chain, which keeps its length, ends beside the foot.
+    # If a link is seen shorter in one frame, the chain, whose lengths are constant, does not reach the foot.
     points[0, 3] = points[0, 2] + 0.8 * (points[0, 3] - points[0, 2])
     chain, _, misfit = projected_chain(points, travel)
     np.testing.assert_allclose(chain.lengths_m, true.lengths_m)

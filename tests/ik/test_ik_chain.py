@@ -87,7 +87,7 @@ def test_costs_agree_with_differences(chain, kind):
         "user": user_cost(lambda q: float(np.sin(q[0]) * q[1] + np.sum(q**4))),
     }[kind]
     q = np.random.default_rng(3).normal(size=chain.n)
-    # Its own differences have their own errors.
+    # A user's cost is differentiated numerically, which adds errors.
     rtol, atol = (1e-4, 1e-3) if kind == "user" else (1e-7, 1e-7)
     np.testing.assert_allclose(cost.gradient(q), differences(cost.value, q), rtol=rtol, atol=atol)
     np.testing.assert_allclose(cost.hessian(q), differences(cost.gradient, q), rtol=rtol, atol=atol)
@@ -98,7 +98,7 @@ def test_cost_values():
     q = np.array([0.1, 0.3, 0.6, 1.0, 1.5])
     planar, spatial = CHAINS["planar"], CHAINS["summed"]
     assert joint_differences(planar).value(q) == pytest.approx(0.04 + 0.09 + 0.16 + 0.25)
-    # Not from the last theta to the first phi.
+    # The difference between the last theta and the first phi does not count.
     assert joint_differences(spatial).value(np.concatenate([q, q])) == pytest.approx(2 * 0.54)
     assert rotational_energy(planar).value(q) == pytest.approx(np.sum((np.array(LENGTHS) * q) ** 2))
     assert pose_distance(q + np.array([0.1, 0, 0, 0, 0.2])).value(q) == pytest.approx(0.05)

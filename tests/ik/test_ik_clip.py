@@ -86,7 +86,7 @@ def test_planar_chain_of_a_whole_animal(whole_results):
     at = results.names.index
     base, paw = results.upright.xyz_m[:, at("spine")], results.upright.xyz_m[:, at("l_front_paw")]
     down = base[:, 2] - paw[:, 2]
-    # Its lengths are those of the projections in the median: to the misfit, the foot's place.
+    # Lengths are medians of projected lengths, so the foot's position is exact up to the misfit.
     assert np.median(np.abs(ends(limb)[:, 1] - down)) < 2 * limb.misfit_m
     assert limb.misfit_m < 0.05
 
@@ -122,7 +122,7 @@ def test_joints_of_the_8u_chain_are_called_as_in_the_analysis(frame_results, tmp
     assert [c for c in start.index if c.startswith("theta") and c.endswith("_rad")] == [
         f"{joint}_rad" for joint in ("theta_9", *joints)
     ]
-    # But for the first link, which lies on the skeleton's own axis there, and the roll that the plane leaves out.
+    # The first link differs, because the skeleton measures it from its own axis, and the plane has no roll.
     found, expected = ([row[f"{joint}_rad"] for joint in joints] for row in (start, angles))
     np.testing.assert_allclose(found, expected, atol=0.1)
     assert np.ptp(expected) > 1
@@ -170,7 +170,7 @@ def test_fitted_parameters_explain_more_than_nothing(whole_results):
 def test_both_jobs_with_all_methods(dim, whole_results, request, tmp_path):
     folder = request.getfixturevalue("compared") if dim == 2 else compared_in(3, whole_results, tmp_path / "fit")
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
-    assert summary["stride"]["how"] == "gait"  # the sample holds complete strides
+    assert summary["stride"]["how"] == "gait"  # the sample has complete strides
     assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
     target = np.array(summary["target_m"])
     for name in METHODS:
@@ -234,7 +234,7 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
         np.sum((limb.chain.joint_lengths_m * q) ** 2) + 0.5 * np.sum((q - np.nanmean(limb.q, axis=0)) ** 2)
     )
     assert cost_of(limb, "energy").value(q) == pytest.approx(np.sum((limb.chain.joint_lengths_m * q) ** 2))
-    # Half of each step takes longer, and the reason is in the file.
+    # Half of each step (alpha 0.5) takes more iterations, and the file contains the reason.
     assert all(done.runs["target"][name].reached for name in ("extended", "least-norm"))
     usual = drive_to(limb.chain, done.runs["target"]["least-norm"].q[0], done.target_m, LeastNorm())
     assert done.runs["target"]["least-norm"].iterations > 1.5 * usual.iterations
@@ -247,7 +247,7 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     np.testing.assert_allclose(np.diff(times), 1 / limb.fps)
     weights = table[[f"weighted_{joint}" for joint in limb.chain.names]].to_numpy()
     np.testing.assert_allclose(weights.mean(axis=1), 1.0)
-    # The best of each configuration explains no less than the best of all.
+    # Weights fitted to each configuration explain at least as much as least norm.
     assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
     assert table["damped_lambda_m"].between(*RANGE).all()
 
@@ -271,7 +271,7 @@ def test_parameters_refitted_on_the_way(folder):
         np.testing.assert_allclose(series[[f"weighted_{joint}" for joint in limb.chain.names]].iloc[t], fit.parameter)
         now = frames[first + t : first + t + 1]
         assert series["weighted_explained"].iloc[t] == pytest.approx(explained_by(rates_of(fit.method, now), now.dq))
-    # The first step of the way is the one that these weights give.
+    # The first step is the step that these weights give.
     run, least = done.runs["follow"]["weighted"], done.runs["follow"]["least-norm"]
     weights = series[[f"weighted_{joint}" for joint in limb.chain.names]].iloc[0].to_numpy()
     towards = (stride.path_m[1] - stride.path_m[0]) / stride.interval_s
@@ -383,7 +383,7 @@ def test_a_foot_that_jitters_across_the_travel_has_not_returned(frame_results, m
 
     One camera hardly shows the motion across.
     """
-    monkeypatch.setattr(ClipAnalysis, "gait", None)  # the jitter would be a footfall
+    monkeypatch.setattr(ClipAnalysis, "gait", None)  # the jitter would be detected as footfalls
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
     states[:13], joints_m[:13] = motion.states[:13], motion.solution.joints_m[:13]
@@ -439,7 +439,7 @@ def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
 def test_clip_without_a_stride_is_said(frame_results, tmp_path):
     folder, motion = tmp_path / "fit", Motion.load(frame_results)
     states, joints_m = motion.states.copy(), motion.solution.joints_m.copy()
-    states[9:] = joints_m[9:] = np.nan  # without a pose
+    states[9:] = joints_m[9:] = np.nan  # frames without a pose
     replace(motion, solution=replace(motion.solution, states=states, joints_m=joints_m)).save(folder)
     done = run_ik(IkSettings(folder=folder, follow="stride", dim=2, out=tmp_path / "a", figures=False))
     assert done.summary["stride"]["how"] in ("return", "whole clip")

@@ -114,7 +114,7 @@ def test_measures_of_a_drive():
     q, target = np.full(5, 0.3), np.array([0.6, 0.9])
     drive = drive_to(chain, q, target, LeastNorm())
     assert drive.reached
-    # At 20 mm an iteration, straight there but for the steps' curvature.
+    # The path is nearly straight, with 20 mm per iteration.
     straight = np.linalg.norm(target - chain.end(q))
     assert drive.length_m == pytest.approx(straight, abs=0.02)
     assert drive.iterations == pytest.approx(straight / 0.02, abs=2)

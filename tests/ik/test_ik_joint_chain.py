@@ -97,7 +97,7 @@ def test_reach_holds_everywhere():
         assert least <= min(distance)
         assert max(distance) <= most < np.inf
     assert random_chain().reach_m == (0.0, np.inf)
-    # A long link with a short one: the hole in the middle.
+    # A long and a short link leave a hole in the middle of the workspace.
     hole = joint_chain([(0, 0, 0), (1.0, 0, 0)], [(0, 0, 1), (0, 0, 1)], tool_m=(0.3, 0, 0))
     assert hole.reach_m == pytest.approx((0.7, 1.3))
     assert "reaches 0.700 to 1.300 m" in unreachable(hole, np.array([0.4, 0.0, 0.0]))

@@ -90,7 +90,7 @@ def test_transpose_is_the_nearest_along_its_direction(chain):
 
 
 def test_selectively_damped_holds_each_direction():
-    # Nearly stretched: along the arm s is small and the direction damped, across it hardly.
+    # The arm is nearly straight, so s is small along the arm, which is damped, and large across it.
     chain, q = planar_chain((0.5, 0.5)), np.array([0.0, 0.02])
     method = SelectivelyDamped(gamma_max_rad=0.5, interval_s=1.0)
     along = method.rates(chain, q, np.array([-0.1, 0.0])).dq
@@ -233,7 +233,7 @@ def test_fit_finds_gamma_max_again(chain):
     assert found.note == ""
     again = [found.method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]
     np.testing.assert_allclose(again, dq, atol=1e-3)
-    # Without damping the rates are those of least norm, whatever gamma_max.
+    # Without damping, the rates are those of least norm for any gamma_max.
     found = fits()["selectively-damped"](Frames.without_gaps(chain, q, dx, least))
     assert found.explained > 1 - 1e-12
     assert "no value between this one and" in found.note
@@ -258,7 +258,7 @@ def test_what_is_fitted_to_some_frames_is_held_against_others(chain):
     some, others = every[:20], every[20:]
     found = fits()["weighted"](some)
     assert explained_by(rates_of(found.method, others), others.dq) > 1 - 1e-8
-    # Rates that are half as large want twice the factor, and explain 1 - 0.5^2.
+    # Rates of half the size explain 1 - 0.5^2 of the square, and the fitted factor doubles.
     assert abs(explained_by(0.5 * others.dq, others.dq) - 0.75) < 1e-12
     half = fits()["least-norm"](replace(every, dx=0.5 * every.dx))
     assert abs(half.alpha - 2 * fits()["least-norm"](every).alpha) < 1e-9
@@ -276,7 +276,7 @@ def test_parameters_of_each_configuration(chain):
         assert one.parameter == pytest.approx([value], rel=1e-4)
         assert one.explained == pytest.approx(1.0, abs=1e-8)
         assert one.alpha == pytest.approx(1.0, abs=1e-4)
-    # Many weights explain one configuration: these are the evenest, as good and within their range.
+    # Many weights explain a single configuration. The fit returns the most even of them, within their range.
     weights = [fits(pull=PULL)["weighted"](one) for one in each]
     np.testing.assert_allclose([w.parameter.mean() for w in weights], 1.0)
     assert min(w.explained for w in weights) >= min(fits()["least-norm"](one).explained for one in each) - 1e-9
@@ -293,7 +293,7 @@ def test_a_scaled_method_is_nearest_or_as_told():
     np.testing.assert_allclose(scaled, alpha * plain)
     assert abs((J @ scaled - dx) @ (J @ scaled)) < 1e-12
     np.testing.assert_allclose(replace(damped, alpha=0.5).rates(chain, q, dx).dq, 0.5 * plain)
-    # What follows the path exactly needs no factor, nor does the null space.
+    # Rates that follow the path exactly need no factor, and neither do rates in the null space.
     projected = GradientProjection(joint_differences(chain))
     np.testing.assert_allclose(replace(projected, alpha=None).rates(chain, q, dx).dq, projected.rates(chain, q, dx).dq)
 

@@ -36,7 +36,7 @@ def test_the_stride_of_a_periodic_motion_is_one_period():
 
 def test_the_gap_is_spread_over_the_path():
     q = swings(25, drift=0.004)
-    # From the nearest frame, 2.
+    # The stride begins at the nearest frame, 2.
     found = find_stride(CHAIN, q, fps=100, span_s=(0.018, 0.218))
     assert (found.origin, found.start_s, found.end_s) == ("given", 0.02, 0.22)
     np.testing.assert_array_equal(found.q, q[2:23])
@@ -60,7 +60,7 @@ def test_a_stride_ends_between_frames(period):
     for stride in (given, found):
         assert stride.gap_percent < 2
         assert stride.interval_s * (len(stride.path_m) - 1) == pytest.approx(stride.end_s - stride.start_s)
-    # Earlier, rather than shorter, where the clip ends.
+    # At the end of the clip, the stride begins earlier instead of being shorter.
     late = find_stride(CHAIN, q, 30, ((39.4 - period) / 30, 39.4 / 30))
     assert late.end_s - late.start_s == pytest.approx(period / 30)
     assert late.end_s <= 39 / 30 + 1e-9

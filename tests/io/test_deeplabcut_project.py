@@ -153,7 +153,7 @@ def of_fmpose3d(tmp_path: Path) -> Path:
     path = tmp_path / "run_DLC_fmpose3d_animals_3d.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     table = pd.DataFrame()
-    for k, name in enumerate(AS_WRITTEN):  # DeepLabCut puts each before those that it has
+    for k, name in enumerate(AS_WRITTEN):  # DeepLabCut inserts each new keypoint before the earlier ones
         columns = pd.MultiIndex.from_product(
             [["DLC_fmpose3d_animals_3d"], [name], ["x", "y", "z"]], names=["scorer", "bodyparts", "coords"]
         )
@@ -191,7 +191,7 @@ def test_poses_of_the_demo_of_fmpose3d(of_fmpose3d, tmp_path):
     assert found.pa_mpjpe_m.mean < 1e-4 < 0.1 < found.scale_mpjpe_m.mean
     assert read_pose3d((tmp_path / "0004_3D.npz").rename(tmp_path / "one.npz")).frames.tolist() == [0]
     np.savez(tmp_path / "0009_3D.npz", pose3d=xyz[9, :17])
-    with refusal(("0009_3D.npz", "pose3d", "(17, 3)", "26")):  # also where another file of the folder is given
+    with refusal(("0009_3D.npz", "pose3d", "(17, 3)", "26")):  # also if another file of the folder is given
         read_pose3d(tmp_path / "0003_3D.npz")
     np.savez(tmp_path / "0009_3D.npz", pose3d=xyz[9])
     (tmp_path / "0009_3D.npz").rename(tmp_path / "3_3D.npz")

@@ -14,7 +14,7 @@ from format_files import NAN, refuses, save
 
 from recon.io.positions import read_pose3d
 
-# 3D files of others
+# 3D files of other programs
 
 
 def test_real_trc(shared_data):
@@ -27,7 +27,7 @@ def test_real_trc(shared_data):
     np.testing.assert_allclose(pose.xyz_m.reshape(93, -1), table.to_numpy()[:, 2:155] / 1000)
     assert [says(note, "652 frames", 93) for note in pose.notes] == [True]
     assert says(read_pose3d(path).notes[1], "way is up")
-    # Under y up, which is wrong for this file, what it calls y is our z.
+    # With y up, which is wrong for this file, its y becomes our z.
     np.testing.assert_array_equal(read_pose3d(path).xyz_m[..., 2], pose.xyz_m[..., 1])
 
 
@@ -141,7 +141,7 @@ def test_bvh_against_another_reader(tmp_path):
     path = save(tmp_path / "a.bvh", f"{head}Frames: 20\nFrame Time: 0.01\n{numbers}\n")
     pose = read_pose3d(path, unit="m", up="z")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of its dependencies
+        warnings.simplefilter("ignore")  # its dependencies raise warnings
         bvhio = pytest.importorskip("bvhio")
         root = bvhio.readAsHierarchy(str(path))
     for t in range(20):

@@ -193,7 +193,7 @@ def test_h5_that_is_cut_off(shared_data, tmp_path, name):
         refuses(path, ("file", "cut off", "whole"))
 
 
-# What the files say
+# Contents of the files
 
 
 def test_single_animal(tmp_path):
@@ -302,7 +302,7 @@ def test_the_only_animal_needs_no_choice(tmp_path):
     keypoints = read_keypoints(save(tmp_path, text))
     assert (keypoints.names, keypoints.individual) == (("nose",), "m1")
     assert [says(note, "Left out", "post, door") for note in keypoints.notes] == [True]
-    # A file of unique bodyparts only holds nothing else that could be meant.
+    # A file that has only unique bodyparts is read as one animal.
     assert read_keypoints(save(tmp_path, text.replace("m1", "single"))).names == ("nose", "post", "door")
 
 
@@ -442,7 +442,7 @@ def test_frames_and_times_that_are_none(tmp_path, clock, cells, expected):
     refuses(save(tmp_path, text), expected)
 
 
-# What is wrong with files
+# Invalid files
 
 
 def test_no_file(tmp_path):

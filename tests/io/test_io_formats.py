@@ -65,7 +65,7 @@ def test_sleap(tmp_path, orders, dims):
     a, b = read_keypoints(path, "a"), read_keypoints(path, "b")
     assert (a.names, a.individual, a.fps) == (tuple(NODES), "a", None)
     assert a.frames.tolist() == [0, 1, 2, 3, 4]
-    assert b.frames.tolist() == [1, 2, 3, 4]  # not occupied in the first
+    assert b.frames.tolist() == [1, 2, 3, 4]  # the track is empty in the first frame
     np.testing.assert_array_equal(a.xy_px, XY[:, 0])
     np.testing.assert_array_equal(b.xy_px, XY[1:, 1])
     np.testing.assert_array_equal(b.confidence, SCORE[1:, 1])

@@ -72,7 +72,7 @@ def object_cells(path: Path, marker: Path) -> None:
     cells = pd.DataFrame([[1.0, 2.0]], columns=columns).astype(object)
     cells.iloc[0, 0] = Touch(str(marker))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pandas' remark that it pickles
+        warnings.simplefilter("ignore")  # pandas warns that it pickles
         cells.to_hdf(path, key="a", format="fixed")
 
 
@@ -254,7 +254,7 @@ def test_a_text_in_every_row_that_takes_room_once(tmp_path):
     assert (tmp_path / "a.parquet").stat().st_size < 500_000
     before = arrow.default_memory_pool().max_memory()
     assert read_pose3d(tmp_path / "a.parquet").names == ("x" * 20_000,)
-    assert arrow.default_memory_pool().max_memory() - before < 50e6  # 400 MB, were it in every row
+    assert arrow.default_memory_pool().max_memory() - before < 50e6  # 400 MB if the text were stored in every row
 
 
 def many_names(folder: Path) -> dict[str, Path]:
@@ -365,7 +365,7 @@ def test_hostile_network_runs_nothing(tmp_path):
     with refusal((path, "model", "torch cannot read", "recon train")):
         load_model(path, torch.device("cpu"))
     assert not marker.exists()
-    torch.load(path, weights_only=False)  # the file is what it should be
+    torch.load(path, weights_only=False)  # the file is a valid network with a pickle
     assert marker.exists()
 
 

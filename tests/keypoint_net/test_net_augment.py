@@ -40,7 +40,7 @@ def test_labels_go_with_the_pixels(seed, partner):
     picture, _, xy = augment(example(), SIZE, options, np.random.default_rng(seed))
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
     seen = 0
-    # Blob 1 is green and blob 2 red: in a mirror, the point that is now called 1 is the red one.
+    # Blob 1 is green and blob 2 is red. In a mirrored picture, point 1 is the red blob.
     colour_of = [[0, 1, 2], [0, 2, 1]]
     errors = []
     for order in colour_of:

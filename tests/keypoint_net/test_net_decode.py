@@ -31,7 +31,7 @@ def test_points_between_places_are_found_exactly(sigma):
 def test_a_broad_peak_beats_a_sharp_one_of_less_weight():
     broad = torch.exp(gaussian_scores(np.array([[6.0, 6.0]]), (16, 30), 1.5))
     probability = 0.9 * broad / broad.sum()
-    probability[0, 0, 6, 24] += 0.1  # higher than any one place of the broad peak
+    probability[0, 0, 6, 24] += 0.1  # higher than any cell of the broad peak
     assert probability.flatten().argmax() == 6 * 30 + 24
     xy, within = decode(probability, 6.0)
     np.testing.assert_allclose(xy[0, 0].numpy(), [6, 6], atol=0.01)
@@ -96,7 +96,7 @@ def test_a_broad_probability_is_less_sure_of_its_point():
         found.append(float(variance(probability, decode(probability, 1.0)[0])))
     np.testing.assert_allclose(found, [0.15**2 + sigma**2 - 0.9**2 for sigma in (0.9, 1.2, 1.5)], rtol=0.1)
     probability[0, 0] *= 0.5
-    probability[0, 0, 0, 25] += 0.5  # somewhere else
+    probability[0, 0, 0, 25] += 0.5  # a second, distant peak
     assert float(variance(probability, torch.tensor([[[12.0, 12.0]]]))) == pytest.approx(
         0.5 * (found[2] - 0.8) + 4, rel=0.05
     )
@@ -104,7 +104,7 @@ def test_a_broad_probability_is_less_sure_of_its_point():
 
 def test_a_window_leaves_out_what_is_elsewhere():
     scores = gaussian_scores(np.array([[6.0, 6.0], [6.0, 6.0]]), (16, 30), 1.0)
-    scores[0, :, 12, 24] = 50.0  # far likelier, and outside
+    scores[0, :, 12, 24] = 50.0  # far more likely, but outside
     window = (torch.tensor([[[8.0, 5.0], [math.nan, math.nan]]]), 4.0)
     probability = probabilities(scores, window)
     xy, _ = decode(probability, 1.0)

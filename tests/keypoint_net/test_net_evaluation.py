@@ -73,7 +73,7 @@ def test_swapped_sides_are_forgiven_by_the_pair():
     names = ("l_knee", "r_knee", "l_paw", "r_paw")
     result = evaluate_2d(names, xy, np.ones((1, 4)), label, 40.0)
     assert result["swaps_forgiven"] is not None
-    # The knees are swapped: errors of 1. The right paw is 19 px off and not swapped: its pair stays as it is.
+    # The knees are swapped, with errors of 1 px. The right paw is 19 px off but not swapped, so its pair is unchanged.
     assert result["swaps_forgiven"]["pck_px"] == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.75))
     assert result["all"]["pck_px"] == pytest.approx(dict.fromkeys(("2.5", "5.0", "10.0"), 0.25))
     assert evaluate_2d(("nose", "hip"), xy[:, :2], np.ones((1, 2)), label[:, :2], 40.0)["swaps_forgiven"] is None

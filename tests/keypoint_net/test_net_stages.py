@@ -207,7 +207,8 @@ def test_the_part_of_a_picture_where_the_points_are():
 @pytest.mark.usefixtures("no_report")
 def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
     taken = []
-    monkeypatch.setattr("torch.set_num_threads", taken.append)  # several make tests that run beside each other slow
+    # Several threads slow down tests that run at the same time.
+    monkeypatch.setattr("torch.set_num_threads", taken.append)
     monkeypatch.setattr("torch.get_num_threads", lambda: taken[-1])
     monkeypatch.setattr(network, "available_cores", lambda: 2)
     assert train_in(tmp_path, clip, threads=None, settings=BRIEF)["threads"] == 2

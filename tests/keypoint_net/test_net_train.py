@@ -406,7 +406,7 @@ def test_the_learning_rate_warms_up_and_falls_to_nothing_twice():
     assert shares[rates.argmax()] <= 0.05
     assert rates[-1] < 0.002
     rises = shares[1:][(np.diff(rates) > 0) & (shares[1:] > 0.06)]
-    assert len(rises) == 1  # where the last part begins, from a rest to half the rate
+    assert len(rises) == 1  # the rate rises once, to half the first rate, when the last part begins
     assert rates[shares < train_module.FINISH][-1] < 0.01
     assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
 

@@ -431,7 +431,8 @@ def test_the_site_is_built_and_read_without_the_net(tmp_path):
         assert 'class="arithmatex"' not in text, f"{page}: a formula that was not converted"
     assert pages[site / "method" / "trajectory.html"].count("<math") > 15
     assert "joint_sigma_m" in pages[site / "api.html"]
-    assert "Name of the camera in its calibration file." in pages[site / "api.html"]  # below a field of a class
+    # The text below a field of a class.
+    assert "Name of the camera in its calibration file." in pages[site / "api.html"]
     assert "../data/samples/whole_scene.json" in pages[site / "pipelines.html"]
     assert "Keep a Changelog" in pages[site / "changelog.html"]
     assert len(json.loads((site / "search.json").read_text(encoding="utf-8"))["items"]) > 100

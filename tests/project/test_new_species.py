@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 """Several fits by each other's results; `test_subject.py` and `test_prior.py` have the commands."""
 
 PAGE = DOCS / "how-to" / "new-species.md"
-STEPS = [block for block in blocks(PAGE) if block.language == "sh"][1:]  # without the simulation
+STEPS = [block for block in blocks(PAGE) if block.language == "sh"][1:]  # the first block is the simulation
 LINKS = {
     "neck": 1.1 * 0.14,
     "l_fore_lower": 0.85 * 0.1,

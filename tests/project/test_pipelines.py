@@ -182,7 +182,7 @@ def test_all_of_it_is_on_the_page():
     page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
     shown = re.findall(r'--8<-- "(pipelines/.*)"', page)
     assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in PIPELINES.iterdir() if path.is_file())
-    assert sorted(re.findall(r"]\(\.\./(pipelines/[^)]+)\)", page)) == sorted(shown)  # for who reads it unbuilt
+    assert sorted(re.findall(r"]\(\.\./(pipelines/[^)]+)\)", page)) == sorted(shown)  # for readers on GitHub
 
 
 # Contents of the pipelines

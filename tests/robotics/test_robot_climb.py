@@ -149,7 +149,7 @@ def test_wrench_is_the_gradient_of_one_energy(seed):
     f, t, h = feet(seed), torso(seed), 2e-6
     found = [-(energy(f, _moved(t, h * e)) - energy(f, _moved(t, -h * e))) / (2 * h) for e in np.eye(6)]
     np.testing.assert_allclose(wrench_at(FIELDS, f, t), found, atol=1e-7)
-    # Many torsos at once are those one by one.
+    # The result for many torsos equals the results for each torso.
     many = wrench(FIELDS, HIPS, f, NONE, _moved(t, np.array([np.zeros(6), np.full(6, 0.01)])))
     np.testing.assert_allclose(many[1], wrench_at(FIELDS, f, _moved(t, np.full(6, 0.01))), atol=1e-15)
 
@@ -179,12 +179,12 @@ def test_the_equilibrium_is_that_of_scipy(dofs):
         step[list(dofs)] = v
         return wrench_at(FIELDS, f, _moved(HERE, step))[list(dofs)]
 
-    # A turn about one fixed axis, or none at all: the same rotation vector from both.
+    # Both methods give the same rotation vector, for a rotation about one fixed axis or none.
     oracle = np.zeros(6)
     oracle[list(dofs)] = root(balance, np.zeros(len(dofs)), tol=1e-13).x
     np.testing.assert_allclose(found[:3, 3], oracle[:3], atol=1e-8)
     np.testing.assert_allclose(Rotation.from_matrix(found[:3, :3]).as_rotvec(), oracle[3:], atol=1e-7)
-    if dofs == PLANAR:  # it neither rolls nor yaws
+    if dofs == PLANAR:  # the planar torso neither rolls nor yaws
         np.testing.assert_allclose(found[1, :3], [0, 1, 0], atol=1e-14)
 
 
@@ -294,7 +294,7 @@ def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
     assert climb.settled.all()
     assert motion.rate_share.max() <= 1
     assert not motion.short.any()
-    # By other means: the feet of the angles, the triangle by barycentric coordinates.
+    # An independent check from the feet at these angles, and the triangle's barycentric coordinates.
     for k, label in enumerate(LEGS):
         np.testing.assert_allclose(motion.points(label)[:, -1], motion.feet_m[:, k], atol=1e-9)
     for k in np.flatnonzero(climb.lifted != NONE):
@@ -354,7 +354,7 @@ def test_the_command_writes_what_the_plan_is(tmp_path, aibo):
     (tmp_path / "short.toml").write_text(tomli_w.dumps(table))
     out = tmp_path / "climb"
     ended = run("climb", tmp_path / "short.toml", "--height", 0.03, "--out", out, "--no-figures")
-    assert ended.code == 1, ended.err  # all is written, and it is not valid
+    assert ended.code == 1, ended.err  # all files are written, although the climb is not valid
     assert "aibo climbs 30 mm" in ended.out
     assert says(ended.out, "not valid: not all feet")
     report = json.loads((out / "report.json").read_text())

@@ -104,7 +104,7 @@ def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
     ours = [answer("dh", robot, "--tip", "LF", "--place", ",".join(place))["inverse"] for robot in (urdf, "a1")]
     one, other = (np.array(sorted(s["q"] for s in found["solutions"])) for found in ours)
     np.testing.assert_allclose(one, other, atol=1e-6)
-    # A thigh beyond half a turn, as its limits are.
+    # The thigh's limits, and so its angle, exceed half a turn.
     assert sum(s["within_limits"] for s in ours[0]["solutions"]) == 1
 
 

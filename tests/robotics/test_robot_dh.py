@@ -176,7 +176,7 @@ def test_the_puma_has_eight_solutions():
     for other in found:
         np.testing.assert_allclose(chain.pose(other)[0], R, atol=1e-6)
         np.testing.assert_allclose(chain.end(other), p, atol=1e-6)
-    # The wrist's two ways: a half turn of the fourth and the sixth joint, the fifth the other way.
+    # The wrist has two solutions: half a turn of the fourth and the sixth joint, and the opposite angle of the fifth.
     flipped = np.angle(np.exp(1j * (q * [1, 1, 1, 1, -1, 1] + [0, 0, 0, np.pi, 0, np.pi])))
     assert np.abs(found - flipped).max(axis=1).min() < 1e-6
 

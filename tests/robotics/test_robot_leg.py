@@ -34,7 +34,7 @@ def test_inverse_of_forward_is_the_identity_with_the_leg_down(geometry):
     angles = random_angles(1000, geometry)
     angles[:, 0] /= 2
     angles[:, 2] = np.minimum(angles[:, 2], 1.5)
-    # The flap is taken within 90 degrees of down, seen from the swing joint where that comes after it.
+    # The flap angle is within 90 degrees of straight down, as seen from the swing joint.
     down = geometry.forward(angles * [1, 0, 1])[:, 2] < 0
     assert down.mean() > 0.9
     np.testing.assert_allclose(geometry.inverse(geometry.forward(angles))[down], angles[down], atol=1e-6)

@@ -75,16 +75,16 @@ def test_standing_asks_for_the_weight():
     _, margins = check(motion, model)
     assert {name: found["share"] for name, found in kept(margins).items()} == dict.fromkeys(RULES, 1.0)
     assert np.abs(margins["forces"]).max() < 0.01
-    # A quarter of the weight at each foot; the knee is 0.14 m from its line, and holds it.
+    # Each foot carries a quarter of the weight; the knee is 0.14 m from the line of this force.
     leg = motion.robot.legs["LF"]
     knee = leg.chain.positions(motion.leg_angles("LF")[0])[2] - leg.neutral_m
     torque = model.body_subtreemass[1] * 9.81 / 4 * abs(knee[0])
     assert 1 - margins["torques"].mean() == pytest.approx(torque / 33.5, rel=0.25)
-    # In the air nothing holds it.
+    # In the air, no foot carries the robot.
     _, margins = check(still(TIME, np.zeros((41, 3)), stand=False), model)
     assert kept(margins)["forces"]["share"] == 0
     assert margins["forces"].mean() == pytest.approx(-1, abs=0.1)
-    # But for a free fall.
+    # A free fall needs no force.
     fall = np.outer(-4.905 * (TIME[:21] - 0.1) ** 2, [0, 0, 1])
     motion = still(TIME[:21], fall, stand=False)
     frozen = replace(motion, angles_rad=np.tile(motion.angles_rad[:1], (21, 1)))
@@ -133,7 +133,7 @@ def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carri
     before, after = (kept(check(one, model)[1]) for one in (trot, motion))
     assert before["forces"]["share"] < 0.6
     assert {name: rule["share"] for name, rule in after.items()} == dict.fromkeys(RULES, 1.0)
-    # Footholds, time and the way of a stride are as they were; only the base is elsewhere, by what is said.
+    # Footholds, times and the distance of a stride are unchanged. Only the base moves, by the returned shift.
     np.testing.assert_array_equal(motion.feet_m[motion.standing], trot.feet_m[trot.standing])
     np.testing.assert_allclose(motion.pose.translation - trot.pose.translation, moved[:, :3], atol=1e-12)
     turned = [one.pose.rotation.as_euler("ZYX") for one in (trot, motion)]
@@ -153,7 +153,7 @@ def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
     motion, moved = carried(gallop, model)
     shares = {name: rule["share"] for name, rule in kept(check(motion, model)[1]).items()}
     assert shares.keys() == {*RULES}
-    # All but a few of the 33 frames: which ones turns on differences of the fit below a millimetre.
+    # A few of the 33 frames fail; which frames depends on differences of the fit below a millimetre.
     assert min(shares.values()) > 0.85
     assert np.linalg.norm(moved[:, :3], axis=1).max() < 0.1
     assert motion.slip_m.max() < 1.5e-4
@@ -171,7 +171,7 @@ def test_the_a1_follows_a_stride_of_the_trot_by_its_torques_springs_and_dampers(
     assert off_m.max() < 0.02
     assert trot.advance_m is not None
     assert trot.advance_m[0] > 0.4
-    # As it was before the base was moved, the robot cannot.
+    # The robot cannot follow the motion before its base was moved.
     assert followed(trot)[1].max() > 2 * off_m.max()
 
 

@@ -50,7 +50,7 @@ def test_angles_and_feet_in_the_robots_own_joints(name, label):
     np.testing.assert_allclose(leg.chain.positions(angles)[:, -1], feet, atol=1e-12)
     solved = leg.angles(feet)
     inside = np.isfinite(solved).all(axis=1)
-    assert inside.mean() > 0.3  # the others have the leg up, or the knee bent backwards
+    assert inside.mean() > 0.3  # the other samples have a raised leg, or a knee bent backwards
     np.testing.assert_allclose(leg.chain.end(solved[inside]), feet[inside], atol=1e-9)
     assert (solved[inside] >= leg.chain.lower_rad).all()
     assert (solved[inside] <= leg.chain.upper_rad).all()
@@ -76,7 +76,7 @@ def test_signs_of_the_aibo():
         assert rotator[0] > 0.005
         assert elevator[1] * (1 if label[0] == "L" else -1) > 0.005
         assert home[2] > 0
-        # The elbow is behind the fore foot, the knee before the hind foot.
+        # The elbow is behind the fore foot, and the knee is in front of the hind foot.
         knee = leg.chain.positions(home[None])[0, 2]
         assert (knee[0] < leg.neutral_m[0]) == (label[1] == "F")
 

@@ -52,7 +52,7 @@ def test_feet_stand_still_on_the_ground_and_leave_it_without_a_jump():
         assert foot[first, :2] == pytest.approx(path[first : last + 1, :2].mean(axis=0))
         assert foot[first, 2] == 0
     assert (foot[:, 2] >= 0).all()
-    # No jump of the acceleration where a stance ends: the steepest change of it shrinks with the step.
+    # The acceleration is continuous at the end of a stance, so its largest change shrinks with the time step.
     change = [np.abs(np.diff(planted(*hops(n))[:, :2], 3, axis=0)).max() * n**2 for n in (1000, 2000, 4000)]
     assert change[2] < 0.6 * change[1] < 0.4 * change[0]
 
@@ -71,7 +71,7 @@ def test_a_stride_repeats_with_a_stance_over_its_seam():
     standing = (t < 0.2) | (t > 0.9)
     foot = planted(t, path, standing, np.array([1.0, 0.0]))
     np.testing.assert_allclose(foot[-1], foot[0] + [1, 0, 0], atol=1e-15)
-    # The stance before the seam and the one after it are one: in the same place, a stride on.
+    # The stance before the seam continues after it, with the foot a stride further on.
     np.testing.assert_allclose(foot[standing & (t > 0.5)] - [1, 0, 0], np.tile(foot[0], (20, 1)), atol=1e-12)
 
 
@@ -101,7 +101,7 @@ def test_reference_of_a_whole_animal(whole):
     way = np.linalg.norm((trunk - trunk[0])[:, :2], axis=1)
     np.testing.assert_allclose(np.linalg.norm(reference.base_m[::10, :2], axis=1), way, atol=1e-9)
     assert reference.base_m[-1, 0] == pytest.approx(way[-1])
-    # A foot is the paw from the trunk in heading axes, up to its middle place, which is constant.
+    # A foot is the paw relative to the trunk in heading axes, up to a constant mean position.
     ahead = (trunk[-1] - trunk[0])[:2] / way[-1]
     left = np.array([-ahead[1], ahead[0]])
     yaw = reference.roll_pitch_yaw_rad[::10, 2]
@@ -121,7 +121,7 @@ def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
     assert stride.advance_m is not None
     np.testing.assert_allclose((stride.base_m[-1] - stride.base_m[0])[:2], stride.advance_m, atol=1e-12)
     assert stride.standing.any(axis=0).all()
-    # Nothing is moved by more than the gap that is spread.
+    # No foot moves by more than the gap that is spread over the stride.
     own = whole.reference.feet_m[window.first : window.last + 1]
     gap = np.abs(own[-1] - own[0]).max()
     assert np.abs(stride.feet_m - own).max() < gap + 0.05
@@ -163,7 +163,7 @@ def test_given_factors_are_kept_and_what_they_break_is_said(whole):
     notes = "; ".join(report_of(solved)["notes"])
     assert "out of reach" in notes
     assert says(notes, "rate limit")
-    # Limits hold all the same: feet are drawn in.
+    # Joint limits hold, because feet are moved towards the hips.
     assert solved.clip.margin_rad.min() >= 0
     assert solved.clip.short.any()
 
@@ -175,7 +175,7 @@ def test_drawn_in_as_little_as_needed():
     assert short.tolist() == [False, True, True]
     feet = leg.chain.end(angles)
     assert feet[0] == pytest.approx(leg.neutral_m)
-    # Straight down the knee stops at its limit: 0.4 cos(0.9163 / 2).
+    # Straight down, the knee reaches its limit: 0.4 cos(0.9163 / 2).
     assert feet[2] == pytest.approx([*leg.neutral_m[:2], -0.4 * np.cos(0.9163 / 2)], abs=1e-6)
     assert feet[1, 0] > leg.neutral_m[0] + 0.2
     assert feet[1, 1:] == pytest.approx(leg.neutral_m[1:])
@@ -184,14 +184,14 @@ def test_drawn_in_as_little_as_needed():
 def test_legs_are_kept_apart(whole, retargeted):
     robot, motion = load_robot("a1"), retargeted("a1")
     for part in (motion.clip, motion.stride):
-        # At the feet alone they are no nearer than anywhere along the legs.
+        # The distance of the feet is at least the distance of the legs.
         feet = np.linalg.norm(part.feet_m[:, :2] - part.feet_m[:, 2:], axis=-1).min()
         assert 0.15 * robot.stand_m <= part.apart_m <= feet + 0.002
-    # Without going outside they would meet.
+    # The legs would meet without moving outwards.
     assert motion.spread_m > 0
     pose, feet, _ = place(whole.reference, robot, motion.clip.scale)
     assert np.linalg.norm(feet[:, :2] - feet[:, 2:], axis=-1).min() < 0.03
-    # The hind feet are farther out by the spread, the fore feet where they were.
+    # The hind feet are further out by the spread, and the fore feet are unchanged.
     _, wider, _ = place(whole.reference, robot, motion.clip.scale, 0.05)
     turn = pose.rotation.as_matrix()[:, :2, 1]
     left = turn / np.linalg.norm(turn, axis=1)[:, None]
@@ -201,7 +201,7 @@ def test_legs_are_kept_apart(whole, retargeted):
 
 
 def test_legs_that_meet_are_told(whole):
-    # Too large for legs that go past each other.
+    # At this scale, legs cannot pass each other.
     solved = retarget(whole, load_robot("aibo"), scale=0.25)
     assert min(solved.clip.apart_m, solved.stride.apart_m) < 0.15 * 0.11
     assert any("of each other" in note for note in report_of(solved)["notes"])
@@ -255,7 +255,7 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(retargeted, tm
     (layout,) = reader.blueprints()
     shown = [row for chunk in reader.stream(store=layout) for row in chunk.to_record_batch().to_pylist()]
     contents = {str(v["ViewContents:query"]) for v in shown if "- world/" in str(v.get("ViewContents:query"))}
-    # Side by side, each in a view of its own.
+    # The animal and the robot are side by side, each in its own view.
     assert len(contents) == 2
     assert {"- world/animal/**" in c for c in contents} == {"- world/robot/**" in c for c in contents} == {True, False}
     assert companion(solved)[1].limb_sides["left front leg"] == "left"
@@ -296,7 +296,7 @@ def test_command(whole_results, frame_results, tmp_path):
         assert header[-1] == f"{robot.joints[-1]}_acceleration_rad_s2"
         angles, rates, accelerations = np.split(joints[:, 1:], 3, axis=1)
         interval_s = np.diff(joints[:, 0])[:, None]
-        # The mean of two rates is what the angle changes by, and so it is of accelerations and rates.
+        # An angle changes by the mean of two rates times the step, and a rate by the mean of two accelerations.
         for value, change in ((angles, rates), (rates, accelerations)):
             moved = (change[1:] + change[:-1]) / 2 * interval_s
             np.testing.assert_allclose(moved[2:-2], np.diff(value, axis=0)[2:-2], atol=0.15 * np.ptp(value))
@@ -305,7 +305,7 @@ def test_command(whole_results, frame_results, tmp_path):
             assert np.abs(accelerations[0] - accelerations[-1]).max() < 0.02 * np.abs(accelerations).max()
         _, base = table(out / f"{prefix}base.csv")
         names, feet = table(out / f"{prefix}feet.csv")
-        # Feet from the tables of the joints and the base, as a controller would have them.
+        # Compute the feet from the tables of the joints and the base, as a controller would.
         from scipy.spatial.transform import Rotation
 
         R = Rotation.from_quat(base[:, 4:])
@@ -341,7 +341,7 @@ def test_urdf_file(whole, tmp_path):
     assert found.slip_m.max() < 0.0005
     assert found.closing_percent < 0.1
     refused(["retarget", tmp_path, "--robot", path, "--out", tmp_path / "out"], (tmp_path, "folder", "no motion.npz"))
-    # In its playback it has the shapes of its file, where the joints and the base put them.
+    # The playback shows the shapes of the robot's file at the positions that the joints and the base give.
     write_robot(found, tmp_path / "motion.rrd")
     reader = RrdReader(tmp_path / "motion.rrd")
     rows: dict[str, list] = {}

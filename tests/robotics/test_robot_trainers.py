@@ -118,11 +118,11 @@ def test_what_each_program_reads(solved, tmp_path):
     assert amp["JointNames"][:3] == ["FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"]
     assert np.array(amp["Contacts"]).shape == (K, 4)
     base = Rotation.from_quat(frames[:, 3:7])
-    for t in range(0, K, 9):  # toes are where the joints put them, in the base's axes
+    for t in range(0, K, 9):  # positions of toes follow from the joints, in the base's axes
         for i, name in enumerate(("FR", "FL", "RR", "RL")):
             toe = a1_bodies(name, frames[t, 7 + 3 * i : 10 + 3 * i])[f"{name}_foot"][0]
             np.testing.assert_allclose(frames[t, 19 + 3 * i : 22 + 3 * i], toe, atol=1e-9)
-    # Velocities in the base's axes: turned back they are those of its path; toes' are those of the toes' places.
+    # Velocities are in the base's axes. In the world they are the derivatives of the positions, of base and toes.
     fine = RobotSamples(motion, 1_000)
     np.testing.assert_allclose(base.apply(frames[:, 31:34]), found.velocity_m_s[:, 0], atol=1e-9)
     np.testing.assert_allclose(base.apply(frames[:, 34:37]), found.angular_velocity_rad_s[:, 0], atol=1e-9)
@@ -183,18 +183,18 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
             assert str(found["source"]) == str(expected["source"])
             for name in ("fps", "dof_positions", "dof_velocities", "body_positions", "body_rotations", "contacts"):
                 np.testing.assert_allclose(found[name], expected[name], atol=1e-12)
-    assert run("convert", robot, tmp_path / "motion.json").code == 0  # by the extension
+    assert run("convert", robot, tmp_path / "motion.json").code == 0  # the extension selects the format
     with np.load(out) as at_80:
         frames = json.loads((tmp_path / "motion.json").read_text(encoding="utf-8"))["Frames"]
         assert len(frames) - 1 == pytest.approx((len(at_80["dof_positions"]) - 1) * 50 / 80, abs=1)
     refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
     refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
-    slow = tmp_path / "slow.json"  # enough for the clip, too few for the stride: neither is written
+    slow = tmp_path / "slow.json"  # frames suffice for the clip but not for the stride, so nothing is written
     refused(["convert", robot, slow, "--fps", "1.2"], ("--fps", "frames per second", "1.2", "two frames"))
     assert not slow.exists()
     later, expected = tmp_path / "x.json", ("--to", "format", "'amp'", "recon retarget")
     refused(["convert", whole_results, later, "--to", "amp"], expected)
-    refused(  # over none of the files that it would write
+    refused(  # no existing file is replaced
         ["convert", robot, tmp_path / "motion.csv"],
         ("OUT", "file", f"{tmp_path / 'motion.json'}, which exists already", "--overwrite"),
         ("OUT", "file", "stride_motion.json, which exists already", "--overwrite"),

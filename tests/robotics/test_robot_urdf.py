@@ -127,7 +127,7 @@ def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
         np.testing.assert_allclose(leg.neutral_m, closed.legs[label].neutral_m, atol=1e-6)
         angles = np.linspace(leg.chain.lower_rad, leg.chain.upper_rad, 5).clip(-1, 1)
         np.testing.assert_allclose(leg.chain.end(angles), closed.legs[label].chain.end(angles), atol=1e-6)
-    assert simulated(found).nv == 18  # free in the world
+    assert simulated(found).nv == 18  # six degrees of freedom of the base and twelve joints
 
 
 def test_every_method_drives_it(arm):
@@ -188,7 +188,7 @@ def test_quadruped_is_the_same_as_in_closed_form(tmp_path):
         (lambda text: text.replace('velocity="21.0"', 'velocity="fast"'), "limit"),
         (lambda text: text.replace('xyz="0 0 -0.2"', 'xyz="0 0 1e308"'), "links"),
         (lambda text: text.replace('rpy="0 0 0"', 'rpy="0 0 -inf"'), "chain"),
-        (lambda text: text.replace('<parent link="trunk"/>', '<parent link="FL_foot"/>'), "content"),  # a ring
+        (lambda text: text.replace('<parent link="trunk"/>', '<parent link="FL_foot"/>'), "content"),  # a loop of links
     ],
 )
 def test_files_that_cannot_be_used(tmp_path, change, field):

@@ -148,7 +148,8 @@ def opened(tab, messages) -> Iterator[Callable[..., Any]]:
     tab.on("request", hear)
     yield open_page
     tab.remove_listener("request", hear)
-    assert [text for text in messages if not text.startswith("Canvas2D: Multiple readback")] == []  # the tests read
+    # A warning because the tests read pixels.
+    assert [text for text in messages if not text.startswith("Canvas2D: Multiple readback")] == []
     assert [url for url in fetched if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
@@ -208,7 +209,7 @@ class Pages(dict[str, Path]):
             self[name] = comparison(self.folder, {clip: self.folder / clip / "report.html" for clip in self.clips})
         else:
             with pytest.MonkeyPatch.context() as patch:
-                if name != "whole":  # whose figures are looked at
+                if name != "whole":  # only this page's figures are tested
                     patch.setattr("recon.show.plots.style.svg_of", lambda figure: "<svg></svg>")
                 chosen = PageSettings(folder=self.folder / name, video=self.video if name == "film" else None)
                 _page_of_clip(chosen, silent, whole_batch=True)
@@ -356,7 +357,7 @@ def test_text_curves_and_the_address_lead_to_their_frames(pages, opened):
     nose, paw = (page.evaluate(f"{PLAYER}.clip.keypoints.indexOf({name!r})") for name in ("nose", "l_front_paw"))
     assert state()[0] == 4
     page.click("[data-finding='0'] button")
-    assert state() == [4, [nose]]  # its largest error
+    assert state() == [4, [nose]]  # the frame and keypoint with the largest error
     page.click("[data-finding='1'] button")
     assert page.locator("[data-finding='1'] button").text_content() == "Show frame 12, l_front_paw"
     assert state() == [2, [paw]]
@@ -391,7 +392,8 @@ def test_a_batch_is_sorted_and_filtered_and_leads_to_its_clips_and_back(pages, o
     clips = (
         "[...document.querySelectorAll('tbody tr')].filter((row) => !row.hidden).map((row) => row.cells[1].dataset.v)"
     )
-    assert page.evaluate(clips) == ["refused", "film", "whole", "several"]  # the worst first
+    # Clips are sorted by verdict, the worst first.
+    assert page.evaluate(clips) == ["refused", "film", "whole", "several"]
     page.click("th:nth-child(2) button")
     assert page.evaluate(clips) == ["film", "refused", "several", "whole"]
     page.select_option(".filter select", "use")

@@ -115,7 +115,7 @@ def test_limbs_and_marks_are_where_and_in_the_colour_they_should_be(overlay):
     t = 4  # with an outlier
     overlay = replace(overlay, detected_px=np.where(overlay.outliers[..., None], overlay.detected_px, np.nan))
     image = draw_frame(overlay, t, 14, GREY)
-    on_top = max(  # the nearest piece of a leg, which nothing is drawn upon
+    on_top = max(  # the nearest part of a leg, over which nothing is drawn
         (overlay.nearness[t, [a, b]].mean(), a, b, colour)
         for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
         for a, b in pairwise(limb)
@@ -357,7 +357,7 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
     named = tmp_path / "clip_cam2.avi"
     named.symlink_to(video)
     result = Motion.load(filmed_twice)
-    assert [camera_number(result, None, of) for of in (named, None)] == [1, 0]  # of no video: the first
+    assert [camera_number(result, None, of) for of in (named, None)] == [1, 0]  # without a video, the first camera
     with refusal(("--camera-name", "camera", "cam2", "one of cam1")):
         draw(OverlaySettings(folder=folder, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name="cam2"))
 

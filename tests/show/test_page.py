@@ -143,7 +143,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "Flagged frames",
         "Keypoints",
     ]
-    # A picture comes before the words.
+    # A picture comes before the text.
     assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}, with the fitted pose" for frame in range(10, 18)}
@@ -217,7 +217,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
         report(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()
-    (tmp_path / "quality.csv").unlink()  # nothing reads it
+    (tmp_path / "quality.csv").unlink()  # the page does not need this file
     assert 'href="angles.csv"' in (
         page := report(PageSettings(folder=tmp_path)).data["page"].read_text(encoding="utf-8")
     )
@@ -268,7 +268,7 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
     assert svg.startswith("<svg ")
     assert "&lt;script&gt;" in svg
     assert "<script" not in svg
-    assert "<style" not in svg  # it would be the page's
+    assert "<style" not in svg  # a style in the picture would apply to the whole page
     assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
 
 
@@ -326,7 +326,7 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     assert rows[-1].count("<div>23</div>") == 1
     assert "a.csv: <b>no</b>" in page.text
     assert "/home" not in page.html
-    assert "7.8" not in page.text  # the mean: one far keypoint makes it large, and the median is 0
+    assert "7.8" not in page.text  # 7.8 is the mean, which one far keypoint makes large
     assert [row.count("<div>0.0</div>") for row in rows] == [0, 0, 0, 1, 1]
     assert [row.count("<polyline") for row in rows] == [0, 0, 0, 8, 8]
 
@@ -355,7 +355,7 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch, in_proc
     assert ended.code == 1
     assert pages == []
     assert "good: " in ended.err
-    assert "motion.npz" in ended.err  # other than the manifest says
+    assert "motion.npz" in ended.err  # the file differs from the manifest
     assert says(ended.err, "report.html: file", "did not write")
     assert "summary.html in a browser" in ended.out
     (batch / EVIL / "report.html").unlink()

@@ -258,7 +258,7 @@ def test_composites_turn_the_run_to_the_right(heading):
     at = [0, 3, 7, 10, 13, 17, 20, 23, 27, 30]
     for axes in (side, top, front):
         assert len(thick_lines(axes)) == 10 * 3
-    # Places count from the mean of the first configuration, which is 0.15 m ahead of joint 0.
+    # Positions are relative to the mean of the first configuration, which is 0.15 m ahead of joint 0.
     rear = 8.0 * (t[at] - 1.0) - 0.15
     trunk, left, right = (thick_lines(side)[k::3] for k in range(3))
     np.testing.assert_allclose([line.get_xdata() for line in trunk], rear[:, None] + [0.0, 0.6], atol=1e-9)
@@ -376,7 +376,7 @@ def test_arrows_are_velocities_to_one_scale():
         (line,) = right.get_lines()
         np.testing.assert_array_equal(line.get_xydata(), np.column_stack([t, field.speed_m_s]))
     assert len(scales) == 1
-    # The second link keeps its angle to the first: no arrows, but a mean.
+    # The second link keeps its angle to the first, so it has no arrows, but a mean.
     assert f"mean {fields[0].speed_m_s.mean():.2f} m/s" in texts(figure)
     assert "mean 0.00 m/s" in texts(figure)
     (key,) = figure.findobj(mpl.quiver.QuiverKey)

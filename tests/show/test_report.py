@@ -177,7 +177,7 @@ def test_limits_are_counted(small_motion):
     assert ranges[1, theta + 3] == pytest.approx(0.1)
     assert ranges[1:3, phi] == pytest.approx(0.2)
     assert (ranges > 0).sum() == 3
-    # theta_1 is away and back by 0.55 rad in 1/30 s; phi_6 goes by 0.7 rad, and comes back over two intervals.
+    # theta_1 changes by 0.55 rad and back in 1/30 s; phi_6 changes by 0.7 rad, and back over two intervals.
     change = skeleton.theta.tolerance_rad[3] + 0.1
     excess = 2 * np.sin(change / 2) * 30 - skeleton.theta.max_rate_rad_s[3]
     assert (rates[:, theta + 3] > 0).sum() == 2
@@ -193,7 +193,7 @@ def test_root_path(report):
     assert exact["distance_m"] == pytest.approx(1.5, abs=0.02)
     assert exact["peak_speed_m_s"] >= exact["mean_speed_m_s"] == pytest.approx(9, abs=0.1)
     assert exact["smoothing_m"] is None
-    assert path["smoothed"] is None  # too few frames in a row to tell the jitter
+    assert path["smoothed"] is None  # too few consecutive frames to measure the jitter
     assert report["travel"]["median_speed_m_s"] == pytest.approx(9, abs=1)
     assert abs(report["travel"]["heading_to_picture_rad"]) < 0.1
 
@@ -314,7 +314,7 @@ def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
     assert trajectory["skeleton"]["feet"] == feet
     assert ground["height_m"] == pytest.approx(below) == -ground["camera_height_m"]
     feet = ("l_front_paw", "r_front_paw", "l_back_paw", "r_back_paw")
-    assert trajectory["stances"] == {foot: [] for foot in feet}  # they glide
+    assert trajectory["stances"] == {foot: [] for foot in feet}  # the feet never stand
     ground = build_report(world_trajectory, {})["segments"][0]["ground"]
     assert (ground["frame"], ground["height_m"]) == ("world", pytest.approx(3 + below))
     assert ground["slope"] == pytest.approx([0.02, 0])  # away from this camera is along x
@@ -673,8 +673,8 @@ def test_every_field_is_documented(method, request):
     report = request.getfixturevalue(method)
     pages = DOCS.read_text(encoding="utf-8") + DOCS.with_name("findings.md").read_text(encoding="utf-8")
     documented = set(re.findall(r"`([\w -]+)`", pages))
-    open_names = {"settings", "timing_s", "camera", "numbers"}  # others' fields
-    open_names |= {"states", "total", "cost_by_term", "stances", "flags"}  # by name
+    open_names = {"settings", "timing_s", "camera", "numbers"}  # fields of other sections
+    open_names |= {"states", "total", "cost_by_term", "stances", "flags"}  # fields whose keys are names
     by_name = {*report["skeleton"]["state_names"], *report["skeleton"]["keypoints"]}
 
     def keys(node):

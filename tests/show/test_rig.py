@@ -99,7 +99,7 @@ def test_an_opensim_model_has_masses_and_inertias(tmp_path):
     assert along @ inertia @ along == pytest.approx(mass * shin.radius_m**2 / 2)
     assert inertia[2, 2] == pytest.approx(mass * (length**2 / 12 + shin.radius_m**2 / 4))
     np.testing.assert_allclose(rig.bones[i].centre_m, along * length / 2)
-    for bone in rig.bones:  # what a body can have: no moment is larger than the other two together
+    for bone in rig.bones:  # physical inertia: no moment exceeds the sum of the other two
         moments = np.linalg.eigvalsh(bone.inertia_kg_m2)
         assert 0 <= moments[2] <= moments[:2].sum() * (1 + 1e-9)
 
@@ -147,7 +147,7 @@ def test_bvh(rig, tmp_path):
     np.testing.assert_allclose(found.xyz_m[:, at], rig.pose.xyz_m, atol=1e-12)
     assert found.fps == 50
     text = path.read_text()
-    assert text.count("position") == 3  # the root's
+    assert text.count("position") == 3  # the root's three coordinates
     for bone, parent in ((b, rig.bones[b.parent]) for b in rig.bones if b.parent is not None):
         place, above = (found.xyz_m[:, found.names.index(b.name)] for b in (bone, parent))
         np.testing.assert_allclose(np.linalg.norm(place - above, axis=1), np.linalg.norm(bone.offset_m), atol=1e-12)
@@ -215,7 +215,7 @@ def test_recon_convert(whole_results, tmp_path, extension):
     beside = [f"{tmp_path}/run.mot", f"{tmp_path}/run.trc"] if extension == ".osim" else []
     said = [line for line in ended.out.splitlines() if line.startswith("Also written")]
     assert said == ([f"Also written: {', '.join(beside)}."] if beside else [])
-    for there in ([str(out)], beside, beside[1:]):  # what is beside it is looked at when it may be written
+    for there in ([str(out)], beside, beside[1:]):  # neighbouring files are checked before anything is written
         if there:
             refused(["convert", whole_results, out], *(("OUT", "file", path, "--overwrite") for path in there))
             Path(there[0]).unlink()

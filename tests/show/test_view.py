@@ -258,7 +258,7 @@ def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_p
     np.testing.assert_allclose(
         recording.values("/world/skeleton/joints", 12), small_motion.joints_camera_m[2], atol=1e-5
     )
-    # The ground is level under a level camera: one height, y down.
+    # The ground is level under a level camera, at one height along y, which points down.
     assert np.ptp(np.array(recording.static["/world/ground"]["LineStrips3D:strips"])[..., 1]) == 0
 
 
@@ -387,7 +387,7 @@ def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Mot
     points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
     ground = world_trajectory.solution.segments[0].ground
     assert ground is not None
-    # It rises along x, the way that the camera at (1, 2, 3) looks.
+    # The ground rises along x, the direction in which the camera at (1, 2, 3) looks.
     np.testing.assert_allclose(points[:, 2], ground.height_m + 0.02 * points[:, 0], atol=1e-5)
     assert np.ptp(points[:, 2]) > 0.05
 
@@ -492,7 +492,7 @@ def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_
     outliers = np.concatenate([picture.outliers for picture in pictures], axis=1)[[0, 2, 5]]
     worst = np.nanmax(np.where(outliers, 0.0, distance), axis=1)
     np.testing.assert_allclose(found, np.stack((np.nanmedian(distance, axis=1), worst), axis=1), atol=1e-9)
-    assert (outliers.sum(axis=1) == [0, 24, 24]).all()  # the second camera is not where it was taken to be
+    assert (outliers.sum(axis=1) == [0, 24, 24]).all()  # the second camera's pose in the file is wrong
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="others always have a screen, or say it otherwise")
@@ -545,7 +545,7 @@ def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypat
     monkeypatch.setattr("recon.show.view.web._content", lambda address: html)
     (tmp_path / "motion.rrd").write_bytes(b"recording")
     with served(tmp_path / "motion.rrd") as address:
-        assert ended == [True]  # rerun's own server, before anybody knows the address
+        assert ended == [True]  # ends rerun's own server before its address is published
         parts = urlsplit(address)
         recording = urlsplit(parse_qs(parts.query)["url"][0])
         assert (recording.netloc, recording.path) == (parts.netloc, f"{parts.path}recording.rrd")
@@ -569,7 +569,7 @@ def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypat
     ((program, *rest),) = started
     assert Path(program).is_file()
     assert rest[:3] == ["--serve-web", "--bind", "127.0.0.1"]
-    assert str(tmp_path / "motion.rrd") not in rest  # every user of this machine could read it from rerun's server
+    assert str(tmp_path / "motion.rrd") not in rest  # rerun's server would let every user of this machine read it
     assert "http" not in policy
 
 

@@ -89,7 +89,7 @@ def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> Non
     origins = by_frame(data["/world/forces"], "Arrows3D:origins")[found.motion.frames[t]]
     feet_m = found.motion.in_reference(gait.tracks.foot_m[at[t]])
     np.testing.assert_allclose(origins, feet_m[force[t] > 0], atol=1e-5)
-    # Each in the colour of its side, of which the lines of hind feet are.
+    # Each force has the colour of its foot's side, which is also that of the hind foot's line.
     of_foot = zip(gait.tracks.feet, colours, strict=True)
     of_side = {foot[0]: colour for foot, colour in of_foot if foot.endswith("H")}
     own = by_frame(data["/world/forces"], "Arrows3D:colors")[found.motion.frames[t]]

@@ -63,7 +63,8 @@ def test_the_panning_film_shows_the_same_animal():
     assert 40 < turned < 60
     drawn = next(render_frames(still.truth_m[40:42], still.names, lambda t: camera_at(40 + t), ground_m)).astype(float)
     without = draw_scene(camera_at(40), ground_m, np.random.default_rng(0))
-    y, x = np.nonzero(np.abs(drawn - without).max(axis=2)[150:] > 60)  # below the shrubs, which the turn blurs
+    # Below the shrubs, which the camera's rotation blurs.
+    y, x = np.nonzero(np.abs(drawn - without).max(axis=2)[150:] > 60)
     y += 150
     near = (np.abs(np.stack([x, y], axis=1) - xy_px[40].mean(axis=0)) < [70, 50]).all(axis=1)
     assert near.mean() > 0.8

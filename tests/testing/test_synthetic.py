@@ -116,7 +116,7 @@ def test_three_strides():
     front, back = height_m(joint(clip, "r_front_paw")), height_m(joint(clip, "r_back_paw"))
     for foot, steps in ((front, 4), (back, 3)):
         grounded = foot < 0.03
-        assert np.sum(np.diff(grounded.astype(int), prepend=0) == 1) == steps  # three strides of the front foot
+        assert np.sum(np.diff(grounded.astype(int), prepend=0) == 1) == steps  # the front foot makes three strides
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -142,7 +142,7 @@ def test_feet_on_the_ground():
         grounded = height < 0.01
         assert 0.1 < grounded.mean() < 0.35
         slip = np.abs(np.gradient(foot[:, 0])[grounded]) * 300
-        assert np.median(slip) < 3  # the animal passes over it at 10 to 17 m/s
+        assert np.median(slip) < 3  # the animal moves over the foot at 10 to 17 m/s
 
 
 def test_same_motion_at_any_frame_rate():
@@ -207,12 +207,13 @@ def test_samples_are_what_the_script_makes(tmp_path):
     made = {path.name for path in tmp_path.iterdir()}
     data = {path.name for path in SAMPLES.iterdir() if path.is_file() and path.suffix not in (".md", ".py")}
     read = {"detector.toml"}
-    assert made == {name for name in data - read if not name.startswith("rendered")}  # those are make_rendered.py's
+    # Make_rendered.py writes the others.
+    assert made == {name for name in data - read if not name.startswith("rendered")}
     for name in sorted(made):
         if name.endswith(".csv"):
             assert (tmp_path / name).read_bytes() == (SAMPLES / name).read_bytes(), name
         else:
-            # Unrounded: the last digit of a sine differs between machines.
+            # Compare unrounded numbers, since the last digit of a sine differs between machines.
             both = zip(read_cameras(tmp_path / name), read_cameras(SAMPLES / name), strict=True)
             for ours, committed in both:
                 np.testing.assert_allclose(pose(ours), pose(committed), rtol=0, atol=1e-12)
@@ -241,7 +242,7 @@ def test_samples_read_back(name, camera):
     truth, cam = read_pose3d(SAMPLES / f"{name}_truth.csv"), read_camera(SAMPLES / f"{camera}.toml")
     assert truth.names == keypoints.names
     seen_m = truth.xyz_m
-    if name == "whole":  # the detector sees its keypoints beside the markers
+    if name == "whole":  # the detector's keypoints are offset from the markers
         body = with_detector_offsets(load_skeleton("cheetah-24"), "acinoset")
         order = [truth.names.index(marker) for marker in body.markers]
         states, _, size = solve_points(body, truth.xyz_m[:, order], None)

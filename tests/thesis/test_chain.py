@@ -133,7 +133,7 @@ def test_unknown_name_lists_the_known_ones():
 
 def test_the_documented_example_is_a_chain(tmp_path):
     text = (Path(__file__).parents[2] / "docs" / "skeletons.md").read_text()
-    _, extends = (block.split("```")[0] for block in text.split("```toml")[1:])  # the other: see test_body.py
+    _, extends = (block.split("```")[0] for block in text.split("```toml")[1:])  # test_body.py tests the first block
     (tmp_path / "chain.toml").write_text(extends)
     assert len(load_chain(tmp_path / "chain.toml").joints) >= 5
 

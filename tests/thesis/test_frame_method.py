@@ -282,7 +282,7 @@ def test_deviations_of_the_angles_done_by_hand():
     sigma = dict(zip(SK.body.state_names[3:], found.angle_sigma_rad[0], strict=True))
     for name, own in zip(SK.angle_names, np.sqrt(np.diagonal(C[0])), strict=False):
         assert sigma[name] == own
-    # Turned by small Euler angles drawn from their covariance.
+    # Rotations by small Euler angles, drawn from their covariance.
     drawn = np.tile(state, (4000, 1))
     drawn[:, SK.euler_slice] += rng.multivariate_normal(np.zeros(3), C[0, SK.euler_slice, SK.euler_slice], 4000)
     turned = SK.to_body(drawn, inverse(view.T_camera_world))[0][:, 3:6]

@@ -36,7 +36,7 @@ def test_the_frame_methods_problem_is_the_reports(frame):
             name: pytest.approx(0.5 * share * told.squared_norm, rel=1e-5, abs=1e-6)
             for name, share in told.cost_shares.items()
         }
-    # A minimum: the gradient is nothing beside the Jacobian's columns.
+    # At a minimum, the gradient is small relative to the Jacobian's columns.
     assert (frame.optimality < 1e-3 * frame.column_norm.max(axis=1)).all()
 
 
