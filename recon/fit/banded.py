@@ -89,13 +89,18 @@ class Window:
     whitened: Array
     """(n, D, 1 + P): L^-1 of the gradient and the border."""
     following: Window | None = None
-    """The next piece of m frames, which represents all later frames; None for the last piece."""
+    """The next piece, or its first m frames, which represents all later frames; None for the last piece."""
 
     @property
     def rows_with_following(self) -> slice:
         """Return the rows of these frames and of those of the next piece."""
         last = self if self.following is None else self.following
         return slice(self.rows.start, last.rows.stop)
+
+    def first_frames(self, n: int) -> Window:
+        """Return the window of the first n frames, without its normal equations."""
+        rows = slice(self.rows.start, min(self.rows.start + n, self.rows.stop))
+        return Window(rows, _NO_PIECE, self.factor.first_frames(n), self.whitened[:n])
 
     def without_piece(self) -> Window:
         """Return the window without its normal equations, half of its memory, which `solved_for` does not need."""
@@ -148,7 +153,7 @@ class Window:
         return np.concatenate([corner, gradient[:, None]], axis=1)
 
 
-def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]:
+def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float]:
     """Return the damped step towards the minimum, (T, D) and (P,), and the slope of the cost along it.
 
     Raises
@@ -158,7 +163,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]
     """
     windows, gradients, kept = list[tuple[Window | Array, Array]](), list[Array](), 0
     shared_gradient: Array | float = 0.0
-    for window in eliminated(pieces, damping):
+    for window in eliminated(pieces, damping, ahead=ahead):
         kept += window.factor.band.size + window.whitened.size
         is_kept = window.whitened.shape[-1] >= _IN_BLOCKS and kept < _KEPT
         windows.append((window.without_piece() if is_kept else window.solved(), window.reduced()))
@@ -178,7 +183,9 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]
     return np.concatenate(steps), shared, slope + float(np.vdot(shared_gradient, shared))
 
 
-def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False) -> Iterator[Window]:
+def eliminated(
+    pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False, ahead: int | None = None
+) -> Iterator[Window]:
     """Yield the windows of a clip in order, each with all earlier frames eliminated.
 
     Parameters
@@ -187,6 +194,8 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
         The clip's pieces, in order.
     damping, bounded
         As in `factored`, which also describes the errors.
+    ahead
+        Number of frames of the next piece that represent all later frames; None for the whole piece.
     """
     remaining, start, carry, last = iter(pieces), 0, None, None
     piece = next(remaining, None)
@@ -210,7 +219,7 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
             carry = _carried(factor, white)
         window = Window(slice(start, start + n), piece, factor, white)
         if last is not None:
-            yield replace(last, following=window)
+            yield replace(last, following=window if ahead is None else window.first_frames(ahead))
         last, start, piece = window, start + n, next_piece
     if last is not None:
         yield last

@@ -172,19 +172,19 @@ def _covariance_and_derivative(
     `curvature` returns the curvature G of some frames (N, D, D); `parts` covers all frames, a few hundred at once.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
-    Z = _marginals(normals(), estimate.states.shape)
+    Z = _marginals(normals(), estimate.states.shape, problem.ahead)
     largest = max(float(np.einsum("tab,tba->t", Z[part], curvature(part)).max()) for part in parts)
     step = _RELATIVE_STEP / max(largest, 1e-12)
-    Q = _marginals(_stiffened(normals(), step, curvature), estimate.states.shape)
+    Q = _marginals(_stiffened(normals(), step, curvature), estimate.states.shape, problem.ahead)
     np.subtract(Z, Q, out=Q)  # in place, because Z and Q are the largest arrays of a long clip
     Q /= step
     return Z, Q
 
 
-def _marginals(pieces: Iterable[Normal], shape: tuple[int, int]) -> Array:
-    """Return the covariance (T, D, D) of the states of each frame, for states of shape (T, D)."""
+def _marginals(pieces: Iterable[Normal], shape: tuple[int, int], ahead: int | None) -> Array:
+    """Return the covariance (T, D, D) of the states of each frame, for states of shape (T, D); see `eliminated`."""
     covariance = np.empty((*shape, shape[1]))
-    for window in eliminated(pieces, bounded=True):
+    for window in eliminated(pieces, bounded=True, ahead=ahead):
         # copied, so that the memory of the covariances between frames is freed
         covariance[window.rows] = window.marginal_blocks()[:, 0]
     return covariance

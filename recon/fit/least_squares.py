@@ -114,6 +114,16 @@ class LeastSquares:
     `tree` then has the unchanged shape.
     """
 
+    @property
+    def ahead(self) -> int | None:
+        """Return the number of frames of the next piece that represent all later ones, None for all: see `eliminated`.
+
+        Several cameras determine the position so well that half of `_PIECE_S` changes no variance of a simulated clip
+        of six cameras by more than 1e-13. One camera leaves the distance uncertain, about which all frames inform.
+        """
+        is_seen_by_several = sum(isinstance(term, Reprojection) for term in self.terms) > 1
+        return self.piece // 2 if is_seen_by_several else None
+
     @cached_property
     def columns(self) -> dict[str, slice]:
         """Return the columns of each name among all P shared unknowns."""
@@ -271,7 +281,7 @@ class LeastSquares:
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
             try:
-                states_step, shared_step, slope = step(normals(), damping)
+                states_step, shared_step, slope = step(normals(), damping, self.ahead)
                 for share in _STEP_SHARES:
                     trial = self._moved(current, states_step, shared_step, share)
                     if trial.cost < current.cost:

@@ -229,7 +229,8 @@ def _shared_curvature(
     normals = problem.normals(estimate.states, shared) if normal is None else lambda: [normal]
 
     def new_windows() -> Iterator[Window]:
-        return eliminated(normals(), bounded=True)  # an undetermined unknown gets a large variance, not an error
+        # an undetermined unknown gets a large variance, not an error
+        return eliminated(normals(), bounded=True, ahead=problem.ahead)
 
     is_short = len(estimate.states) <= 2 * problem.piece
     kept = [*new_windows()] if is_short else []  # the windows of a long clip need too much memory
@@ -501,12 +502,13 @@ def _without_pixels(
     fixed, nearly_free = (np.where(is_position, precision, 0.0) for precision in (_FIXED, _NEARLY_FREE))
     variances, angle_variance = np.empty((2, T, len(body.markers))), np.empty((T, D - YAW))
     for_joints, for_angles = tee(without_pixels())  # computed once for both
+    ahead_of_fixed = problem.piece // 2  # frames at fixed positions hardly inform each other
     windows = (
-        eliminated(pieces, position, bounded=True)
-        for pieces, position in (
-            ((piece.without_shared() for piece in with_pixels()), fixed),
-            (for_joints, fixed),
-            (for_angles, nearly_free),
+        eliminated(pieces, position, bounded=True, ahead=ahead)
+        for pieces, position, ahead in (
+            ((piece.without_shared() for piece in with_pixels()), fixed, ahead_of_fixed),
+            (for_joints, fixed, ahead_of_fixed),
+            (for_angles, nearly_free, None),
         )
     )
     for of_pixels, of_joints, of_angles in zip(*windows, strict=True):
@@ -638,7 +640,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
     """Return the misfit of the prior at the minimum of a problem, under its present weight."""
     prior, by_prior = problem.subset(PRIOR_TERMS), 0.0
     frames = replace(problem, shared=(), nuisance=())  # a frame's covariance is taken with the shared unknowns fixed
-    windows = eliminated(frames.normals(estimate.states, estimate.shared)(), bounded=True)
+    windows = eliminated(frames.normals(estimate.states, estimate.shared)(), bounded=True, ahead=problem.ahead)
     for window, prior_normal in zip(windows, prior.normals(estimate.states)(), strict=True):
         overlap = window.marginal_blocks() * prior_normal.blocks
         by_prior += float(overlap[:, 0].sum() + 2 * overlap[:, 1:].sum())

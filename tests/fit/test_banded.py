@@ -268,13 +268,17 @@ def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
     assert_close(reduced[:, -1], right[T * D :] - whole[T * D :, : T * D] @ inverse @ right[: T * D])
 
 
+@pytest.mark.parametrize("ahead", [None, 15])
 @pytest.mark.parametrize("P", [0, 3, 9])
-def test_what_comes_after_the_frames_taken_along_hardly_matters(rng, P):
+def test_what_comes_after_the_frames_taken_along_hardly_matters(rng, P, ahead):
     T, D, W = 60, 2, 2
     dense = dense_system(rng, T, D, W)
     pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [20, 40, T])
-    moved, shared, _ = step(pieces, 0.0)
+    moved, shared, _ = step(pieces, 0.0, ahead)
     assert_close(np.append(moved.ravel(), shared), np.linalg.solve(whole, -right), rtol=1e-3)
+    first, second, _ = eliminated(pieces, ahead=ahead)
+    assert (first.rows_with_following, second.rows) == (slice(0, 20 + (ahead or 20)), slice(20, 40))
+    assert_close(first.marginal_blocks(), blocks_of(np.linalg.inv(dense), T, D, W)[:20], rtol=1e-3)
 
 
 def test_whitened_values_of_other_frames_are_refused(rng):
