@@ -11,6 +11,8 @@ from question import Part, main
 
 PARTS = {
     "inputs": Part("wrong_inputs.py", ["--views", "6", "--findings"], data="cheetah-runs"),
+    "inputs-fifth": Part("wrong_inputs.py", ["--views", "5"], data="cheetah-runs"),
+    "true-camera": Part("true_camera.py", ["--views", "6"], data="cheetah-runs"),
     "right": Part("wrong_inputs.py", ["--views", "3", "--cases", "right:"], data="cheetah-runs"),
     "lens": Part("wrong_inputs.py", ["--views", "5", "--cases", "focal,anamorphic,letterboxed"], data="cheetah-runs"),
     "standing": Part("standing.py", data="dog-mocap"),
