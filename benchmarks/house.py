@@ -3,7 +3,7 @@
 python benchmarks/house.py [--rooms] [--quick] [--check] [--where]
 
 Code lines exclude blank lines, comments and docstrings. A public class is at the top level of a module and has a name
-without a leading underscore. A circle is a group of files that import each other, at the top or inside functions.
+without a leading underscore. An import cycle is a group of files that import each other, at the top or in functions.
 --rooms adds a table of lines and classes for each room (a package directly under `recon`). --quick leaves out the
 times.
 
@@ -407,7 +407,7 @@ def rows(quick: bool) -> Iterator[list[object]]:
     yield ["options in `recon fit --help`", options, "24"]
     yield ["lines of `recon fit --help`", lines, ""]
     groups = circles(imports())
-    yield ["import circles of files", f"{len(groups)}{': ' if groups else ''}{'; '.join(map(', '.join, groups))}", "0"]
+    yield ["import cycles of files", f"{len(groups)}{': ' if groups else ''}{'; '.join(map(', '.join, groups))}", "0"]
     if not quick:
         with tempfile.TemporaryDirectory() as folder:
             for name, arguments, beside, limit in startup.COMMANDS:

@@ -114,7 +114,7 @@ def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, n
 
 
 def print_errors(fits: Iterator[tuple[Motion, np.ndarray]]) -> None:
-    """Print a row for each joint and one for all joints, and how often intervals of extremes contain the truth."""
+    """Print the angle errors of each joint and of all joints, and how often intervals of extremes contain the truth."""
     errors, sigmas = defaultdict[str, list[np.ndarray]](list), defaultdict[str, list[np.ndarray]](list)
     values, phases = list[bool](), list[bool]()
     for motion, truth_m in fits:

@@ -58,7 +58,7 @@ CHROMIUM = next(
 SCRUBBED_S = 3.0
 """Time for which the slider is moved, seconds."""
 SETTLED_MS = 3000.0
-"""Time before the slider moves, seconds, in which the page draws the part below the screen."""
+"""Time before the slider moves, milliseconds, in which the page draws the part below the screen."""
 SCRUB = """(seconds) => new Promise((done) => {
   const slider = document.querySelector(".player input[type=range]"), most = Number(slider.max);
   const began = performance.now();

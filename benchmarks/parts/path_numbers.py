@@ -1,4 +1,4 @@
-"""Choose the numbers of the path that ties the frame method's frames on all runs but one, and test them on that run.
+"""Choose the parameters of the smooth path between frames on all runs but one, and test them on the remaining run.
 
     python benchmarks/parts/path_numbers.py [FOLDER]
 
@@ -6,7 +6,7 @@ Every view of every run is solved once, frame by frame (`path=free`). Paths with
 times are estimated from these solutions, which is quick. The score of a choice compares the peak speed of the path with
 the true one: the fraction of views within `WITHIN`, minus the difference between the 90 % intervals' coverage and 90 %.
 Each run is left out in turn. The table has the best choice on the other runs, and the results of this choice and of the
-method's own numbers on the run that was left out.
+frame method's default parameters on the run that was left out.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def joint_and_side(name: str) -> tuple[str, Side | None]:
 
 
 def anatomy_problems(table: Mapping[str, tuple[str, str, str]], source: str) -> Iterator[Problem]:
-    """Yield the problems of `[anatomy]`: unknown joints, and joints whose markers are not all different."""
+    """Yield the problems with `[anatomy]`: unknown joints, and joints whose markers are not all different."""
     for joint, markers in table.items():
         if joint not in FLEXES_CAUDALLY:
             yield Problem(source, f"anatomy.{joint}", "no joint with this name", f"one of {', '.join(FLEXES_CAUDALLY)}")

@@ -181,7 +181,7 @@ def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]
 
 
 def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
-    """Return the built-in maps that give a file more of the wanted names, the best first."""
+    """Return the built-in maps of names that add to a file's wanted names, sorted by the number of wanted names."""
     wanted = {*wanted}
     shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]

@@ -196,7 +196,7 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
 
 
 def _segment_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems of the names, joints, parents and angles of the segments; add the names to `used`."""
+    """Yield problems with the names, joints, parents and angles of the segments; add the names to `used`."""
     segments = list[str]()
     for i, segment in _both_sides(file.segments):
         row = f"segments[{i}]"
@@ -221,7 +221,7 @@ def _segment_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[
 
 
 def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems of the names, segments and number of the markers; add the names to `used`."""
+    """Yield problems with the names, segments and number of the markers; add the names to `used`."""
     segments = {segment.name for _, segment in _both_sides(file.segments)}
     markers = [*_both_sides(file.markers)]
     for i, marker in markers:
@@ -233,7 +233,7 @@ def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[P
 
 
 def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: str) -> Iterator[Problem]:
-    """Yield problems of mass fractions that belong to no segment, and of segments without a mass fraction."""
+    """Yield problems with mass fractions that belong to no segment, and with segments without a mass fraction."""
     yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
     for name in sorted(segments):
         if name not in shares and other_side(name) not in shares:
@@ -241,7 +241,7 @@ def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: s
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems of an item's name, and add the name to `used`, the names of earlier items."""
+    """Yield problems with an item's name, and add the name to `used`, the names of earlier items."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":

@@ -619,7 +619,7 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
 
 
 def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
-    """Yield problems of the names given in manifests, which have to be plain and unique."""
+    """Yield problems with the names given in manifests, which have to be plain and unique."""
     named = [
         (draft.name, draft.manifest_line)
         for draft in drafts

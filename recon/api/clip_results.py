@@ -62,7 +62,10 @@ OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CO
 
 
 def output_files(settings: FitSettings, out: Path) -> list[str]:
-    """Return the names of the files that a fit with these settings may write, including existing tables by camera."""
+    """Return the names of the files that a fit with these settings may write.
+
+    Tables by camera are included if the folder already has such tables.
+    """
     tables: list[str] = []
     if reprojection_files(out) or (out / REPROJECTION).exists():
         with suppress(InputError):  # the fit raises this error too

@@ -242,7 +242,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
 
 
 def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
-    """Yield problems of files with too few markers, and of frame rates that are neither one nor one per segment."""
+    """Yield problems with files with too few markers, and with frame rates that are neither one nor one per segment."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
         count_known = sum(marker in names for marker in body.markers)

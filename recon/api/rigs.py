@@ -32,7 +32,7 @@ _Cameras = tuple[tuple[Camera, "CameraTrack | None"], ...]
 
 
 def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Path, list[str]]) -> Iterator[Problem]:
-    """Yield problems of cameras that cannot be used together.
+    """Yield problems with cameras that cannot be used together.
 
     `owners` gives for each track the cameras whose names the track's name contains.
     """
@@ -63,7 +63,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
 
 
 def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
-    """Yield problems of zoom tracks whose focal length is far from the camera file's, for example in another unit."""
+    """Yield problems with zoom tracks whose focal length is far from the camera file's, for example in another unit."""
     for camera, track in cameras:
         if track is not None and track.intrinsics_px is not None:
             track_px, camera_px = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])

@@ -238,12 +238,12 @@ class FitSettings(Settings):
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterator[Problem]:
-        """Yield problems of a camera given in two ways, and of settings that the method does not read."""
+        """Yield problems with a camera given in two ways, and with settings that the method does not read."""
         yield from _camera_problems(values)
         yield from _other_method_problems(values)
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems of settings that exclude each other, or that are not given once per camera."""
+        """Yield problems with settings that exclude each other, or that are not given once per camera."""
         count = len(self.keypoints)
         for name in ("camera_name", "offset_s", "camera_fps"):
             values = getattr(self, name)
@@ -268,7 +268,7 @@ class FitSettings(Settings):
         yield from self._camera_file_problems()
 
     def _camera_file_problems(self) -> Iterator[Problem]:
-        """Yield problems of keypoint files without a camera file or a track each."""
+        """Yield problems with keypoint files without a camera file or a track each."""
         count = len(self.keypoints)
         named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
         if count > 1 and self.camera is None and not named_tracks:
@@ -374,7 +374,7 @@ def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
 
 
 def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield problems of a camera that is given in two ways, or incompletely."""
+    """Yield problems with a camera that is given in two ways, or incompletely."""
     if not values.keys() & {"camera", "hfov_deg", "camera_track"}:
         expected = "a camera file, or --hfov-deg with --image-size for a rough one"
         yield Problem("settings", "camera", "nothing", expected)
@@ -395,7 +395,7 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def _other_method_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield problems of settings that the method does not read; the method may have any type, as read from a file."""
+    """Yield problems with settings that the method does not read; the method may have any type, as read from a file."""
     method = values.get("method", SETTINGS["method"].default)
     for name, value in values.items():
         info = SETTINGS.get(name)

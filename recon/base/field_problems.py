@@ -34,7 +34,7 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 def problems_of(
     error: ValidationError, source: str | Path, schema: _Table = None, skipped: int = 0, table: _Table = None
 ) -> Iterator[Problem]:
-    """Yield the problems of a table, each with its field, such as legs[0].hip_m.
+    """Yield the problems with a table, each with its field, such as legs[0].hip_m.
 
     `schema` is the JSON schema of the table, which gives the known fields and the types of missing fields. `skipped` is
     the number of leading parts of a field's name that the message leaves out. A table without any field of the schema

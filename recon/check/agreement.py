@@ -262,13 +262,13 @@ def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float 
 
 
 def _gain(comparison: Comparison) -> float:
-    """Return the factor by which the best rotation or time offset lowers a camera's level; 1 if both are small."""
+    """Return the factor by which the best rotation or time offset reduces a camera's error, or 1 if both are small."""
     causes = _causes(comparison, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
     return max((comparison["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
 
 
 def _code(comparison: Comparison, limit: float) -> str:
-    """Return the code of a camera's finding: the cause that leaves the lowest level, if it explains the level."""
+    """Return the code of a camera's finding: the cause that leaves the smallest error, if it explains the error."""
     likeliest = min(
         (level, code) for code, level in {**_causes(comparison), "camera_off": np.inf}.items() if not np.isnan(level)
     )

@@ -69,7 +69,10 @@ LOG_SIZE_MOST = math.log(2.0)
 """Largest deviation of the logarithm of a grown animal's size, for any standard deviation."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""Factor within which a camera's height suggests a unit, because an animal's size, and so the height, is uncertain."""
+"""Largest factor between a ratio of heights and the number of a unit in a metre with which the unit is suggested.
+
+The camera's height above the feet is as uncertain as the animal's size.
+"""
 UNEXPLAINED = ("fit_explains_little", "motion_unexplained")
 """Codes of fits that do not explain the detections."""
 FROM_MOTION = (*MOVES, "path_jolts")

@@ -256,7 +256,7 @@ def _path(positions: Array) -> Array:
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the log Bayes factor of missing frames over none, from the changes of the points' speed."""
+    """Yield the log Bayes factor for missing frames, from the changes of the points' speed."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     changes = _speed_changes(points.positions * scale, points.follows)
     if np.isfinite(changes).sum() >= LEAST_CHANGES:
@@ -292,7 +292,7 @@ def _speed_changes(tracks: Array, follows: Bools) -> Array:
 
 
 def missing_gain(changes: Array) -> tuple[float, float]:
-    """Return the log Bayes factor of missing frames over none, and the expected fraction of longer steps.
+    """Return the log Bayes factor for missing frames, and the expected fraction of steps across missing frames.
 
     Parameters
     ----------
@@ -301,11 +301,12 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 
     Notes
     -----
-    If no frames are missing, the speed changes by errors of Student's t with `FREEDOM` degrees of freedom,
-    and by outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
-    proportional to p^(n - 1), and a change also has the logarithm of n over the n before. The sum over all n is that of
-    a hidden Markov chain (forward algorithm; L. Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989).
-    Both likelihoods are means over the errors' scale, the fraction of outliers, and p, with all values equally likely.
+    If no frames are missing, changes have Student's t distribution with `FREEDOM` degrees of freedom, apart from
+    outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
+    proportional to p^(n - 1), and a change also contains the logarithm of the ratio of n to the n of the step before.
+    The sum over all n is that of a hidden Markov chain (forward algorithm; L. Rabiner, *A tutorial on hidden Markov
+    models*, Proc. IEEE 77, 1989). Both likelihoods are averaged over the distribution's scale, the fraction of
+    outliers, and p, with all values equally likely.
     """
     known = changes[np.isfinite(changes)]
     sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIERS)

@@ -56,7 +56,7 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
         The animal.
     fps
         Frames per second.
-        sigma_px
+    sigma_px
         Standard deviation of the detector's noise, pixels.
     """
     positions_m = triangulated_m(views, sigma_px, body.keypoint_sigma_m)

@@ -57,7 +57,7 @@ class LabelSettings(Settings):
     """Open the page in the browser."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems of options that need others."""
+        """Yield problems with options that need others."""
         if self.result is None and (self.camera_name is not None or self.first_frame):
             yield Problem("settings", "result", "nothing", "--result with --camera-name or --first-frame")
 

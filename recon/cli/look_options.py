@@ -61,7 +61,7 @@ class ViewSettings(ResultSettings):
     """Replace an existing recording."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems of options that need a video."""
+        """Yield problems with options that need a video."""
         for name in ("first_frame", "camera_name"):
             if getattr(self, name) and self.video is None:
                 yield Problem("settings", name, "no --video", "both or neither")

@@ -192,9 +192,9 @@ class FreeShape:
         Returns
         -------
         by_length : (N, J, 3, L)
-                        Derivatives with respect to the lengths.
+            Derivatives with respect to the lengths.
         by_offset : (N, J, 3, 3)
-                        Derivatives with respect to each marker's own offset, which are the rotation of its segment.
+            Derivatives with respect to each marker's own offset, which are the rotation of its segment.
         """
         body = self.applied(shared)
         rotations = body.detected.orientations(states)  # equal to the rotations of `body.tree`

@@ -283,7 +283,10 @@ _Placed = TypeVar("_Placed", Segment, Marker)
 
 @dataclass(frozen=True, repr=False)
 class Tree(Brief):
-    """Segments, the root first and parents before children, and J markers; D = 6 + the other segments' angles."""
+    """A tree of rigid segments with J markers, whose state has D unknowns: 6 of the root, and all other angles.
+
+    The root is the first segment, and every parent comes before its children.
+    """
 
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]

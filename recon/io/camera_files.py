@@ -332,8 +332,8 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
 def read_colmap(path: Path) -> list[CameraRecord]:
     """Return the cameras of COLMAP's cameras.txt, without poses; raise InputError for an invalid file.
 
-    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is
-    its centre.
+    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. (0, 0) is the corner of the first pixel in COLMAP, and the
+    centre of the first pixel in recon.
     """
     records = []
     for line, cells in enumerate(map(str.split, read_calibration(path).splitlines()), start=1):

@@ -188,7 +188,7 @@ def recognises_long(path: Path) -> bool:
 
 
 def _with_named_index(header: list[str]) -> list[str]:
-    """Return the header of a wide table whose first column, which pandas leaves unnamed, has the frame numbers."""
+    """Return a header in which an unnamed first column is called frame, as pandas writes its index in wide tables."""
     named = ["frame", *header[1:]]
     layouts = [_layout([*dict.fromkeys(names)], _by_name) for names in (header, named)]
     roles = {role for bodypart, role in layouts[1].columns if not bodypart} if layouts[1] else set()

@@ -235,7 +235,7 @@ def one_animal(
 
 
 def _name_problems(path: Path, field: str, names: Sequence[str], count: int) -> Iterator[Problem]:
-    """Yield problems of names that are empty, repeated or not printable, and of a wrong number of names."""
+    """Yield problems with names that are empty, repeated or not printable, and with a wrong number of names."""
     for name, times in Counter(names).items():
         if not name or not name.isprintable() or times > 1:
             yield Problem(path, field, f"'{name}'", "unique, printable names")

@@ -74,9 +74,9 @@ def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float
 
 
 def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoints:
-    """Return points with uneven times numbered anew at a given rate, and other points unchanged.
+    """Return points whose uneven times are converted to frame numbers at a given rate; other points are unchanged.
 
-    Raises InputError for times that fit no rate, if none is given.
+    Raises InputError if the times are uneven and no rate is given.
     """
     if stored.times_s is None or fps is None or (fps == stored.fps and not stored.time_problems):
         raise_problems(stored.time_problems)
