@@ -285,7 +285,7 @@ def _file_or_builtin(name: str, source: str) -> str:
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
     """Return the chain that the tables of a file describe.
 
-    Raises InputError with all problems of the tables.
+    Raises InputError that lists all problems with the tables.
     """
     file = validated(_ChainFile, _extended(raw, source), source)
     raise_problems(_chain_problems(file, source))

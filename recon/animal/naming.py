@@ -228,7 +228,7 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
 
 
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
-    """Return the problem of a file whose names are not those of the skeleton, with a remedy.
+    """Return the problem with a file whose names are not those of the skeleton, with a remedy.
 
     The remedy is another skeleton, a built-in map or, if no built-in map has every name, a map whose lines are shown.
     """

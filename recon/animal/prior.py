@@ -54,7 +54,7 @@ class SegmentRow:
 class MotionPrior:
     """Statistics of the poses and accelerations of A angles, rad, with K mixture components.
 
-    Raises ValueError with every problem of the arrays.
+    Raises ValueError that lists every problem with the arrays.
     """
 
     name: str
@@ -106,7 +106,7 @@ def _whitener(covariance: Array) -> Array:
 
 
 def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
-    """Return each problem of a prior's arrays as (field, found, expected)."""
+    """Return each problem with a prior's arrays as (field, found, expected)."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:

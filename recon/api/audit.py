@@ -118,7 +118,7 @@ def _has_points(path: Path) -> bool:
 
 
 def _folder_problem(folder: Path) -> Problem:
-    """Return the problem of a folder that is not a result, and name a result or a file in it that can be audited."""
+    """Return the problem with a folder that is not a result, and name a result or a file in it that can be audited."""
     inside = sorted(path.parent for path in folder.glob(f"*/{MOTION}"))
     if inside:
         content = f"a folder of {counted(len(inside), 'result')}"

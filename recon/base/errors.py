@@ -1,4 +1,4 @@
-"""Report every problem of an input at once, in the user's words."""
+"""Report every problem with an input at once, in the user's words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NO_FILE, ANY_FILE = "no such file", "a file that can be read"
 
 @dataclass(frozen=True)
 class Problem:
-    """One problem of an input.
+    """One problem with an input.
 
     As text, a problem is one line, with codes for characters that cannot be printed.
     """
@@ -91,7 +91,7 @@ def raise_problems(problems: Iterable[Problem]) -> None:
 
 
 def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
-    """Return the problems of an input, or nothing if it can be read."""
+    """Return the problems with an input, or nothing if it can be read."""
     try:
         read()
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Describe the problems of a file's table field by field, from pydantic's errors."""
+"""Describe the problems with a file's table field by field, from pydantic's errors."""
 
 from __future__ import annotations
 

@@ -321,7 +321,7 @@ def _problems(cls: type[Settings], values: Mapping[str, Any], error: ValidationE
 
 
 def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
-    """Return the problem of a setting that does not exist, with the name that was perhaps meant."""
+    """Return the problem with a setting that does not exist, and suggest the name that was probably meant."""
     meant = get_close_matches(name, infos, 1)
     return Problem(file, name, "an unknown setting", f"perhaps {meant[0]}" if meant else f"one of {', '.join(infos)}")
 
@@ -335,6 +335,6 @@ def _parts(kind: object) -> Iterator[object]:
 
 
 def on_command_line(problem: Problem, infos: Mapping[str, SettingInfo]) -> Problem:
-    """Return the problem of a setting, named as the user gives it on the command line."""
+    """Return the problem with a setting, named as the user gives it on the command line."""
     known = problem.file == "settings" and problem.field in infos
     return replace(problem, file=infos[problem.field].on_command_line) if known else problem

@@ -131,7 +131,7 @@ def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
 
 
 def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
-    """Return the problem of a requirement ("" if there is none), and the installed version.
+    """Return the problem with a requirement ("" if there is none), and the installed version.
 
     The version may belong to another distribution that provides the same module.
     """

@@ -341,7 +341,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 def _nothing_in_common(
     pose: Pose3D, truth: Pose3D, names: Sequence[str], frames: np.ndarray, common: np.ndarray
 ) -> list[Problem]:
-    """Return the problems of two poses without a joint, a frame or a position in common.
+    """Return the problems with two poses without a joint, a frame or a position in common.
 
     `names` and `frames` are common to both poses; `common` (T, J) is the mask of positions known in both.
     """

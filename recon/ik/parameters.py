@@ -104,9 +104,11 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
 
     The methods have these parameters:
 
-    - transpose: alpha, 1/m^2 - gradient-projection, with k = 1: coefficients of the costs, or without costs the
-    smallest constant g (n,) that fits - weighted: diag W, positive, with a mean of 1; `pull` is the strength described
-    at `PULL` - damped: lambda, metres - selectively-damped: gamma_max, rad, for steps of `INTERVAL_S`
+    - transpose: alpha, 1/m^2
+    - gradient-projection, with k = 1: coefficients of the costs, or the smallest constant g (n,) if there are none
+    - weighted: diag W, positive, with a mean of 1; `pull` is the strength described at `PULL`
+    - damped: lambda, metres
+    - selectively-damped: gamma_max, rad, for steps of `INTERVAL_S`
     """
 
     def projection(c: Array) -> Method:

@@ -12,8 +12,7 @@ Layouts of further programs are in `recon.io.lab_cameras`.
   the file does not name: metres are assumed here, and `camera_unit` of a fit's settings states another unit. The board
   defines the world, so z need not point up.
 - OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: by name, focal lengths and centres as fractions of
-the
-  picture's longer side. They have no poses, which are in tracks (`recon.io.camera_track`).
+  the picture's longer side. They have no poses, which are in tracks (`recon.io.camera_track`).
 """
 
 from __future__ import annotations

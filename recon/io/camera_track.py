@@ -5,7 +5,7 @@
   world to the camera, X_camera = R X_world + t. The camera's position may be in x, y, z instead of tx, ty, tz: then the
   quaternion takes points from the camera to the world, X_world = R X_camera + (x, y, z).
 - COLMAP: images.txt with cameras.txt in the same folder, or that folder. Frame numbers are the last digits of the
-  images' names. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is its centre, so half a pixel is
+  images' names. (0, 0) is the corner of the first pixel in COLMAP and its centre in recon, so half a pixel is
   subtracted.
 - OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' positions in UTM. Frame
   numbers are the last digits of the pictures' names.

@@ -92,7 +92,7 @@ class StoredPoints:
     times_s: np.ndarray | None = None
     """(T,): times of the frames, seconds, if the file has uneven times instead of frame numbers."""
     time_problems: tuple[Problem, ...] = ()
-    """Problems of times that fit no frame rate, unless a rate is given for the file (`recon.io.times`)."""
+    """Problems with times that fit no frame rate, unless a rate is given for the file (`recon.io.times`)."""
 
     @property
     def in_space(self) -> bool:

@@ -158,7 +158,7 @@ def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]
 
 
 def header_problem(path: Path, header: str) -> Problem:
-    """Return the problem of a header that is not DeepLabCut's."""
+    """Return the problem with a header that is not DeepLabCut's."""
     return Problem(path, "header", header, "; or ".join(", ".join(h) for h in HEADERS))
 
 

@@ -67,9 +67,9 @@ def _require_sound_heaps(path: Path) -> None:
     """Raise ValueError if an object in a global heap has an impossible size.
 
     A global heap holds texts of any length. After an object of size 0, the library would look for the next object for
-    ever. Header: signature,
-    version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps of 8 bytes. Object
-    0 is the remaining free space, whose size includes its header.
+    ever. The header has the signature, the version, 3 bytes and the size (8). An object has its number (2), its number
+    of references (2), 4 bytes, its size (8), and data in steps of 8 bytes. Object 0 is the remaining free space, whose
+    size includes its header.
     """
     with path.open("rb") as file:
         head = file.read(24)

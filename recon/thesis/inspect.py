@@ -1,9 +1,8 @@
 """Describe the frame method's optimisation in tables, for the command `recon solver`.
 
 The optimiser minimises half the squared norm of the residuals r, each divided by its standard deviation. J is their
-Jacobian.
-Robust terms enter r and J with the solver's weights, so that J'r is the gradient and J'J the curvature. docs/solver.md
-explains the columns of the tables; `recon.thesis.figures` draws the figures.
+Jacobian. Robust terms enter r and J with the solver's weights, so that J'r is the gradient and J'J the curvature.
+docs/solver.md explains the columns of the tables; `recon.thesis.figures` draws the figures.
 """
 
 from __future__ import annotations

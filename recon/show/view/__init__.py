@@ -79,7 +79,6 @@ def write(
 
     The viewer plays the recording in a loop, slowly if the clip is short.
 
-
     Parameters
     ----------
     motion : Motion

@@ -471,7 +471,6 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
     of the video's first frame; `number` is the index of the camera, whose pictures have the same size. Raises
     InputError if the video lacks frames.
 
-
     Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos; in other codecs they
     jump from key frame to key frame. In rerun, (0, 0) is the corner of the top left pixel, but for keypoints it is the
     centre of this pixel. Therefore the picture is shifted by half a pixel to the right and down.
