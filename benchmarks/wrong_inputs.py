@@ -19,6 +19,7 @@ PARTS = {
     "zoom": Part("wrong_inputs.py", ["--cases", "zooms x"], data="cheetah-runs"),
     "which-camera": Part("which_camera.py", data="cheetah-runs"),
     "limits": Part("one_step_limits.py", ["--views", "6"], data="cheetah-runs"),
+    "input-limits": Part("input_limits.py", data="cheetah-runs"),
     "audit": Part("audit.py", data="cheetah-runs"),
     "planted-faults": Part("planted_faults.py", quick=["--seeds", "1"]),
     "editor-trial": Part("editor_trial.py"),

@@ -15,16 +15,18 @@ KEPT_BYTES = 1 << 28
 LARGEST_BYTES = 1 << 25
 """Size from which an array is returned to the system when it is freed; glibc accepts no larger setting."""
 NEW_OBJECTS = 400_000
-"""Number of new containers after which the garbage collector searches them for unused reference cycles."""
+"""Number of new containers after which the garbage collector searches them for unused reference cycles.
+
+The libraries of a fit and of a page make fewer containers than this.
+"""
 
 
 def collect_rarely() -> None:
     """Run the garbage collector rarely, for the whole life of this process, and not when it ends.
 
-    The libraries of a fit with its playback make 270,000 objects, those of a page 340,000, which all stay. By default
-    the collector runs after every 700 new ones, which takes a tenth of the time of a short fit or of a page, and three
-    times over all objects when the process ends, although the system then frees all memory at once. A command leaves
-    few unused cycles (7,000 objects in a fit, 700 in each further one).
+    The libraries make most of a process's objects, and these objects all stay. By default the collector searches new
+    objects again and again while the libraries are loaded, and all objects several times when the process ends,
+    although the system then frees all memory at once. A command leaves few unused cycles.
     """
     gc.set_threshold(NEW_OBJECTS, *gc.get_threshold()[1:])
     atexit.register(gc.freeze)

@@ -18,16 +18,17 @@ from recon.fit.starts import APPROACH_HZ
 DRIFT_SIGMAS = 3.5
 """Drift of a clock, in standard deviations, from which the drift is reported.
 
-The drift is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera takes one picture a second fewer
-(`benchmarks/wrong_inputs.py --only limits`).
+In clips of half a second, the drift is 1.2 at most in correct pairs, and 0.0 to 1.3 (median 0.6) if one camera takes
+one picture a second fewer (`python benchmarks/wrong_inputs.py --only limits`). Only longer clips show such a drift.
 """
 NO_DRIFT_SIGMAS = 0.5 * DRIFT_SIGMAS
 """Drift in some frames of a long clip, in standard deviations, up to which the clip is not tested with all frames."""
 RAY_SIGMAS = 3.0
 """Number of standard deviations by which the drift shown by rays must be below half of an estimate to refute it.
 
-The wrong lengths of a rough skeleton look like a drift of 2.5 frames in an exact pair, where rays show 0.2 ± 0.2. If a
-clock does drift, by 1 frame, rays show 1.1 ± 0.05 (simulated pairs of `tests/check/test_clocks.py`).
+Wrong lengths of a rough skeleton look like a drift, but rays do not depend on them. Errors of detections alone hardly
+ever reach three standard deviations, so a real drift is hardly ever refuted (`tests/check/test_clocks.py` has both
+cases).
 """
 
 

@@ -8,7 +8,7 @@ likely the clip becomes when they are undone (`recon.check.likelihood`).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -255,20 +255,28 @@ LONG = 1.45
 """Ratio to the steps around it above which a step is long.
 
 In 32 real views at most 0.12 of the steps are long, also with half of their points missing, a side hidden, or an animal
-that comes into the picture. The fraction is 0.2 if a quarter of the frames is left out.
+that comes into the picture. The fraction is 0.06 to 0.29 (median 0.19) if a quarter of the frames is left out (`python
+benchmarks/wrong_inputs.py --only input-limits`).
 """
 SHORT = 0.5
 """Ratio to the steps around it below which a step is short."""
 SHARE_LONG = 0.13
-"""Fraction of long steps above which frames were left out, if less than half as many steps are short."""
+"""Fraction of long steps above which frames were left out, if less than half as many steps are short.
+
+The value is just above the fractions of correct views (see `LONG`).
+"""
 ALONE = 1.3
 """Smallest ratio of a long step to both its neighbours if a frame was left out.
 
-Swinging legs, seen on their own or by a camera that follows, are fast for several frames. This value and the next were
-chosen on simulated cameras and noise (cheetahs, dogs).
+Swinging legs, seen on their own or by a camera that follows, are fast for several frames. The step across a frame that
+was left out is long by itself.
 """
 SHARE_ALONE = 0.4
-"""Smallest fraction of the long steps that have this ratio if frames were left out."""
+"""Smallest fraction of the long steps that have this ratio if frames were left out.
+
+The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames (`python
+benchmarks/wrong_inputs.py --only input-limits`).
+"""
 AROUND = 7
 """Number of successive steps of a keypoint whose median is the usual step."""
 LEAST_STEP_PX = 5.0
@@ -373,13 +381,19 @@ def step_ratios(tracks: Array) -> Array | None:
 
 def steps_are_missing(ratios: Array) -> bool:
     """Return whether so many steps are twice as long as the steps around them that frames must be missing."""
-    is_long, is_short = ratios > LONG, ratios < SHORT
-    is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
+    is_long, is_short, is_alone = long_steps(ratios)
     return bool(
         is_long.mean() > SHARE_LONG
         and is_long.sum() > 2 * is_short.sum()
         and is_alone.sum() > SHARE_ALONE * is_long.sum()
     )
+
+
+def long_steps(ratios: Array) -> tuple[Bools, Bools, Bools]:
+    """Return masks of the long steps, of the short ones, and, without the ends, of those long between shorter ones."""
+    is_long = ratios > LONG
+    is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
+    return is_long, ratios < SHORT, is_alone
 
 
 def _dropped_frames(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
@@ -418,28 +432,43 @@ SLOWEST = 0.1
 LOWEST = 0.2
 """Fraction of a foot's frames in which the foot counts as on the ground: those in which it is lowest.
 
-On a belt or under a camera that pans, feet move in these frames at 0.72 to 1.01 of the speed of `SLOWEST` (24 clips of
-cheetahs, `python benchmarks/wrong_inputs.py --only inputs`). If a dog stands, steps or turns on the spot, they move at
--0.13 to 0.28 of it (7 clips, `--only standing`).
+On a belt or under a camera that pans, feet move in these frames at 0.55 to 1.22 of the speed of `SLOWEST` (42 clips of
+cheetahs). If a dog stands, steps or turns on the spot, they move at -0.13 to 0.27 of it (11 clips; `python
+benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_SHARE = 0.25
 """Backward speed of standing feet, relative to the body's speed over them, above which they slide.
 
-The relative speed is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
+The relative speed is 0.08 at most in 32 real views of cheetahs. It is 0.9 to 1.0 on a treadmill, except in a view along
+the animal's path (0.1). Dogs on the spot reach 1.1, but the feet that are lowest then stand still, as `LOWEST` shows
+(`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_LEGS_S = 0.5
-"""Smallest speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding."""
+"""Smallest speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding.
+
+The speed is 9 or more on a treadmill or under a camera that pans, and 1.2 to 2.3 if a dog steps or turns on the spot
+(`python benchmarks/wrong_inputs.py --only input-limits`). Animals may walk slowly on a treadmill.
+"""
 STAYS_SHARE = 0.3
 """Speed of the body, relative to its speed over the feet, below which it stays where it is, as on a treadmill."""
 SLIDE_M_S = -2.5
-"""Backward speed that standing feet do not reach; in 32 real views of running cheetahs the lowest is -0.7 m/s."""
+"""Backward speed that standing feet do not reach.
+
+The lowest is -0.65 m/s in 32 real views of running cheetahs, and -1.05 m/s if a dog steps or turns on the spot (`python
+benchmarks/wrong_inputs.py --only input-limits`).
+"""
 GLIDE_M_S = 8.0
-"""Forward speed that standing feet do not reach; in 32 real views of running cheetahs the highest is 4.1 m/s."""
+"""Forward speed that standing feet do not reach.
+
+The highest is 3.9 m/s in 32 real views of running cheetahs, and 8.7 m/s under a camera that pans against the animal
+(`python benchmarks/wrong_inputs.py --only input-limits`).
+"""
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Costs per 1/90 s, in half squared standard deviations, above which the body's path is not that of an animal.
 
-The costs are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rendered film
-(benchmarks/wrong_inputs.py).
+The costs are up to 0.53, 0.22 and 0.76 in 32 real views, and 0.69, 0.02 and 0.68 in the rendered film. They are up to
+5.6, 1.2 and 4.7 (medians 3.3, 0.29 and 2.5) if a stabiliser moved the picture (`python benchmarks/wrong_inputs.py
+--only input-limits`).
 """
 
 
@@ -449,14 +478,15 @@ def movement(motion: Motion) -> Iterator[Finding]:
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
         return
-    forward, feet = _along(motion)
+    forward, _ = _along(motion)
+    speeds = feet_speeds(motion)
     turns = np.abs(np.diff(motion.states[:, 6:], axis=0)) * motion.fps
     middle_m = solution.joints_m.mean(axis=1)
     speed = np.linalg.norm(np.gradient(middle_m, axis=0), axis=1) * motion.fps
     rear, front = motion.forward
     trunk_m = float(np.nanmedian(np.linalg.norm(solution.joints_m[:, rear] - solution.joints_m[:, front], axis=1)))
     is_staying = np.linalg.norm(np.nanmax(middle_m, axis=0) - np.nanmin(middle_m, axis=0)) < STILL_TRUNKS * trunk_m
-    sliding = _sliding(motion, forward, feet) if len(feet[0]) else None
+    sliding = None if speeds is None else _sliding(motion, speeds)
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
@@ -467,8 +497,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
     elif sliding is not None:
         yield sliding
     else:
-        frames = REFERENCE_HZ * float(posed.sum()) / motion.fps
-        costs = {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
+        costs = jolt_costs(motion)
         worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
         if costs[worst] > JOLTS[worst]:
             jolts = finding("path_jolts", of=worst, cost=costs[worst])
@@ -476,26 +505,70 @@ def movement(motion: Motion) -> Iterator[Finding]:
             yield replace(jolts, severity="note") if solution.prior == NONE else jolts
 
 
-def _sliding(motion: Motion, forward: Array, feet: Array) -> Finding | None:
-    """Return the finding on standing feet that move over the ground, or None.
+def jolt_costs(motion: Motion) -> dict[str, float]:
+    """Return the costs of the body's path per 1/90 s, by the names of `JOLTS`."""
+    solution = motion.solution
+    assert isinstance(solution, TrajectorySolution)
+    frames = REFERENCE_HZ * float(motion.solved.sum()) / motion.fps
+    return {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
 
-    `forward` (T,) and `feet` (T, F) are the speeds of the body and of the feet along the trunk, m/s.
-    """
+
+@dataclass(frozen=True)
+class FeetSpeeds:
+    """Speeds of the body and of the standing feet over the ground, m/s along the trunk, backwards negative."""
+
+    body_m_s: float
+    slowest_m_s: float
+    """Speed below which a foot moves in the fraction `SLOWEST` of all frames; about 0 if standing feet stand still."""
+    slide_m_s: float
+    """Median speed of standing feet."""
+    leg_m: float
+    """Height of the trunk above the lowest foot, metres."""
+
+    @property
+    def over_feet_m_s(self) -> float:
+        """Return the speed of the body over its standing feet."""
+        return self.body_m_s - self.slowest_m_s
+
+
+def feet_speeds(motion: Motion) -> FeetSpeeds | None:
+    """Return the speeds of the body and of its feet over the ground; None without feet."""
+    forward, feet = _along(motion)
+    if not len(feet[0]):
+        return None
     joints_m, trunk_ends = motion.solution.joints_m, list(motion.forward)
-    leg_m = float(np.nanmedian(joints_m[:, trunk_ends, 2].mean(axis=1) - joints_m[:, list(motion.feet), 2].min(axis=1)))
-    body_m_s, slowest_m_s = float(np.nanmedian(forward)), float(np.nanquantile(feet, SLOWEST))
-    over_feet_m_s = body_m_s - slowest_m_s
-    is_relative = -slowest_m_s > SLIDE_SHARE * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * leg_m
-    if not is_relative and SLIDE_M_S < slowest_m_s < GLIDE_M_S:
+    leg_m = joints_m[:, trunk_ends, 2].mean(axis=1) - joints_m[:, list(motion.feet), 2].min(axis=1)
+    return FeetSpeeds(
+        body_m_s=float(np.nanmedian(forward)),
+        slowest_m_s=float(np.nanquantile(feet, SLOWEST)),
+        slide_m_s=float(np.nanquantile(feet, SLOWEST / 2)),
+        leg_m=float(np.nanmedian(leg_m)),
+    )
+
+
+def on_ground_m_s(motion: Motion) -> float:
+    """Return the median speed of the feet along the trunk in the frames in which they are lowest, m/s."""
+    _, feet = _along(motion)
+    heights_m = motion.solution.joints_m[:, list(motion.feet), 2]
+    return float(np.nanmedian(feet[heights_m <= np.nanquantile(heights_m, LOWEST, axis=0)]))
+
+
+def seem_to_slide(speeds: FeetSpeeds) -> bool:
+    """Return whether standing feet seem to slide, relative to the body or faster than feet do."""
+    over_feet_m_s = speeds.over_feet_m_s
+    is_relative = -speeds.slowest_m_s > SLIDE_SHARE * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * speeds.leg_m
+    return is_relative or not SLIDE_M_S < speeds.slowest_m_s < GLIDE_M_S
+
+
+def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
+    """Return the finding on standing feet that move over the ground, or None."""
+    if not seem_to_slide(speeds):
         return None
-    heights_m = joints_m[:, list(motion.feet), 2]
-    on_ground_m_s = float(np.nanmedian(feet[heights_m <= np.nanquantile(heights_m, LOWEST, axis=0)]))
-    if abs(on_ground_m_s) < 0.5 * abs(slowest_m_s):  # the feet on the ground stand, and others step or shake
-        return None
-    if slowest_m_s < 0 and abs(body_m_s) < STAYS_SHARE * over_feet_m_s:
-        slide_m_s = -float(np.nanquantile(feet, SLOWEST / 2))  # the median speed of standing feet
-        return finding("treadmill", slide_m_s=slide_m_s, speed_m_s=body_m_s)
-    return finding("camera_moves", slide_m_s=slowest_m_s, speed_m_s=body_m_s)
+    if abs(on_ground_m_s(motion)) < 0.5 * abs(speeds.slowest_m_s):
+        return None  # the feet on the ground stand, and others step or shake
+    if speeds.slowest_m_s < 0 and abs(speeds.body_m_s) < STAYS_SHARE * speeds.over_feet_m_s:
+        return finding("treadmill", slide_m_s=-speeds.slide_m_s, speed_m_s=speeds.body_m_s)
+    return finding("camera_moves", slide_m_s=speeds.slowest_m_s, speed_m_s=speeds.body_m_s)
 
 
 def _along(motion: Motion) -> tuple[Array, Array]:

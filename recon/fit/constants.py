@@ -74,8 +74,8 @@ by 3 or 6 degrees.
 TURNED_SHARE = 0.3
 """Prior probability that the rotation of one of two cameras about one of its axes is as large as `MISPLACED_RAD`.
 
-With 0.1, about twice as many wrong pairs of the benchmark get the verdict "use" although their position error exceeds
-the stated bound.
+The value is large because trust in a turned camera does more harm than doubt about one that was not turned. `python
+benchmarks/cameras.py --only pairs` shows the verdicts on both.
 """
 MOVED = 8.5
 """Shift of one of two cameras that was moved after its calibration, relative to its usual shift.

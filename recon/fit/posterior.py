@@ -78,8 +78,8 @@ _NOISE_ROUNDS = 2
 _EXPLAINED = 0.05
 """Fraction of the detections, or of their squared residuals, below which the noise is estimated only once.
 
-The fraction is the part that the shared unknowns explain. At this limit, the second round changes variances by 0.1 %
-(300 simulated frames of six cameras).
+The fraction is the part that the shared unknowns explain. A second round corrects only this
+part, for the noise that the first round estimates, and therefore hardly changes a small one.
 """
 _NOISE_FACTOR = (0.05, 4.0)
 """Smallest and largest factor on the variance of the noise in one round."""

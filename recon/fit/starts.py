@@ -215,8 +215,7 @@ _MIN_RAYS = 2
 _WORSE = 0.2
 """Excess over the smallest misfit from which a start is not tried, for several cameras.
 
-The heading is often ambiguous for one camera, but not for several. In 71 windows of pairs and of all cameras of real
-runs, no such start led to a minimum of lower cost.
+The heading is often ambiguous for one camera, but not for several: starts with a clearly larger misfit only take time.
 """
 
 

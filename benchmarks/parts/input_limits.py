@@ -1,0 +1,235 @@
+"""Compare correct and wrong clips with the limits of `recon.check.inputs` and of `recon.check.likelihood`.
+
+    python benchmarks/parts/input_limits.py [--views 2]
+
+Each row has one statistic that a check compares with a constant, over the clips of one case. A constant is justified if
+the statistic of correct clips does not reach it. Correct clips are all views of the cheetah-runs and plate-trials of
+$RECON_SHARED_DATA, or of ../shared/data, each alone; parts of its dog-mocap as in `standing.py`; and the rendered film
+of data/samples. Wrong ones are every n-th view with a case of `wrong_inputs.py`. The statistics are:
+
+- long steps: the fraction of the steps between frames that exceed `LONG` times the steps around them
+- long steps by themselves: the fraction of the long steps that exceed `ALONE` times both their neighbours, for clips
+  with more long steps than `SHARE_LONG`
+- feet below trunk: `feet_below_trunk`, which does not depend on a fit
+- zoom: the logarithm of the zoom per second that fits best, up to `LARGEST` times `ZOOM`
+- feet backwards: the backward speed of standing feet, relative to the body's speed over them, if the body is faster
+  over its feet than `SLIDE_LEGS_S`
+- feet, m/s: the speed of standing feet along the trunk
+- body over feet: in leg lengths per second, for clips whose feet move backwards by more than `SLIDE_SHARE`
+- feet on the ground: the speed of the feet that are lowest, relative to that of standing feet, for clips whose feet
+  seem to slide
+- jolts: the costs of the body's path of `JOLTS`
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+from arguments import parser_of
+from dog import read_clips, write_view
+from markdown_table import print_table
+from recordings import recordings
+from standing import CLIPS, parts_of
+from wrong_inputs import CASES, Case, Clip, Given, cameras_of, fitted, follows, hidden, lower_leg
+
+from recon import FitSettings, InputError, Motion, fit_clip
+from recon.animal.prior import MotionPrior
+from recon.api import clip as clip_api
+from recon.api.clip_inputs import prepare
+from recon.check import inputs, likelihood
+from recon.clip import views_of
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+
+
+def legs_alone(clip: Clip, given: Given) -> Given:
+    """Return the lower legs alone, seen by a camera that follows."""
+    return hidden(lambda name: not lower_leg(name))(clip, follows(clip, given))
+
+
+UNTOUCHED, DOGS, FILM = "untouched", "dogs", "rendered film"
+STEPS = {
+    **{name: CASES[name] for name in ("right: half missing", "right: a side hidden", "right: comes into the picture")},
+    "right: lower legs alone, followed": Case(legs_alone),
+    "a quarter of frames dropped": CASES["a quarter of frames dropped"],
+}
+"""Cases in which steps are measured, by their names; none is fitted."""
+TURNED = {name: CASES[name] for name in ("portrait", "y-up world", "upside down", "y up in the picture")}
+"""Cases in which the animal does not stand upright, by their names; none is fitted."""
+MOVING = {name: CASES[name] for name in ("follows", "on a belt that slows down", "pans by 400 px")}
+"""Cases in which standing feet slide, by their names."""
+FITTED = {**MOVING, **{name: CASES[name] for name in ("zooms x 1.5", "stabiliser's crop", "interpolated, every 8th")}}
+"""Wrong cases that are fitted, by their names."""
+_RIGHT = (UNTOUCHED, DOGS, FILM)
+_SLIDING = (*_RIGHT, *MOVING)
+STATISTICS = {
+    "long steps": (f"{inputs.SHARE_LONG}", (UNTOUCHED, DOGS, *STEPS)),
+    "long steps by themselves": (f"{inputs.SHARE_ALONE}", (UNTOUCHED, DOGS, *STEPS)),
+    "feet below trunk": (f"{likelihood.UPRIGHT}", (UNTOUCHED, DOGS, *TURNED)),
+    "zoom": (f"±{likelihood.ZOOM}", (*_RIGHT, "zooms x 1.5")),
+    "feet backwards": (f"{inputs.SLIDE_SHARE}", _SLIDING),
+    "feet, m/s": (f"{inputs.SLIDE_M_S} to {inputs.GLIDE_M_S}", _SLIDING),
+    "body over feet": (f"{inputs.SLIDE_LEGS_S}", _SLIDING),
+    "feet on the ground": ("0.5", _SLIDING),
+    **{f"jolts, {name}": (f"{limit}", (*_RIGHT, *FITTED)) for name, limit in inputs.JOLTS.items()},
+}
+"""The limit of each statistic, and the cases in which it is shown."""
+
+Statistics = dict[str, float]
+"""Values of one clip by the names of `STATISTICS`, those left out that do not apply."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Clips of one case."""
+
+    name: str
+    statistics: Sequence[Statistics]
+
+
+def statistics_of_keypoints(settings: FitSettings) -> Statistics:
+    """Return the statistics that need no fit."""
+    given = prepare(settings)
+    keypoints, (view, *_) = given.sources[0].keypoints, views_of(given.sources)
+    clip = ClipProblem.from_views((view,), given.body, given.prior, given.fps, TrajectoryOptions())
+    found = {"feet below trunk": likelihood.feet_below_trunk(clip, view)}
+    ratios = inputs.step_ratios(keypoints.xy_px)
+    if ratios is not None:
+        is_long, _, is_alone = inputs.long_steps(ratios)
+        found["long steps"] = float(is_long.mean())
+        if found["long steps"] > inputs.SHARE_LONG:
+            found["long steps by themselves"] = float(is_alone.sum() / is_long.sum())
+    return found
+
+
+def statistics_of_motion(motion: Motion, prior: MotionPrior, options: TrajectoryOptions) -> Statistics:
+    """Return the statistics of a fit, as `input_findings` computes them."""
+    solution = motion.solution
+    assert isinstance(solution, TrajectorySolution)
+    found = {f"jolts, {name}": cost for name, cost in inputs.jolt_costs(motion).items()}
+    clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, options)
+    zooms: list[float] = []
+
+    def zoom_of(nearer: float, farther: float, unpatched: Callable[..., float] = likelihood.zoom_of) -> float:
+        zooms.append(unpatched(nearer, farther))
+        return zooms[-1]
+
+    with patch.object(likelihood, "zoom_of", zoom_of):
+        baseline = likelihood.baseline_of(clip, 0, solution.states, solution.size)
+        list(likelihood.lens_findings(baseline, solution.noise_px[0]))
+    if zooms:
+        found["zoom"] = zooms[0]
+    speeds = inputs.feet_speeds(motion)
+    if speeds is None:
+        return found
+    found["feet, m/s"] = speeds.slowest_m_s
+    legs_s, share = speeds.over_feet_m_s / speeds.leg_m, -speeds.slowest_m_s / speeds.over_feet_m_s
+    if legs_s > inputs.SLIDE_LEGS_S:
+        found["feet backwards"] = share
+    if share > inputs.SLIDE_SHARE:
+        found["body over feet"] = legs_s
+    if inputs.seem_to_slide(speeds):
+        found["feet on the ground"] = inputs.on_ground_m_s(motion) / speeds.slowest_m_s
+    return found
+
+
+def statistics_of(run: Callable[[], object], stage: str) -> Statistics:
+    """Return the statistics of one fit at a stage, "prepare" or "input_findings", after which the fit is not continued.
+
+    The statistics are empty if the input is refused.
+    """
+    found: Statistics = {}
+
+    class FinishedError(Exception):
+        """The statistics are known."""
+
+    def before_fit(settings: FitSettings) -> None:
+        found.update(statistics_of_keypoints(settings))
+        raise FinishedError
+
+    def after_fit(motion: Motion, prior: MotionPrior, options: TrajectoryOptions, *_: object) -> None:
+        found.update(statistics_of_motion(motion, prior, options))
+        raise FinishedError
+
+    replacement = before_fit if stage == "prepare" else after_fit
+    with patch.object(clip_api, stage, replacement), suppress(InputError, FinishedError):
+        run()
+    return found
+
+
+def fit_of_view(clip: Clip, case: Case) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        fitted(clip, case, Path(folder))
+
+
+def fits_of_dogs() -> Iterator[Callable[[], object]]:
+    """Yield fits of parts of the dog's clips."""
+    folder = recordings("dog-mocap")
+    for clip in read_clips(folder) if folder.is_dir() else ():
+        for part in parts_of(clip) if clip.name in CLIPS else ():
+
+            def fit(part=part) -> None:
+                with tempfile.TemporaryDirectory() as files:
+                    fit_clip(write_view(part, Path(files), seed=1, as_stated=True)[0])
+
+            yield fit
+
+
+def fit_of_film() -> None:
+    fit_clip(
+        FitSettings(keypoints=(SAMPLES / "rendered_points.csv",), camera=(SAMPLES / "rendered_camera.toml",), fps=120.0)
+    )
+
+
+def groups(every: int) -> Iterator[Group]:
+    """Yield the clips of each case, of wrong cases every n-th view only."""
+    kinds = ("cheetah-runs", "plate-trials")
+    runs = sorted(path.parent for kind in kinds for path in recordings(kind).glob("*/meta.json"))
+    views = [Clip(run, (name,)) for run in runs for name in cameras_of(run)]
+    untouched = {UNTOUCHED: CASES[UNTOUCHED]}
+
+    def fits(case: Case, step: int) -> list[Callable[[], object]]:
+        return [partial(fit_of_view, view, case) for view in views[::step]]
+
+    for name, case in (untouched | STEPS | TURNED).items():
+        yield Group(name, [statistics_of(fit, "prepare") for fit in fits(case, 1)])
+    yield Group(DOGS, [statistics_of(fit, "prepare") for fit in fits_of_dogs()])
+    for name, case in (untouched | FITTED).items():
+        step = 1 if name == UNTOUCHED else every
+        yield Group(name, [statistics_of(fit, "input_findings") for fit in fits(case, step)])
+    yield Group(DOGS, [statistics_of(fit, "input_findings") for fit in fits_of_dogs()])
+    yield Group(FILM, [statistics_of(fit_of_film, "input_findings")])
+
+
+def main() -> None:
+    parser = parser_of(__doc__)
+    parser.add_argument("--views", type=int, default=2, help="every n-th view in wrong cases (default: %(default)s)")
+    arguments = parser.parse_args()
+    measured = [*groups(arguments.views)]
+    if not any(measured[0].statistics):
+        parser.exit(message="no recordings: nothing measured\n")
+    rows = []
+    for statistic, (limit, cases) in STATISTICS.items():
+        for group in (group for group in measured if group.name in cases):
+            values = [found[statistic] for found in group.statistics if statistic in found]
+            if values:
+                ends = [f"{value:.2f}" for value in np.quantile(values, [0.0, 0.5, 1.0])]
+                rows.append([statistic, group.name, len(values), *ends, limit])
+    print_table(["statistic", "case", "clips", "smallest", "median", "largest", "limit"], rows)
+
+
+if __name__ == "__main__":
+    main()
