@@ -121,7 +121,7 @@ def _exclusive(path: Path, wait_s: float) -> Iterator[None]:
 
 
 def _locked_file(path: Path, until_s: float) -> int:
-    """Return the descriptor of the locked file."""
+    """Lock a file, and return its descriptor; raise InputError if another process still has the lock at `until_s`."""
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

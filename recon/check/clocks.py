@@ -70,7 +70,7 @@ def drift_findings(
     if segment is None:
         return
     frames = segment.rows.stop - segment.rows.start
-    if frames > 2 * piece_of(fps):  # in a long clip, most of the time of this test is saved
+    if frames > 2 * piece_of(fps):  # a long clip is first tested with some of its frames, which takes little time
         rough = drifts_of(clip, solution, every=max(1, round(fps / APPROACH_HZ)))
         if all(abs(step.value) < NO_DRIFT_SIGMAS * step.sigma for step in rough.values()):
             return

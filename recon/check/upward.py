@@ -96,10 +96,11 @@ def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
 def _fit_tilted_plane(
     feet_m: Array, slow: Array, tall_m: float, correlation_frames: float
 ) -> tuple[Array, Array, float]:
-    """Fit a plane to feet (N, 3), height first, with weights (N,) for how slow each foot is.
+    """Fit a plane to feet (N, 3), with weights (N,) for how slow each foot is.
 
-    The width within which feet count narrows from the body's height `tall_m` to `FOOT_SHARE` of it. The result is the
-    plane (3,), its height and slopes; the curvature of the cost (3, 3); and how many feet stand on the plane.
+    The coordinates of a foot are its height and two level ones. The width within which feet count narrows from the
+    body's height `tall_m` to `FOOT_SHARE` of it. The result is the plane (3,), its height and slopes; the curvature of
+    the cost (3, 3); and how many feet stand on the plane.
     """
     height, *across = feet_m.T
     rows = np.stack([np.ones_like(height), *across], axis=-1)

@@ -324,7 +324,7 @@ def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _Re
 
 
 def _moved(clip: ClipProblem, step: Array) -> ClipProblem:
-    """Return the clip with cameras corrected by (V, 6)."""
+    """Return the clip with the poses of its V cameras corrected by a step (V, 6), as in `View.corrected`."""
     return replace(
         clip, views=tuple(view.corrected(correction) for view, correction in zip(clip.views, step, strict=True))
     )

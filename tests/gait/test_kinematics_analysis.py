@@ -105,7 +105,10 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
 
 
 def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
-    """Deviations of a long clip, computed in pieces, are those of the whole spline; errors add up, and one lasts."""
+    """Standard deviations of a long clip, computed in pieces, are those of the whole spline.
+
+    Several errors add up, and one of them lasts throughout the clip.
+    """
     rng = np.random.default_rng(1)
     time_s = np.arange(450) / FPS
     errors = [Errors(rng.uniform(0.01, 0.02, (450, 1))), Errors(rng.uniform(0.1, 0.2, (450, 1)), 0.1)]
@@ -122,7 +125,7 @@ def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
 
 
 def test_deviations_of_an_exact_spline_in_numbers():
-    """Deviations of an exact spline are 1.2 s fps and 6 s fps^2 at frames, and larger at the ends, as stated."""
+    """Standard deviations of an exact spline are 1.2 s fps and 6 s fps^2 at frames, and larger at the ends."""
     moved = series_kinematics(TIME_S, circle(TIME_S), [Errors(np.full((60, 3), 0.01))])
     rate, acceleration = moved.rate_sigma[::10, 0], moved.acceleration_sigma[::10, 0]
     assert rate[30] == pytest.approx(1.2 * 0.01 * FPS, rel=0.03)

@@ -199,7 +199,7 @@ def test_times_must_increase():
 
 
 def test_errors_that_last_are_in_the_deviations_of_speeds():
-    """Errors that last are part of the deviations of speeds.
+    """Errors that last are part of the standard deviations of speeds.
 
     The noise of each frame partly continues that of the frame before, as in a method that starts from it.
     """

@@ -120,10 +120,10 @@ def test_closure_of_a_full_and_of_a_half_turn():
 
 
 def test_deviation_of_a_closure_by_hand():
-    """The deviation of a closure is that computed by hand.
+    """The standard deviation of a closure is that computed by hand.
 
     The ends of a full turn have independent errors of sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
-    and the deviation of |n| is that of n times sqrt(1 - 2 / pi).
+    and the standard deviation of |n| is that of n times sqrt(1 - 2 / pi).
     """
     sigma, error_time_s = 0.006, 0.05
     time_s = np.linspace(0.0, 0.8, 201)

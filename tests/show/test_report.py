@@ -461,7 +461,7 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
 def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames, second, warned):
     """Cameras that seem to be out of step are named.
 
-    A lag has an expected deviation of 0.29 frames, and the difference of two 0.41, if pictures determine it.
+    A lag has an expected standard deviation of 0.29 frames, and the difference of two 0.41, if pictures determine it.
     left_frames: the standard deviation that the pictures leave; if it is nearly as large, the estimate is only a part
     of the lag.
     """

@@ -273,7 +273,7 @@ def test_covariance_of_the_joints_done_by_hand():
 
 
 def test_deviations_of_the_angles_done_by_hand():
-    """Deviations of angles are those computed by hand: the chain's for links, by Euler angles for the root."""
+    """Standard deviations of angles are those computed by hand: the chain's for links, by Euler angles for the root."""
     view = still_view(gallop(n_frames=2).camera, np.zeros((1, 9, 2)), np.ones((1, 9)))
     rng = np.random.default_rng(0)
     state, root = mean_pose(SK)[None], rng.normal(0, 0.01, (SK.n_state, SK.n_state))
