@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TypeVar, overload
 
 from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
-from recon.animal.chain import builtin_chains
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base import documents
 from recon.base.errors import InputError, Problem, raise_problems
@@ -223,6 +222,8 @@ def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
 
 def _whole_animals() -> dict[str, tuple[str, ...]]:
     """Return the markers of the built-in skeletons of whole animals, by name."""
+    from recon.animal.chain import builtin_chains  # imported here because few clips use a chain
+
     chains = builtin_chains()
     return {name: load_skeleton(name).markers for name in builtin_names() if name not in chains}
 

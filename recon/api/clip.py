@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from recon.animal.body import ROUGH_SIZE_SIGMA
-from recon.animal.chain import Chain, load_chain
+from recon.animal.body import ROUGH_SIZE_SIGMA, Body
 from recon.api.clip_cameras import cameras_in, other_camera_in, other_cameras, possible_cameras
 from recon.api.clip_inputs import ClipInputs, prepare
 from recon.api.settings import FitSettings
@@ -28,6 +28,9 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 from recon.geometry.camera import Camera
+
+if TYPE_CHECKING:
+    from recon.animal.chain import Chain
 
 LOGGER = logging.getLogger("recon")
 PAIR_REFINED = "pair_refined", "pair_adjusted"
@@ -63,7 +66,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         return fit_frames(settings, progress)
     inputs = prepare(settings)
     solve = partial(_solve, inputs, settings.belt_speed_m_s)
-    chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
+    chain = _chain_of(inputs.body, settings)
     as_motion = partial(_as_motion, inputs, settings, chain)
 
     options = settings.trajectory_options()
@@ -119,7 +122,7 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
     if has_other_unknowns or settings.method == "frame" or not isinstance(motion.solution, TrajectorySolution):
         return fit_clip(settings)
     inputs = prepare(settings)
-    chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
+    chain = _chain_of(inputs.body, settings)
     options = settings.trajectory_options()
     views = views_of(inputs.sources)
     if len(views[0].xy_px) != len(motion.frames) or len(views) != len(motion.sources):
@@ -279,6 +282,15 @@ def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
     noise = (fit.options.sigma_px, fit.options.keypoint_noise_m(inputs.body))
     agreement = agreement_findings(motion, *noise)
     return replace(fit, findings=(*swaps_by_effect(fit.findings, motion, *noise), *agreement))
+
+
+def _chain_of(body: Body, settings: FitSettings) -> Chain | None:
+    """Return the chain that a body was made from, or None for a whole animal."""
+    if not body.one_sided:
+        return None
+    from recon.animal.chain import load_chain  # imported here because few clips use a chain
+
+    return load_chain(settings.skeleton_name)
 
 
 def _as_motion(inputs: ClipInputs, settings: FitSettings, chain: Chain | None, fit: _Fit) -> Motion:

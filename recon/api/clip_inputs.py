@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from recon.animal.body import ROUGH_SIZE_SIGMA, Body, Side
-from recon.animal.chain import facing_side
 from recon.animal.naming import load_names, problem_of_names, renamed
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
@@ -282,6 +281,8 @@ def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
 
 def _chosen_side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
     """Return the given side, or the side facing the camera unless the file has many more points of the other side."""
+    from recon.animal.chain import facing_side  # imported here because few clips use a chain
+
     ends = []
     for marker in body.forward:
         names = body.keypoints[body.markers.index(marker)]

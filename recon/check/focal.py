@@ -20,6 +20,7 @@ from recon.check.codes import finding
 from recon.check.likelihood import Baseline, best_seen, effects_m
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
+from recon.fit.least_squares import Estimate
 from recon.fit.result import Finding
 from recon.geometry.kinematics import ROOT
 
@@ -107,7 +108,7 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
         return None
     if (clip.views[0].present[:, clip.feet].mean(axis=0) < SEEN).any():
         return None
-    refits = {0.0: _refit(clip, states, noise_px[None, rows], 0.0)}
+    refits = {0.0: _scene_refit(clip, baseline.settled(rows, noise_px))}
     for nearer, farther in (SHORTER, LONGER):
         refits[nearer] = _refit(clip, states, noise_px[None, rows], nearer)
         if refits[nearer].cost < refits[0.0].cost:
@@ -144,7 +145,10 @@ def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float)
 def refit_scene(clip: ClipProblem, start: Array, noise_px: Array) -> SceneRefit:
     """Return the minimum near states (T, D), with the contacts and the ground of these states."""
     *_, contact_terms = contacts(clip, clip.markers(start), 1.0)
-    estimate = clip.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS)
+    return _scene_refit(clip, clip.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS))
+
+
+def _scene_refit(clip: ClipProblem, estimate: Estimate) -> SceneRefit:
     cost = estimate.cost / clip.correlation_frames + _ground_cost(clip, clip.markers(estimate.states))
     return SceneRefit(cost, estimate.states)
 

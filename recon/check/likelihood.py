@@ -162,6 +162,8 @@ class Baseline:
     """The clip's other views, which contributed to the states."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
     """The fits of parts of the clip as given, by first frame and the frame after the last."""
+    _settled: dict[tuple[int, int], Estimate] = field(default_factory=dict, init=False, repr=False)
+    """The minima near the states of parts of the clip, by first frame and the frame after the last."""
     _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
     """The triangulated points of parts of the clip, by first frame."""
 
@@ -185,6 +187,19 @@ class Baseline:
             refit = Refit.of_states(self.clip, self.states) if is_known else refit_view(self.clip.part(part))
             self._refits[key] = refit
         return self._refits[key]
+
+    def settled(self, rows: slice, noise_px: Array) -> Estimate:
+        """Return the minimum near the states of some rows, with the ground under them.
+
+        The tests of the lens and of the focal length begin with it, both with the noise (T, J) of the fit.
+        """
+        key = rows.start, rows.stop
+        if key not in self._settled:
+            clip, states = self.clip.part(rows), self.states[rows]
+            *_, standing = contacts(clip, clip.markers(states), 1.0)
+            problem = clip.problem(noise_px[None, rows], 1.0, standing)
+            self._settled[key] = problem.minimise(states, _RATE_TOLERANCE, _LENS_ITERATIONS)
+        return self._settled[key]
 
     def points_elsewhere_m(self, rows: slice) -> Array | None:
         """Return the markers (T, J, 3) in the world, triangulated from the other views; None without two of them.
@@ -468,7 +483,7 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
         problem = replace(clip, views=(view,)).problem(noise_px[None, stretch], 1.0, standing)
         return problem.minimise(states, _RATE_TOLERANCE, _LENS_ITERATIONS)
 
-    as_given = minimum(view, states)
+    as_given = baseline.settled(stretch, noise_px)
     flat = replace(view.camera, model="pinhole", distortion=np.zeros(0))
     if view.camera.distortion.any() and as_given.cost - minimum(replace(view, camera=flat), states).cost > CLEAR:
         ratio = _without_lens(baseline.clip, flat)
