@@ -21,6 +21,7 @@ PARTS = {
     "detectors": Part("detector_choice.py", data="cheetah-runs"),
     "detector-files": Part("detector_files.py", quick=[]),
     "bones": Part("bones.py", quick=[]),
+    "starts": Part("starts.py", data="cheetah-runs"),
     "processors": Part("processors.py", quick=[]),
 }
 
