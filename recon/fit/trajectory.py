@@ -60,7 +60,7 @@ FLATTENED_SHARE = 0.1
 """Fraction of the time between starts and posterior that is spent on flattened mixtures of poses."""
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses, in the order in which they are used."""
-_FLATTENED_TOLERANCE = 1e-3
+_FLATTENED_TOLERANCE = 5e-3
 """Relative decrease of the cost at which the search with one temperature ends."""
 _FLATTENED_ITERATIONS = 8
 """Largest number of iterations of the search with one temperature."""
