@@ -37,9 +37,8 @@ times a variable that has Fisher's F distribution with k and nu degrees of freed
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
-from itertools import tee
 from typing import NamedTuple
 
 import numpy as np
@@ -501,20 +500,13 @@ def _without_pixels(
     is_position = np.isin(np.arange(D), [*range(D)[ROOT], YAW])
     fixed, nearly_free = (np.where(is_position, precision, 0.0) for precision in (_FIXED, _NEARLY_FREE))
     variances, angle_variance = np.empty((2, T, len(body.markers))), np.empty((T, D - YAW))
-    for_joints, for_angles = tee(without_pixels())  # computed once for both
     ahead_of_fixed = problem.piece // 2  # frames at fixed positions hardly inform each other
-    windows = (
-        eliminated(pieces, position, bounded=True, ahead=ahead)
-        for pieces, position, ahead in (
-            ((piece.without_shared() for piece in with_pixels()), fixed, ahead_of_fixed),
-            (for_joints, fixed, ahead_of_fixed),
-            (for_angles, nearly_free, None),
-        )
-    )
-    for of_pixels, of_joints, of_angles in zip(*windows, strict=True):
-        rows, pair = of_pixels.rows, [window.marginal_blocks()[:, 0] for window in (of_pixels, of_joints)]
-        variances[:, rows] = _relative_variances(body, states[rows], pair)
-        angle_variance[rows] = np.diagonal(of_angles.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
+    for variance, normals_of_frames in zip(variances, (with_pixels, without_pixels), strict=True):
+        pieces = (piece.without_shared() for piece in normals_of_frames())
+        for window in eliminated(pieces, fixed, bounded=True, ahead=ahead_of_fixed):
+            variance[window.rows] = _relative_variances(body, states[window.rows], window.marginal_blocks()[:, 0])
+    for window in eliminated(without_pixels(), nearly_free, bounded=True):
+        angle_variance[window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
     return _data_share(*variances), angle_variance
 
 
@@ -589,15 +581,14 @@ def _joint_covariances(
     return absolute, relative, by_size
 
 
-def _relative_variances(body: Body, states: Array, state_covariances: Sequence[Array]) -> Array:
-    """Return the traces (C, T, J) of the joints' covariances relative to their mean, from C covariances (T, D, D)."""
-    variances = np.empty((len(state_covariances), len(states), len(body.markers)))
+def _relative_variances(body: Body, states: Array, state_covariance: Array) -> Array:
+    """Return the traces (T, J) of the joints' covariances relative to their mean, from the states' (T, D, D)."""
+    variances = np.empty((len(states), len(body.markers)))
     for first in range(0, len(states), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         by_states = body.tree.pose_with_jacobian(states[rows]).jacobian
         by_states = by_states - by_states.mean(axis=1, keepdims=True)
-        for variance, covariance in zip(variances, state_covariances, strict=True):
-            variance[rows] = np.einsum("tjad,tjad->tj", _times(by_states, covariance[rows]), by_states)
+        variances[rows] = np.einsum("tjad,tjad->tj", _times(by_states, state_covariance[rows]), by_states)
     return variances
 
 
