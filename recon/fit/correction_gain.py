@@ -23,7 +23,7 @@ first order, so that the recursion that gives Z gives Q as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +40,7 @@ from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
 _MOST_WEIGHT = 0.99
 """Largest weight w with which P is computed; larger weights are reduced to this value."""
-_FRAMES_AT_ONCE = 512
+_FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, which bounds the memory."""
 _RELATIVE_STEP = 1e-4
 """Size of e G relative to H, for the derivative of the covariance."""
@@ -111,21 +111,22 @@ def _segment_gain(
     parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
 
     def curvature(frames: slice) -> Array:
-        """Return G of some frames, (N, D, D); it is computed twice, because G of a long clip needs much memory."""
+        """Return G of some frames, (N, D, D)."""
         jacobian = clip.body.tree.pose_with_jacobian(states[frames]).jacobian
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
         return flat.swapaxes(1, 2) @ flat
 
-    Z, Q = _covariance_and_derivative(problem, estimate, curvature, parts)
+    def of_markers(frames: slice, of_states: Array) -> Array:
+        return _of_points(size * clip.body.detected.pose_with_jacobian(states[frames]).jacobian, of_states)
+
+    Z, Q = _covariance_and_derivative(problem, estimate, curvature, of_markers)
     world_m = clip.in_world(clip.body.detected.pose(states).points_m, size)
     views = [(view, view.shift_to_exposure(world_m)) for view in clip.views]
     for part in parts:
-        by_state = size * clip.body.detected.pose_with_jacobian(states[part]).jacobian
-        of_points = _of_points(by_state, Z[part]), _of_points(by_state, Q[part])
         for number, (view, points_m) in enumerate(views):
             noise_px, weight = solution.noise_px[number, rows][part], solution.weight[number, rows][part]
             gains[number, part] = _gain_of_frames(
-                view.part(part), points_m[part], of_points, (noise_px, weight), clip.correlation_frames
+                view.part(part), points_m[part], (Z[part], Q[part]), (noise_px, weight), clip.correlation_frames
             )
     return gains
 
@@ -165,29 +166,34 @@ def _gain_of_frames(
 
 
 def _covariance_and_derivative(
-    problem: LeastSquares, estimate: Estimate, curvature: Callable[[slice], Array], parts: Sequence[slice]
+    problem: LeastSquares,
+    estimate: Estimate,
+    curvature: Callable[[slice], Array],
+    of_states: Callable[[slice, Array], Array],
 ) -> tuple[Array, Array]:
-    """Return the blocks (T, D, D) of Z and of Q within each frame.
+    """Return linear functions of the blocks of Z and of Q within each frame, (T, ...).
 
-    `curvature` returns the curvature G of some frames (N, D, D); `parts` covers all frames, a few hundred at once.
+    `curvature` returns the curvature G of some frames (N, D, D). `of_states` returns the function (N, ...) of the
+    blocks (N, D, D) of some frames; only its values are kept, because Z, Q and G of a long clip need much memory.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
-    Z = _marginals(normals(), estimate.states.shape, problem.ahead)
-    largest = max(float(np.einsum("tab,tba->t", Z[part], curvature(part)).max()) for part in parts)
-    step = _RELATIVE_STEP / max(largest, 1e-12)
-    Q = _marginals(_stiffened(normals(), step, curvature), estimate.states.shape, problem.ahead)
-    np.subtract(Z, Q, out=Q)  # in place, because Z and Q are the largest arrays of a long clip
-    Q /= step
-    return Z, Q
+    values, largest = list[Array](), 1e-12
+    for frames, Z in _covariances(normals(), problem.ahead):
+        largest = max(largest, float(np.einsum("tab,tba->t", Z, curvature(frames)).max()))
+        values.append(of_states(frames, Z))
+    step = _RELATIVE_STEP / largest
+    stiffened = _covariances(_stiffened(normals(), step, curvature), problem.ahead)
+    derivatives = [(value - of_states(frames, Z)) / step for value, (frames, Z) in zip(values, stiffened, strict=True)]
+    return np.concatenate(values), np.concatenate(derivatives)
 
 
-def _marginals(pieces: Iterable[Normal], shape: tuple[int, int], ahead: int | None) -> Array:
-    """Return the covariance (T, D, D) of the states of each frame, for states of shape (T, D); see `eliminated`."""
-    covariance = np.empty((*shape, shape[1]))
+def _covariances(pieces: Iterable[Normal], ahead: int | None) -> Iterator[tuple[slice, Array]]:
+    """Yield some frames and the covariance of the states of each of them, (N, D, D); see `eliminated`."""
     for window in eliminated(pieces, bounded=True, ahead=ahead):
-        # copied, so that the memory of the covariances between frames is freed
-        covariance[window.rows] = window.marginal_blocks()[:, 0]
-    return covariance
+        covariance, start = window.marginal_blocks()[:, 0], window.rows.start
+        for first in range(0, len(covariance), _FRAMES_AT_ONCE):
+            part = covariance[first : first + _FRAMES_AT_ONCE]
+            yield slice(start + first, start + first + len(part)), part
 
 
 def _stiffened(pieces: Iterable[Normal], step: float, curvature: Callable[[slice], Array]) -> Iterator[Normal]:

@@ -52,7 +52,7 @@ def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: M
     rng = np.random.default_rng(0)
     root = rng.normal(size=(T, D, 3))
     G = root @ root.swapaxes(1, 2)
-    Z, Q = _covariance_and_derivative(problem, estimate, lambda frames: G[frames], [slice(None)])
+    Z, Q = _covariance_and_derivative(problem, estimate, lambda frames: G[frames], lambda _, Z: Z)
     blocks = replace(problem, shared=(), nuisance=()).normal(estimate.states, estimate.shared).blocks
     H = np.zeros((T, D, T, D))
     for t in range(T):
