@@ -383,8 +383,8 @@ def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
 @pytest.mark.parametrize(
     ("path_m", "bends", "noise_m", "expected"),
     [
-        (0.0, True, 0.0, ("motion", ["1.5 m", "0 m", "2 rigid bodies"], ["half its length", "two bodies"])),
-        (2.0, False, 0.0, ("motion", ["1.48 m", "2.03 m", "1 rigid body"], ["half its length", "two bodies"])),
+        (0.0, True, 0.0, ("motion", ["1.5 m", "0 m", "2 rigid bodies"], ["half its length", "two rigid bodies"])),
+        (2.0, False, 0.0, ("motion", ["1.48 m", "2.03 m", "1 rigid body"], ["half its length", "two rigid bodies"])),
         (2.0, True, 0.03, ("keypoints", ["32.6 mm", "1.5 m"], "1 % or less")),
     ],
 )
