@@ -1,13 +1,13 @@
 """Test whether the cameras of a clip agree: compare each camera's detections with points from the other cameras.
 
-The rays of the cameras are compared by their levels (`recon.check.sights`). The test uses no body and no fit, so it
-also detects a camera that pulls the fit away from the others.
+The rays of the cameras are compared by their error ratios (`recon.check.sights`). The test uses no body and no fit, so
+it also detects a camera that pulls the fit away from the others.
 
-If levels are too high, cameras are left out one by one until the rest agrees (`_largest_agreeing_group`). For each
-camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If the
-rotation or the offset lowers the level enough, it is named as the cause; otherwise the cause is unknown. Exchanged
-files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`). If no two of the
-cameras agree, one error names all of them.
+If error ratios are too high, cameras are left out one by one until the rest agrees (`_largest_agreeing_group`). For
+each camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If the
+rotation or the offset lowers the error ratio enough, it is named as the cause; otherwise the cause is unknown.
+Exchanged files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`). If no two of
+the cameras agree, one error names all of them.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from recon.check.sights import (
     Sight,
     best_shifted,
     best_turned,
-    level_of_pair,
-    level_of_sight,
-    levels_among,
+    error_ratio,
+    error_ratio_of_pair,
+    error_ratios,
     meeting_points,
     sights_of,
     squared_errors,
@@ -40,8 +40,8 @@ from recon.clip import View, densest_window
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
 
-MAX_LEVEL = 1.6
-"""Largest level at which a camera agrees; larger if the other cameras are noisier than expected."""
+MAX_ERROR_RATIO = 1.6
+"""Largest error ratio at which a camera agrees; larger if the other cameras are noisier than expected."""
 MAX_NOISE_FACTOR = 2.0
 """Largest factor on the expected errors that is attributed to noise of the detector."""
 MAX_NOISE_FACTOR_OF_TWO = 1.1
@@ -50,13 +50,13 @@ MAX_NOISE_FACTOR_OF_TWO = 1.1
 Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visible only across the line between them.
 """
 EXPLAINED = 0.25
-"""Fraction of a camera's level; a cause that reduces the level to this fraction or less explains it."""
+"""Fraction of a camera's error ratio; a cause that reduces the error ratio to this fraction or less explains it."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
-"""Rotation from which a camera that agrees is still reported, if its level improves by `CLEAR_GAIN`."""
+"""Rotation from which a camera that agrees is still reported, if its error ratio decreases by `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0
-"""Time offset, in frames, from which a camera that agrees is still reported, if its level improves by `CLEAR_GAIN`."""
+"""Time offset, in frames, from which an agreeing camera is reported, if its error ratio decreases by `CLEAR_GAIN`."""
 CLEAR_GAIN = 1.5
-"""Smallest factor by which a rotation or time offset reduces the level of a camera that agrees, to be reported."""
+"""Smallest factor by which a rotation or time offset of an agreeing camera reduces its error ratio, to be reported."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
 """Largest best-fitting rotation that is attributed to the camera."""
 FRAMES = 480
@@ -68,10 +68,10 @@ Comparison = dict[str, float]
 
 - points: number of points compared
 - error_px: median distance from the positions at which the others see the points
-- level: typical error relative to the expected error
+- level: error ratio
 - turn_rad: angle of the best rotation of the camera
 - late_frames: delay of its pictures relative to the stated times
-- level_turned, level_late: level after that rotation, and after that delay
+- level_turned, level_late: error ratio after that rotation, and after that delay
 """
 
 
@@ -113,9 +113,9 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             numbers = comparison | effect | {"offset_s": offset_s}
             item = finding(_code(comparison, limit), frames, names[v], **numbers)
             findings.append(
-                by_effect(item, motion.trunk_m, is_gross=comparison["level"] > MAX_LEVEL * MAX_NOISE_FACTOR)
+                by_effect(item, motion.trunk_m, is_gross=comparison["level"] > MAX_ERROR_RATIO * MAX_NOISE_FACTOR)
             )
-    for v in exchanged:  # as given, so that the levels show the exchange
+    for v in exchanged:  # as given, so that the error ratios show the exchange
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, points_of, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
@@ -133,25 +133,25 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[Sight], sigma_px: float, keypoint_sigma_m: float, points_of: PointsOf
 ) -> tuple[list[Sight], tuple[int, ...], float]:
-    """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit for levels.
+    """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit for error ratios.
 
-    Without exchanged cameras, the pair is (). The limit is higher than `MAX_LEVEL` if the cameras that agree best are
-    noisier than expected.
+    Without exchanged cameras, the pair is (). The limit is higher than `MAX_ERROR_RATIO` if the cameras that agree best
+    are noisier than expected.
     """
     everyone = tuple(range(len(views)))
-    levels = levels_among(sights, everyone, points_of)
-    if _are_within(levels, MAX_LEVEL):
-        return sights, (), MAX_LEVEL
-    pairs = [pair for pair in combinations(everyone, 2) if not _are_within(levels[[*pair]], MAX_LEVEL)]
+    ratios = error_ratios(sights, everyone, points_of)
+    if _are_within(ratios, MAX_ERROR_RATIO):
+        return sights, (), MAX_ERROR_RATIO
+    pairs = [pair for pair in combinations(everyone, 2) if not _are_within(ratios[[*pair]], MAX_ERROR_RATIO)]
     trials = {pair: sights_of(_with_exchanged(views, *pair), sigma_px, keypoint_sigma_m) for pair in pairs}
-    trial_levels = {pair: levels_among(trial, everyone, points_of) for pair, trial in trials.items()}
+    trial_ratios = {pair: error_ratios(trial, everyone, points_of) for pair, trial in trials.items()}
     rests = [
-        levels_among(sights, rest, points_of) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1
+        error_ratios(sights, rest, points_of) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1
     ]
-    medians = [np.nanmedian(values) for values in (*rests, *trial_levels.values()) if np.isfinite(values).any()]
+    medians = [np.nanmedian(values) for values in (*rests, *trial_ratios.values()) if np.isfinite(values).any()]
     max_factor = MAX_NOISE_FACTOR if len(views) > 2 else MAX_NOISE_FACTOR_OF_TWO
-    limit = MAX_LEVEL * float(np.clip(min(medians, default=np.inf), 1.0, max_factor))
-    exchanged = _exchanged_pair(levels, trial_levels, limit)
+    limit = MAX_ERROR_RATIO * float(np.clip(min(medians, default=np.inf), 1.0, max_factor))
+    exchanged = _exchanged_pair(ratios, trial_ratios, limit)
     return (sights, (), limit) if exchanged is None else (trials[exchanged], exchanged, limit)
 
 
@@ -205,8 +205,8 @@ def _compare_with_agreeing(
 ) -> tuple[tuple[int, ...], list[Comparison]]:
     """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
 
-    A camera can be turned by some degrees about its line of sight while its level is still low. Agreeing cameras that a
-    rotation or a time offset clearly improves are therefore removed as well.
+    A camera can be turned by some degrees about its line of sight while its error ratio is still low. Agreeing cameras
+    that a rotation or a time offset clearly improves are therefore removed as well.
     """
     agreeing = _largest_agreeing_group(sights, fps, limit, points_of)
     comparisons = _compare_each(sights, agreeing or range(len(sights)), fps, points_of)
@@ -219,23 +219,23 @@ def _compare_with_agreeing(
     return agreeing, comparisons
 
 
-def _are_within(levels: Array, limit: float) -> bool:
-    """Return whether all known levels are at most the limit; unknown levels are NaN."""
-    return not (levels > limit).any()
+def _are_within(ratios: Array, limit: float) -> bool:
+    """Return whether all known error ratios are at most the limit; unknown ones are NaN."""
+    return not (ratios > limit).any()
 
 
-def _is_explained(level: float, previous: float, limit: float) -> bool:
-    return level <= max(limit, EXPLAINED * previous)
+def _is_explained(ratio: float, previous: float, limit: float) -> bool:
+    return ratio <= max(limit, EXPLAINED * previous)
 
 
-def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:
-    """Return the two cameras whose levels are explained by exchanged files."""
+def _exchanged_pair(ratios: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:
+    """Return the two cameras whose error ratios are explained by exchanged files."""
     explained = {
         pair: np.nansum(after_exchange)
         for pair, after_exchange in trials.items()
-        if np.nansum(after_exchange) < np.nansum(levels) / 2
-        and all(_is_explained(after_exchange[v], levels[v], limit) for v in pair)
-        and (len(levels) > 2 or _are_within(after_exchange, limit))
+        if np.nansum(after_exchange) < np.nansum(ratios) / 2
+        and all(_is_explained(after_exchange[v], ratios[v], limit) for v in pair)
+        and (len(ratios) > 2 or _are_within(after_exchange, limit))
     }
     return min(explained, key=lambda pair: explained[pair], default=None)
 
@@ -251,26 +251,26 @@ def _compare_each(
 
 
 def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
-    """Return the camera's level after each possible cause is undone, by the cause's code.
+    """Return the camera's error ratio after each possible cause is undone, by the cause's code.
 
     A rotation or delay below `least_rad` or `least_frames` is not a possible cause.
     """
     is_turned = least_rad <= comparison["turn_rad"] <= LARGEST_ROTATION_RAD
     is_late = abs(comparison["late_frames"]) >= least_frames
-    levels = {"camera_late": comparison["level_late"]} if is_late else {}
-    return levels | ({"camera_turned": comparison["level_turned"]} if is_turned else {})
+    ratios = {"camera_late": comparison["level_late"]} if is_late else {}
+    return ratios | ({"camera_turned": comparison["level_turned"]} if is_turned else {})
 
 
 def _gain(comparison: Comparison) -> float:
     """Return the factor by which the best rotation or time offset reduces a camera's error, or 1 if both are small."""
     causes = _causes(comparison, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
-    return max((comparison["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
+    return max((comparison["level"] / max(ratio, 1e-9) for ratio in causes.values()), default=1.0)
 
 
 def _code(comparison: Comparison, limit: float) -> str:
     """Return the code of a camera's finding: the cause that leaves the smallest error, if it explains the error."""
     likeliest = min(
-        (level, code) for code, level in {**_causes(comparison), "camera_off": np.inf}.items() if not np.isnan(level)
+        (ratio, code) for code, ratio in {**_causes(comparison), "camera_off": np.inf}.items() if not np.isnan(ratio)
     )
     return likeliest[1] if _is_explained(likeliest[0], comparison["level"], limit) else "camera_off"
 
@@ -291,7 +291,7 @@ def _largest_agreeing_group(sights: Sequence[Sight], fps: float, limit: float, p
     into agreement with both.
     """
     agreeing = tuple(range(len(sights)))
-    while not _are_within(levels_among(sights, agreeing, points_of), limit):
+    while not _are_within(error_ratios(sights, agreeing, points_of), limit):
         if len(agreeing) == 2:
             return ()
         rests = combinations(agreeing, len(agreeing) - 1)
@@ -304,8 +304,8 @@ class _RemovalCost(NamedTuple):
 
     is_unexplained: bool
     """Whether neither a rotation nor a time offset makes the camera agree."""
-    level_sum: float
-    """Sum of the levels of the cameras after the removal or the correction."""
+    ratio_sum: float
+    """Sum of the error ratios of the cameras after the removal or the correction."""
 
 
 def _cost_of_removal(
@@ -322,21 +322,21 @@ def _cost_of_removal(
     """
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
-        return _RemovalCost(is_unexplained=False, level_sum=float(np.nansum(levels_among(sights, rest, points_of))))
+        return _RemovalCost(is_unexplained=False, ratio_sum=float(np.nansum(error_ratios(sights, rest, points_of))))
     points = points_of(tuple(sights[o] for o in rest))
     turned, _ = best_turned(sights[v], points)
     shifted, _ = best_shifted(sights[v], points, fps, wide=True)
-    levels = [levels_among([*sights[:v], sight, *sights[v + 1 :]], agreeing, points_of) for sight in (turned, shifted)]
-    best = min(levels, key=np.nansum)
-    return _RemovalCost(is_unexplained=not _are_within(best, limit), level_sum=float(np.nansum(best)))
+    ratios = [error_ratios([*sights[:v], sight, *sights[v + 1 :]], agreeing, points_of) for sight in (turned, shifted)]
+    best = min(ratios, key=np.nansum)
+    return _RemovalCost(is_unexplained=not _are_within(best, limit), ratio_sum=float(np.nansum(best)))
 
 
 def _compare(sight: Sight, partners: Sequence[Sight], fps: float, points_of: PointsOf, wide: bool) -> Comparison:
     """Compare a camera with others; with `wide`, search a long range of time offsets."""
     corrected = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
-        level, error_rad, n = level_of_pair(sight, partners[0])
-        return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | corrected
+        ratio, error_rad, n = error_ratio_of_pair(sight, partners[0])
+        return {"points": n, "error_px": error_rad * sight.focal_px, "level": ratio} | corrected
     points = points_of(tuple(partners))
     towards, squared = squared_errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
@@ -344,5 +344,5 @@ def _compare(sight: Sight, partners: Sequence[Sight], fps: float, points_of: Poi
     error_px = float(np.median(off_rad[known])) * sight.focal_px if known.sum() >= MIN_POINTS else np.nan
     turned, corrected["turn_rad"] = best_turned(sight, points)
     shifted, corrected["late_frames"] = best_shifted(sight, points, fps, wide)
-    corrected |= {"level_turned": level_of_sight(turned, points), "level_late": level_of_sight(shifted, points)}
-    return {"points": int(known.sum()), "error_px": error_px, "level": level_of_sight(sight, points)} | corrected
+    corrected |= {"level_turned": error_ratio(turned, points), "level_late": error_ratio(shifted, points)}
+    return {"points": int(known.sum()), "error_px": error_px, "level": error_ratio(sight, points)} | corrected

@@ -3,9 +3,9 @@
 If cameras see the same keypoint in the same frame, their rays should meet. The points where the rays of several cameras
 meet are computed robustly and with their covariance (`meeting_points`), and compared with the directions in which
 another camera saw them (`squared_errors`). An error in standard deviations accounts for the noise of both. The median
-error, divided by the median that pure noise has, is the camera's level: about 1 if the cameras agree
-(`level_of_sight`). Two cameras alone have no third camera to triangulate with, so they are compared with each other by
-the epipolar planes of their rays (`level_of_pair`).
+error, divided by the median that pure noise has, is the camera's error ratio: about 1 if the cameras agree
+(`error_ratio`). Two cameras alone have no third camera to triangulate with, so they are compared with each other by
+the epipolar planes of their rays (`error_ratio_of_pair`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from recon.base.arrays import Array, Index
 from recon.clip import View
 
 MIN_POINTS = 30
-"""Smallest number of points, over all frames, from which a level is computed."""
+"""Smallest number of points, over all frames, from which an error ratio is computed."""
 WIDE_OFFSET_S = 0.5
 """Largest time offset, in seconds, that is tried for a camera that does not agree."""
 NARROW_OFFSET = 3
@@ -165,15 +165,15 @@ def _across(rays: Array) -> tuple[Array, Array]:
     return x, np.asarray(np.cross(rays, x), dtype=float)
 
 
-def level_of_sight(sight: Sight, points: Points) -> float:
-    """Return the level of a camera compared with points from others; NaN for fewer than `MIN_POINTS` points."""
+def error_ratio(sight: Sight, points: Points) -> float:
+    """Return the error ratio of a camera compared with points from others; NaN for fewer than `MIN_POINTS` points."""
     _, squared = squared_errors(sight, points)
     known_squares = squared[~np.isnan(squared)]
     return float(np.sqrt(np.median(known_squares) / _MEDIAN_OF_POINT)) if len(known_squares) >= MIN_POINTS else np.nan
 
 
-def level_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
-    """Return the level of two cameras, the median angle between a's rays and b's planes, and the number of points.
+def error_ratio_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
+    """Return the error ratio of two cameras, the median angle between rays of a and planes of b, and the point count.
 
     Each plane contains both centres and one of b's rays.
     """
@@ -185,21 +185,21 @@ def level_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
     if is_known.sum() < MIN_POINTS:
         return np.nan, np.nan, int(is_known.sum())
     sigma = np.hypot(size_a * a.noise_rad, size_b * b.noise_rad)[is_known]
-    level = np.sqrt(np.median((off_plane[is_known] / sigma) ** 2) / _MEDIAN_OF_LINE)
-    return float(level), float(np.median(off_plane[is_known] / size_a[is_known])), int(is_known.sum())
+    ratio = np.sqrt(np.median((off_plane[is_known] / sigma) ** 2) / _MEDIAN_OF_LINE)
+    return float(ratio), float(np.median(off_plane[is_known] / size_a[is_known])), int(is_known.sum())
 
 
-def levels_among(sights: Sequence[Sight], agreeing: Sequence[int], points_of: PointsOf) -> Array:
-    """Return the level of each agreeing camera compared with the other agreeing ones, (V,); NaN for the rest."""
-    levels = np.full(len(sights), np.nan)
+def error_ratios(sights: Sequence[Sight], agreeing: Sequence[int], points_of: PointsOf) -> Array:
+    """Return the error ratio of each agreeing camera compared with the other agreeing ones, (V,); NaN for the rest."""
+    ratios = np.full(len(sights), np.nan)
     for v in agreeing:
         partners = tuple(sights[o] for o in agreeing if o != v)
-        levels[v] = (
-            level_of_pair(sights[v], *partners)[0]
+        ratios[v] = (
+            error_ratio_of_pair(sights[v], *partners)[0]
             if len(agreeing) == 2
-            else level_of_sight(sights[v], points_of(partners))
+            else error_ratio(sights[v], points_of(partners))
         )
-    return levels
+    return ratios
 
 
 def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
@@ -223,15 +223,15 @@ def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
 def best_shifted(sight: Sight, points: Points, fps: float, wide: bool) -> tuple[Sight, float]:
     """Return the directions with the time offset that fits best, and the offset in frames."""
     reach = min(max(round(WIDE_OFFSET_S * fps), NARROW_OFFSET) if wide else NARROW_OFFSET, len(sight.rays) // 2)
-    levels = {float(frames): level_of_sight(sight.later(frames), points) for frames in range(-reach, reach + 1)}
-    if not np.isfinite([*levels.values()]).any():
+    ratios = {float(frames): error_ratio(sight.later(frames), points) for frames in range(-reach, reach + 1)}
+    if not np.isfinite([*ratios.values()]).any():
         return sight, np.nan
-    best = min(levels, key=lambda frames: (np.nan_to_num(levels[frames], nan=np.inf), abs(frames)))
+    best = min(ratios, key=lambda frames: (np.nan_to_num(ratios[frames], nan=np.inf), abs(frames)))
     if not wide and abs(best) == reach:
         return best_shifted(sight, points, fps, wide=True)
     for frames in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75):
-        levels[best + frames] = level_of_sight(sight.later(best + frames), points)
-    best = min(levels, key=lambda frames: (np.nan_to_num(levels[frames], nan=np.inf), abs(frames)))
+        ratios[best + frames] = error_ratio(sight.later(best + frames), points)
+    best = min(ratios, key=lambda frames: (np.nan_to_num(ratios[frames], nan=np.inf), abs(frames)))
     return sight.later(best), best
 
 

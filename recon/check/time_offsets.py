@@ -1,6 +1,6 @@
 """Estimate the time offsets of cameras whose clocks differ.
 
-The levels of rays that should meet (`recon.check.sights`) are used to search for whole frames (`search_offsets`),
+The error ratios of rays that should meet (`recon.check.sights`) are used to search for whole frames (`search_offsets`),
 before the fit solves for the rest (`solve_time_offsets`).
 """
 
@@ -12,14 +12,14 @@ import numpy as np
 
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, raise_problems
-from recon.check.sights import Sight, level_of_pair, sights_of
+from recon.check.sights import Sight, error_ratio_of_pair, sights_of
 from recon.clip import Source, View, align_cameras, views_of
 from recon.fit.result import TrajectorySolution
 
 OFFSET_S = 1.0
 """Largest time offset, in seconds, in the search for a camera that is out of step; at most half the clip."""
 MAX_OFFSET_RATIO = 0.9
-"""Largest ratio of the level with a time offset to the level without it at which the offset counts."""
+"""Largest ratio of the error ratio with a time offset to the error ratio without it at which the offset counts."""
 _OFFSET_ROWS = 200
 """Number of frames that are compared for an offset."""
 _COMPARED = 0.3
@@ -66,12 +66,12 @@ def _best_offset(sight: Sight, partner_sights: Sequence[Sight], reach: int, rows
     offsets = np.arange(-reach, reach + 1)
     partners = [partner.part(rows) for partner in partner_sights]
     shifted_sights = [sight.later(by).part(rows) for by in offsets.tolist()]
-    pairs = np.array([[level_of_pair(shifted, partner) for partner in partners] for shifted in shifted_sights])
-    levels, points = pairs[..., 0], pairs[..., 2]
-    compared = np.isfinite(levels) & (points >= _COMPARED * points.max(axis=0))
+    pairs = np.array([[error_ratio_of_pair(shifted, partner) for partner in partners] for shifted in shifted_sights])
+    ratios, points = pairs[..., 0], pairs[..., 2]
+    compared = np.isfinite(ratios) & (points >= _COMPARED * points.max(axis=0))
     if not compared.any():
         return np.nan
-    sums, number = np.where(compared, levels, 0.0).sum(axis=1), compared.sum(axis=1)
+    sums, number = np.where(compared, ratios, 0.0).sum(axis=1), compared.sum(axis=1)
     mean = np.where(number > 0, sums / np.maximum(number, 1), np.inf)
     best = int(np.argmin(mean))
     return 0.0 if mean[best] > MAX_OFFSET_RATIO * mean[reach] else float(offsets[best])
