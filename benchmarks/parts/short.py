@@ -6,7 +6,8 @@ Each command is timed as a whole process, and the fastest of RUNS runs counts, b
 time of a fit's imports is that of a process that only imports the modules of the fit without a playback. The time of
 the playback is the additional time of the fit with a playback, including the import of rerun. The time of a clip of a
 batch is the mean over CLIPS perturbed copies of a sample (60 frames), which one process fits one after the other, after
-a first clip that is not timed.
+a first clip that is not timed. The process keeps freed memory and collects garbage rarely, as the processes of a batch
+do.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from startup import FIT_40, seconds
 
 from recon.api.clip_results import run_clip
 from recon.api.settings import FitSettings
+from recon.base.memory import collect_rarely, keep_freed_memory
 
 IMPORTS = """
 from importlib import import_module
@@ -61,6 +63,8 @@ def modules_of(command: list[str], folder: str) -> list[str]:
 
 def clip_s(clips: int) -> float:
     """Return the processor time per clip, seconds, in a process that fits many clips."""
+    keep_freed_memory()
+    collect_rarely()
     with tempfile.TemporaryDirectory() as temporary:
         folder, out = Path(temporary) / "clips", Path(temporary) / "out"
         out.mkdir()
