@@ -157,12 +157,14 @@ NAMES = (
 
 @dataclass(frozen=True)
 class Seed:
-    """A valid file: its name, its content, and its reader. share: relative number of its cases."""
+    """A valid file, from which damaged files are made."""
 
     name: str
     content: bytes
     read: Callable[[Path], object]
+    """The reader of files of this kind."""
     share: float = 1.0
+    """Number of cases with this file, relative to that of other files."""
     is_input: bool = True
     """Whether the path itself is read by the package, so that it may be a link."""
     link: str | None = None
@@ -174,7 +176,7 @@ class Seed:
 
 
 def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
-    """Make all valid files in a folder; real: also recordings, with the files that they refer to."""
+    """Make all valid files in `folder`, and read some more from the folder of recordings `real`, if it is given."""
     folder.mkdir(parents=True, exist_ok=True)
     found = [*of_formats(folder), *of_settings(folder)]
     for path in sorted(real.glob("importer-files/*/*")) if real is not None else ():
@@ -315,7 +317,7 @@ def _texts() -> Iterator[Seed]:
 
 
 def _file_name(path: Path) -> object:
-    """Read a file name that was written into a config.toml, a cell, a line and JSON, and find the file again."""
+    """Write a file name into a config.toml, a table, a message and JSON, and find the file as a clip of a batch."""
     name = os.fsdecode(path.read_bytes().replace(b"\0", b"").replace(b"/", b"")[:255])
     folder = path.with_name("names")
     shutil.rmtree(folder, ignore_errors=True)
@@ -511,14 +513,14 @@ def _models(folder: Path) -> Iterator[Seed]:
 
 
 def _folders() -> Iterator[Seed]:
-    """Return folders that are written to; the bytes of the file determine the content of the first."""
+    """Return the cases of folders to write to; the bytes of the file determine the content of the first folder."""
     yield Seed("folder.txt", b"what lies in the folder", write_among_others, 4.0, is_input=False)
     for name, content in records():
         yield Seed(name, content, write_after, 2.0, is_input=False)
 
 
 def outcome(seed: Seed, path: Path) -> str | None:
-    """Return None for a success, and for an InputError that describes each problem."""
+    """Read a file; return None if this succeeds, or "refused" for an InputError that describes each problem."""
     try:
         seed.read(path)
     except InputError as error:

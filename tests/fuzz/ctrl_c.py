@@ -44,20 +44,18 @@ main()
 
 
 class Ended(NamedTuple):
-    """The end of an interrupted run.
-
-    in_time: whether the signal came before the end. seconds: time from the signal to the end, or the whole time without
-    one.
-    """
+    """The end of an interrupted run."""
 
     code: int
     err: str
     in_time: bool
+    """Whether the signal came before the end."""
     seconds: float
+    """Time from the signal to the end, or the time of the whole run without a signal."""
 
 
 def interrupted(arguments: Sequence[object], after_s: float | None, folder: Path) -> Ended:
-    """Run `recon ARGUMENTS` in `folder` and interrupt it after that many seconds; None: let it end."""
+    """Run `recon ARGUMENTS` in `folder`, and interrupt it after `after_s` seconds, or never if `after_s` is None."""
     reader, writer = os.pipe()
     with subprocess.Popen(
         [sys.executable, "-c", CODE, *map(str, arguments)],
@@ -71,7 +69,7 @@ def interrupted(arguments: Sequence[object], after_s: float | None, folder: Path
         start_new_session=True,
     ) as process:
         os.close(writer)
-        os.read(reader, 1)  # returns when the other end is closed
+        os.read(reader, 1)  # returns when the command is ready for Ctrl-C
         os.close(reader)
         began, in_time = time.monotonic(), False
         if after_s is not None:
@@ -97,7 +95,7 @@ def fault(ended: Ended) -> str:
 
 
 def commands() -> dict[str, tuple[object, ...]]:
-    """Return the commands by name; folders are in the one that `prepared` filled, and `out` is new each time."""
+    """Return the commands by name, to run in the folder that `prepare` fills; the folder `out` is new for each run."""
     whole, noisy = (SAMPLES / f"{name}.csv" for name in ("whole", "noisy"))
     film, labels = SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv"
     filmed = ("--camera", SAMPLES / "rendered_camera.toml", "--keypoints", SAMPLES / "rendered_points.csv")

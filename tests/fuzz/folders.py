@@ -22,7 +22,7 @@ from recon.base.outputs import RECORD, Output, ReadResults, is_current, output_f
 OWN = "1,2,3\n"
 """Content that recon wrote into a file, and that the user has in a copy elsewhere."""
 Snapshot = dict[str, tuple[str, str | bytes]]
-"""Kind, and content or target, of everything in a folder, by path."""
+"""Kind of each file, folder and link by its path, with the content of a file or the target of a link."""
 FILES = ("a.csv", "b.csv", "motion.npz", "report.html", "=1+1.csv", "-x.csv", "caf\udce9.csv", "a\nb.csv", "\u0430.csv")
 RECORDS = (RECORD, MANIFEST, WRITING, COMMITTING, ".recon-partial-mine")
 FOLDERS = (
@@ -45,7 +45,7 @@ LOCKS = (COMMITTING, WRITING)
 
 
 def snapshot(folder: Path) -> Snapshot:
-    """Return everything below a folder, without following a link."""
+    """Return a snapshot of all files, folders and links below a folder, without following links."""
     found: Snapshot = {}
     for at, folders, files in os.walk(folder):
         for name in (*folders, *files):
@@ -65,7 +65,7 @@ def snapshot(folder: Path) -> Snapshot:
 def require_same(before: Snapshot, folder: Path) -> None:
     """Raise AssertionError unless every earlier file is unchanged.
 
-    An empty lock file is left by a killed run: it may be deleted.
+    Empty lock files may be deleted, because killed runs leave them.
     """
     after = snapshot(folder)
     changed = [name for name, state in before.items() if after.get(name) != state]
@@ -82,7 +82,7 @@ def _emptied(path: Path) -> Path:
 
 
 def _refused(path: Path, write: Callable[[], object]) -> InputError | None:
-    """Write, and return the problems that it is refused for; a system error that names its file is also a message."""
+    """Call `write`, and return the error that refuses it, if any; a system error that names a file counts as such."""
     try:
         write()
     except InputError as error:

@@ -35,19 +35,19 @@ LEAST = 4096
 
 
 class Case(NamedTuple):
-    """A command that writes.
-
-    arguments: of recon, with {out} as the place to write to; out: its name. whole: a run that fails leaves nothing,
-    instead of what was finished before. read: raises if a result is broken. beside: a folder whose files are in {out}
-    before, as links.
-    """
+    """A command that writes."""
 
     name: str
     arguments: Sequence[object]
+    """Arguments of `recon`, with {out} for the path of the output."""
     out: str
+    """Name of the output."""
     whole: bool = True
+    """Whether a run that fails leaves nothing; otherwise the finished parts may stay."""
     read: Callable[[Path], object] = lambda path: None
+    """Function that raises an error if the output is broken."""
     beside: Path | None = None
+    """Folder to whose files the output folder has links before the run."""
 
 
 def read_results(out: Path) -> object:
@@ -98,7 +98,7 @@ def read_summary(out: Path) -> object:
 
 
 def cases(folder: Path) -> list[Case]:
-    """Return the cases; folder: has results to start from, in `clip`."""
+    """Return the cases, which start from the results in `clip` of the folder."""
     clip = folder / "clip"
     two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "movement.nc", "nwb.nwb")
     three = ("deeplabcut.csv", "deeplabcut.h5", "movement.nc", "nwb.nwb", "parquet.parquet", "trc.trc", "c3d.c3d",
@@ -243,7 +243,7 @@ class Child:
 
 
 class Disk:
-    """A file system of that many bytes, or an ordinary folder."""
+    """A file system in memory of `size` bytes, or an ordinary folder if `size` is None."""
 
     def __init__(self, size: int | None) -> None:
         self.path, self.mounted = Path(tempfile.mkdtemp(prefix="full-disk-")), False
@@ -287,7 +287,7 @@ def verdict(case: Case, size: int, by_file: bool) -> tuple[str, str]:
 
 
 def size_of(case: Case) -> tuple[int, int]:
-    """Return the bytes that a run needs on a large disk: of all files, and of the largest file."""
+    """Return the bytes that all files of a run need on a large disk, and those that the largest file needs."""
     with Disk(None) as folder:
         ended = Child(case, folder).wait()
         assert ended[0] == 0, (case.name, ended)

@@ -2,8 +2,8 @@
 
     python tests/fuzz/kills.py [--count 200] [--seed 0]
 
-One child after the other replaces the results of one fit by those of another. It is killed before or after one of its
-steps, or at any time, drawn from the duration of all steps. What it leaves must be refused, or be one of the two
+One child after the other replaces the results of one fit by those of another. Each child is killed before or after one
+of its steps, or at a random time during the steps. The folder that it leaves must be refused, or be one of the two
 results to the last byte, and the next child must be able to write. The script prints the number of each outcome, and
 ends with 1 if there was a mixture.
 """
@@ -39,9 +39,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def replaced(source: Path, out: Path, step: Callable[[], None]) -> None:
-    """Write the results of source into out.
+    """Write the results of `source` into `out`.
 
-    step: called before and after every change, from the first that is visible from outside.
+    `step` is called before and after every change of the folder, from the first visible change on.
     """
     with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
@@ -62,7 +62,10 @@ def _with_steps(function: Callable[..., Any], step: Callable[[], None]) -> Calla
 
 
 def killed(source: Path, out: Path, after_steps: int | None, after_s: float) -> bool:
-    """Return whether a writing child was killed: by itself after that many steps, or by us after that many seconds."""
+    """Replace results in a child that is killed after some steps or seconds, and return whether it was killed.
+
+    With `after_steps` the child kills itself; otherwise this process kills it after `after_s` seconds.
+    """
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
@@ -93,7 +96,7 @@ def killed(source: Path, out: Path, after_steps: int | None, after_s: float) -> 
 
 
 def found(out: Path, known: list[dict[str, bytes]]) -> str:
-    """Return the results that can be read."""
+    """Return which results are in a folder: the old or the new ones, a mixture, or results that are refused."""
     try:
         Motion.load(out)
     except InputError:
@@ -103,7 +106,7 @@ def found(out: Path, known: list[dict[str, bytes]]) -> str:
 
 
 def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Counter[str]:
-    """Return the number of kills by what they left; sources: two results."""
+    """Kill children that replace the first of two results by the second, and count the kills by what they left."""
     known = [contents(source) for source in sources]
     steps, seconds = _all_steps(sources[1], out)
     counts: Counter[str] = Counter()
@@ -120,7 +123,7 @@ def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Cou
 
 
 def replaced_by_us(source: Path, out: Path) -> None:
-    """Replace what a kill has left."""
+    """Replace the files that a kill has left, without being killed."""
     with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
             if path.name not in ("manifest.json", RECORD):
@@ -129,7 +132,7 @@ def replaced_by_us(source: Path, out: Path) -> None:
 
 
 def _all_steps(source: Path, out: Path) -> tuple[int, float]:
-    """Return the number of steps and their duration."""
+    """Return the number of steps of a replacement, and their duration in seconds."""
     replaced_by_us(source, out)
     kept = {name: getattr(os, name) for name in STEPS}
     times: list[float] = []

@@ -62,11 +62,11 @@ ODD_WORDS = (
 LONG_CELL = "1" * 131_073
 """Number of characters that the csv module refuses in one cell."""
 MOST = 1 << 18
-"""Largest size of a damaged text, bytes: longer texts only take time."""
+"""Largest size of a damaged text, bytes; longer texts take more time and show nothing else."""
 
 
 def spoilt(content: bytes, suffix: str, random: Random) -> bytes:
-    """Return a file of this kind, damaged once or several times."""
+    """Return the content of a file, damaged once or several times in ways that suit its suffix."""
     kinds = KINDS.get(suffix, (lines, lines, numbers, words, in_bytes))
     chosen = [random.choice(kinds) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
     # Damage bytes last, because libraries must not open files with damaged bytes before recon's readers do.
@@ -102,7 +102,7 @@ ODD_PARTS += (b"&<b>", b"#", b";", b",", b"*", b"..", b"\xf0\x9f\x90\x86", b"\xe
 
 
 def spoilt_name(name: str, random: Random) -> str:
-    """Return a file's name, usually unchanged, otherwise with odd bytes before it."""
+    """Return a file's name, which is usually unchanged and sometimes begins with odd bytes."""
     if random.random() < 0.8:
         return name
     parts = random.choices(ODD_PARTS, k=random.choice((1, 1, 2)))
@@ -141,7 +141,7 @@ def cut(content: bytes, random: Random) -> bytes:
 
 
 def replaced(content: bytes, random: Random) -> bytes:
-    """Replace a value by something that looks similar, or does not."""
+    """Replace a content by nothing, a part of it, a repetition, or unrelated bytes."""
     other = (b"", b"\0", content[:8] + bytes(2000), b"[" * 50_000, b"\xff\xfe" + content, content * 2, content[::-1])
     return random.choice(other)
 
@@ -215,7 +215,7 @@ def words(content: bytes, random: Random) -> bytes:
 
 
 def _altered(value: Any, random: Random) -> Any:
-    """Return the tree with one branch or leaf replaced, removed, doubled or exchanged."""
+    """Return a JSON or TOML value with one of its parts replaced, removed, doubled or exchanged."""
     holders = [h for h in _holders(value) if h]
     if not holders:
         return random.choice(ODD_VALUES)

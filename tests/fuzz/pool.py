@@ -19,19 +19,20 @@ from tests.fuzz.corpus import Seed, outcome
 from tests.fuzz.mutations import spoilt, spoilt_name
 
 CASE_S = 20.0
-"""Longest time of a case, s; a longer case hangs, even on a busy machine."""
+"""Longest time of a case, seconds; a case that takes longer counts as hanging, even on a busy machine."""
 MEMORY_BYTES = 6 << 30
-"""Largest address space of a case: that of the libraries, and 4 GB more."""
+"""Largest address space of a case: that of the libraries plus 4 GB."""
 
 
 @dataclass
 class Tally:
-    """The number of cases by outcome; causes: those of failed cases, with the numbers of these cases."""
+    """Numbers of cases by outcome."""
 
     done: int = 0
     read: int = 0
     refused: int = 0
     causes: dict[str, list[int]] = field(default_factory=dict)
+    """Numbers that identify the failed cases, by the cause of the failure."""
     by_seed: Counter[str] = field(default_factory=Counter)
 
     def fail(self, cause: str, case: int) -> None:
@@ -44,7 +45,7 @@ LINKS = ("to a file elsewhere", "over a folder", "to a folder", "dangling", "to 
 
 
 def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
-    """Return the file of one case. Some have odd names, and some are links."""
+    """Return the damaged file of one case, which may have an odd name or be a link."""
     random = Random(f"{seed} {number}")
     chosen = random.choices(good, [s.share for s in good])[0]
     name = spoilt_name(chosen.name, Random(f"{seed} {number} name"))
@@ -54,7 +55,7 @@ def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
 
 
 def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
-    """Return the `outcome` of a file; raise what else the reader raises."""
+    """Read the file of a case, and return its `outcome`; unexpected errors of the reader are raised."""
     path = _placed(chosen, content, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -83,7 +84,7 @@ def _placed(chosen: Seed, content: bytes, folder: Path) -> Path:
 
 
 def cause(error: BaseException) -> str:
-    """Return the error, and the last line of recon's code that it passed."""
+    """Return the type of an error, and the innermost line of recon's code in its traceback."""
     ours = [f for f in traceback.extract_tb(error.__traceback__) if f"{os.sep}recon{os.sep}" in f.filename]
     where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno} {ours[-1].name}" if ours else "outside"
     return f"{type(error).__name__} in {where}"
@@ -91,10 +92,7 @@ def cause(error: BaseException) -> str:
 
 @dataclass
 class _Child:
-    """A child that runs the cases first, first + step, ... below the end, with a line before and after each.
-
-    current, name: of the last case that was started.
-    """
+    """A child that runs the cases `first`, `first + step`, ... below `end`, and prints a line before and after each."""
 
     first: int
     step: int
@@ -103,7 +101,9 @@ class _Child:
     pipe: int = -1
     left: bytes = b""
     current: int | None = None
+    """Number of the last case that was started."""
     name: str = ""
+    """Name of the last case that was started."""
     since: float = 0.0
 
     def start(self, seed: int, good: list[Seed], folder: Path) -> None:
@@ -143,7 +143,7 @@ class _Child:
 
 
 def run_all(first: int, end: int, seed: int, good: list[Seed], folder: Path, jobs: int) -> Tally:
-    """Run every case from the first up to the end."""
+    """Run the cases from `first` to `end - 1` in children, and return the tally."""
     tally = Tally()
     children = [_Child(first + k, jobs, end) for k in range(min(jobs, end - first))]
     for child in children:
@@ -175,7 +175,7 @@ def run_all(first: int, end: int, seed: int, good: list[Seed], folder: Path, job
 
 
 def _listen(child: _Child, tally: Tally) -> bool:
-    """Read what a child sends; return False at the end."""
+    """Read what a child has sent; return False if it has ended."""
     said = os.read(child.pipe, 1 << 16)
     *whole, child.left = (child.left + said).split(b"\n")
     for line in whole:

@@ -44,9 +44,9 @@ Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 FURTHEST_M = 1000.0
-"""Largest distance of a joint from the camera, m; ten times as much if the animal's size is free."""
+"""Largest distance of a joint from the camera, metres; ten times larger if the animal's size is free."""
 SECONDS, SECONDS_A_FRAME = 5.0, 0.5
-"""Largest processor time of a fit, s: a fixed part, and a part for each frame."""
+"""Largest processor time of a fit, seconds: a constant, and a time per frame."""
 FPS = 60.0
 SIZE_PX = (1920, 1080)
 CAMERAS = ("pinhole", "world", "fisheye", "radtan")
@@ -57,7 +57,7 @@ CAMERAS = ("pinhole", "world", "fisheye", "radtan")
 
 @dataclass(frozen=True)
 class Spoiling:
-    """The input of a way to damage a clip: points (T, K, 2), px, NaN if missing, and likelihoods (T, K)."""
+    """A clip to damage: points (T, K, 2) in pixels, NaN if missing, and likelihoods (T, K)."""
 
     rng: Rng
     xy_px: Array
@@ -69,7 +69,7 @@ class Spoiling:
         return self.likelihood.shape
 
     def some_frames(self, most: float) -> NDArray[np.bool_]:
-        """Return a random part of the frames (T,), from one to `most` of them."""
+        """Return a mask (T,) of random frames: at least one, and at most about the fraction `most`."""
         which = self.rng.uniform(size=len(self.xy_px)) < self.rng.uniform(0.0, most)
         which[self.rng.integers(len(which))] = True
         return which
@@ -254,21 +254,25 @@ OPTIONS: dict[str, tuple[dict[str, Any], ...]] = {
         {"fast": True, "sigma_px": 1e6},
     ),
 }
-"""Settings of the fit: half of the clips have none."""
+"""Settings of the fit by method; half of the clips have none."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One fit. method: frame or trajectory; camera: one of CAMERAS; spoilt: the way of damage; seed: of all else."""
+    """A fit of a damaged clip."""
 
     method: str
+    """frame or trajectory."""
     skeleton: str
     camera: str
+    """One of `CAMERAS`."""
     spoilt: Callable[[Spoiling], None]
+    """Function that damages the clip."""
     frames: int
     fps: float
     options: tuple[tuple[str, Any], ...]
     seed: int
+    """Seed of all other random choices."""
 
     @property
     def name(self) -> str:
@@ -296,7 +300,7 @@ def camera_of(kind: str) -> Camera:
 
 
 def clip_of(case: Case) -> tuple[Keypoints, Camera]:
-    """Return a mean pose with swinging angles that crosses the picture, damaged in one way."""
+    """Return the damaged clip of a case, in which an animal with swinging limbs crosses the picture, and its camera."""
     rng = np.random.default_rng(case.seed)
     body, camera = load_skeleton(case.skeleton), camera_of(case.camera)
     names = body.keypoint_names("right")
@@ -318,7 +322,7 @@ def clip_of(case: Case) -> tuple[Keypoints, Camera]:
 
 
 def cases(count: int, seed: int) -> list[Case]:
-    """Return every way to damage a clip in turn, with each skeleton that the method takes."""
+    """Return `count` cases that go through the ways to damage a clip in turn, with random skeletons and settings."""
     rng = np.random.default_rng(seed)
     fits = [("frame", name) for name in builtin_chains()] + [("trajectory", name) for name in builtin_names()]
     chosen = []
@@ -341,7 +345,7 @@ def cases(count: int, seed: int) -> list[Case]:
 
 @dataclass(frozen=True)
 class Ended:
-    """The outcome of a case: result, refused (an InputError), or broken, with the reason."""
+    """The outcome of a case: result, refused (by an InputError) or broken, and the reasons for the latter two."""
 
     case: Case
     how: str
@@ -368,7 +372,7 @@ def run(case: Case) -> Ended:
 
 
 def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
-    """Fit, write and check a case, and raise what the fit raises."""
+    """Fit, write and check a case; errors of the fit are raised."""
     keypoints, camera = clip_of(case)
     write_csv(keypoints, folder / "clip.csv")
     write_camera(camera, folder / "camera.toml")
