@@ -126,7 +126,7 @@ class Keypoints(Brief):
 
     @property
     def present(self) -> np.ndarray:
-        """Mask of the points with both coordinates, (T, K)."""
+        """Return a mask of the points that have both coordinates, (T, K)."""
         return ~np.isnan(self.xy_px[..., 0]) & ~np.isnan(self.xy_px[..., 1])
 
 
@@ -452,17 +452,17 @@ class View(Brief):
 
     @property
     def rotation(self) -> Array:
-        """R_camera_world (3, 3), or (T, 1, 3, 3) for a moving camera, to multiply arrays with a joint axis."""
+        """Return R_camera_world (3, 3), or (T, 1, 3, 3) for a moving camera, to multiply arrays with a joint axis."""
         return self.T_camera_world[:3, :3] if self.is_still else self.T_camera_world[:, None, :3, :3]
 
     @cached_property
     def centre_m(self) -> Array:
-        """Centre of projection (T, 3), world frame."""
+        """Return the centre of projection (T, 3), metres, world frame."""
         return np.broadcast_to(inverse(self.T_camera_world)[..., :3, 3], (len(self.xy_px), 3))
 
     @property
     def focal_px(self) -> Array | float:
-        """Geometric mean of fx and fy; (T,) for a camera that zooms."""
+        """Return the geometric mean of fx and fy, pixels; (T,) for a camera that zooms."""
         if self.intrinsics_px is not None:
             return np.sqrt(self.intrinsics_px[:, 0] * self.intrinsics_px[:, 1])
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
@@ -483,12 +483,12 @@ class View(Brief):
 
     @property
     def turn_px(self) -> Array | float:
-        """Standard deviation (T,) of the picture's centre, px, due to errors of the poses' rotations; 0 if unknown."""
+        """Return the standard deviation (T,) of the picture's centre, px, from errors of rotation; 0 if unknown."""
         return 0.0 if self.rotation_sigma_rad is None else self.focal_px * self.rotation_sigma_rad
 
     @property
     def seen(self) -> Bools:
-        """Mask (T, J) of keypoints that are not too far outside the picture to be detections (`Camera.sees`)."""
+        """Return a mask (T, J) of keypoints near enough to the picture to be detections (`Camera.sees`)."""
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
@@ -551,7 +551,7 @@ class View(Brief):
 
     @cached_property
     def _zoom(self) -> Array:
-        """Affine map (T, 2, 3) from distorted pixels of the camera's own matrix to those of each frame."""
+        """Return the affine map (T, 2, 3) from distorted pixels of the camera's own matrix to those of each frame."""
         assert self.intrinsics_px is not None
         matrices = np.tile(np.eye(3), (len(self.intrinsics_px), 1, 1))
         matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = self.intrinsics_px.T
@@ -560,7 +560,7 @@ class View(Brief):
 
     @property
     def _unzoomed_px(self) -> Array:
-        """Keypoints (T, J, 2) in pixels of the camera's own matrix."""
+        """Return the keypoints (T, J, 2) in pixels of the camera's own matrix."""
         if self.intrinsics_px is None:
             return self.xy_px
         linear, shift = self._zoom[:, None, :, :2], self._zoom[:, None, :, 2]
@@ -611,7 +611,7 @@ class FramePoses(Brief):
 
     @property
     def known(self) -> Bools:
-        """Mask of the T frames with a camera pose, (T,)."""
+        """Return a mask of the frames with a camera pose, (T,)."""
         return np.isfinite(self.T_camera_world[:, 0, 0])
 
     def map_arrays(self, change: Callable[[Array], Array]) -> FramePoses:

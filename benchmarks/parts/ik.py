@@ -461,7 +461,7 @@ def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
 
 
 def print_held_out(folder: Path) -> None:
-    """Print results with parameters from the strides of all other runs."""
+    """Print the errors of the methods on each stride, with parameters fitted to the strides of all other runs."""
     for kind in ("2D", "whole animal"):
         data = [Shown.of(leg) for leg in real_legs(folder)[kind]]
         others = [[one for one in data if one.run != shown.run] for shown in data]

@@ -47,7 +47,7 @@ _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
 MAX_SQUARE_M = 1.0
-"""Side of a board's square, in metres, from which a calibration is taken to be in another unit."""
+"""Side of a board's square at and above which a calibration cannot be in metres."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
 EXPERIMENT = "run", "animal", "group"

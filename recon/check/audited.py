@@ -55,7 +55,7 @@ class AuditedPoints(Brief):
 
     names: tuple[str, ...]
     positions: Array
-    """(T, K, 2) pixels or (T, K, 3) metres, NaN = missing."""
+    """(T, K, 2) or (T, K, 3): positions in pixels, or in 3D in metres; NaN if missing."""
     frames: Integers
     fps: float | None = None
     resolution: float = 0.0

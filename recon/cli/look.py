@@ -293,7 +293,7 @@ class PagePictures(NamedTuple):
 
     drawn: Overlay
     rows: Index
-    """Rows of the stills."""
+    """Rows of the motion that have a still, shape (n,)."""
     strip: PictureStrip | None
     """Pictures of the video for the player, None without a video."""
     stills: list[Image] | None

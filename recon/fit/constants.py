@@ -120,7 +120,10 @@ A detector and a skeleton that were measured together fit each other; in the ben
 measured in the others, poses are then within 1 % of those with exact lengths and offsets.
 """
 SHAPE_COUNT = 8.0
-"""Weight of the expected spread, as a number of lengths or of coordinates of offsets."""
+"""Weight of the expected spread of lengths (or offsets) when the spread is estimated from a solution.
+
+The expected spread counts as much as this number of lengths, or of coordinates of offsets.
+"""
 
 # The animal's motion
 
@@ -135,22 +138,23 @@ MOTION_WEIGHT = 1.0
 Results hardly change without this motion (`benchmarks/accuracy.py --only ablation`).
 """
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
-"""Accelerations of the root in the level frame.
+"""Standard deviations of the root's acceleration along the axes of the level frame.
 
 These values, the following ones and those of standing feet come from the reconstructions behind the prior
 `running-cheetah`.
 """
 YAW_ACCELERATION_RAD_S2 = 40.0
-"""Angular acceleration of the root about the vertical."""
+"""Standard deviation of the root's angular acceleration about the vertical."""
 LATERAL_M_S = 0.5
-"""Velocity of the root across the trunk, which corresponds to an angle of 0.05 rad at 10 m/s."""
+"""Standard deviation of the root's velocity across the trunk, which corresponds to 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Constant angle between the trunk and the direction of travel, for several cameras, as in the benchmark's real runs.
+"""Standard deviation of the constant angle between the trunk and the direction of travel, for several cameras.
 
+The value is that of the benchmark's real runs.
 `python benchmarks/cameras.py --only several` lists the angles of these runs, and also fits without the angle.
 """
 CLIMB_M_S = 0.5
-"""Vertical velocity of the root."""
+"""Standard deviation of the root's vertical velocity."""
 MISFIT_USUAL = 3.6
 """Mean squared residual of the prior at which the misfit is 1; it exceeds 1 because a prior's errors persist over many
 frames.
@@ -165,15 +169,15 @@ MISFIT_SIGMAS = 2.33
 # Feet and ground
 
 SLIP_M_S = 2.5
-"""Velocity of a standing foot."""
+"""Standard deviation of a standing foot's velocity."""
 SLIP_C = 2.0
 """Number of standard deviations at which the loss of a foot's velocity saturates."""
 GROUND_HEIGHT_M = 0.12
-"""Height of the ground above z = 0, if the ground is known to be near z = 0."""
+"""Standard deviation of the ground's height about z = 0, if the ground is known to be near z = 0."""
 GROUND_SLOPE = 0.02
-"""Slopes of the ground, if it is known to be near z = 0."""
+"""Standard deviation of the ground's slopes, if the ground is known to be near z = 0."""
 GROUND_FOOT_M = 0.04
-"""Height of a standing foot above the ground."""
+"""Standard deviation of a standing foot's height above the ground."""
 
 # The search
 

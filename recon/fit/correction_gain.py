@@ -39,11 +39,11 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
 _MOST_WEIGHT = 0.99
-"""Largest weight w with which P is computed; larger weights are reduced to this value."""
+"""Largest weight w of a detection in the formulas of the module; larger weights are reduced to this value."""
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, which bounds the memory."""
 _RELATIVE_STEP = 1e-4
-"""Size of e G relative to H, for the derivative of the covariance."""
+"""Step of the numerical derivative of the covariance: e G relative to H, in the module's notation."""
 
 
 def correction_gain_m2(

@@ -175,9 +175,9 @@ class _SharedCurvature(NamedTuple):
     normals: Callable[[], Iterable[Normal]]
     windows: Callable[[], Iterable[Window]]
     precision: Array
-    """Shape (P, P), for the variance of the common bias that the detections show."""
+    """Precision of the unknowns, shape (P, P), for the variance of the common bias that the detections show."""
     gradient: Array
-    """Shape (P,)."""
+    """Gradient of the cost with respect to the unknowns, shape (P,)."""
     expected_precision: Array
     """Part of the precision that the expected spreads contribute, shape (P,)."""
     excess_bias_m2: Array | float

@@ -421,7 +421,7 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 
 
 SHARE = 1 / 3
-"""Largest fraction of an error that an explanation may leave."""
+"""Largest fraction of an error that may remain after a transform for this transform to be named as the cause."""
 SMALL = 0.05
 """Error relative to the animal's size below which no explanation is needed. The size is the root mean square distance
 of the joints from their mean.

@@ -164,9 +164,9 @@ class FieldMeans(NamedTuple):
     speed_3d_m_s: float
     """Mean speed in space."""
     dr_m_s: float
-    """Mean of |dr|."""
+    """Mean absolute radial velocity of the link's tip."""
     dtheta_rad_s: float
-    """Mean of |dtheta|."""
+    """Mean absolute angular velocity of the link."""
     speed_sigma_m_s: float
     """Root mean square over the frames of the speed's standard deviation."""
     frames: int

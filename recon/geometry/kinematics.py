@@ -333,7 +333,7 @@ class Tree(Brief):
 
     @cached_property
     def plan(self) -> _Plan:
-        """Return everything that the kinematics need in addition to the state."""
+        """Return the precomputed arrays that the kinematics need in addition to the state."""
         return _Plan(self)
 
     def use_plan_of(self, tree: Tree) -> None:
@@ -346,7 +346,7 @@ class Tree(Brief):
 
     @cached_property
     def _pattern(self) -> tuple[object, ...]:
-        """Return what the plan depends on apart from lengths."""
+        """Return the tree without its lengths: its segments, its markers, and which of their offsets are zero."""
         segments = tuple((s.name, s.parent, s.joint, s.rotation, any(s.offset_m)) for s in self.segments)
         return segments, tuple((m.name, m.segment, any(m.offset_m)) for m in self.markers)
 

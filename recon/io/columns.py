@@ -59,9 +59,9 @@ TIME_UNIT = r"(?:[ _]?[\[(]?(s|sec|ms|us|µs|ns)[\])]?)?"
 BODYPART_COLUMN = re.compile(
     rf"(.+?)(?:[ _.:/-]| ?[\[(])(?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))[\])]?", re.IGNORECASE
 )
-"""Pattern of a column that belongs to one bodypart."""
+"""Pattern of a column of one bodypart whose name ends with the coordinate, such as nose_x."""
 BODYPART_LAST = re.compile(r"(?:([xyz])|(likelihood|confidence|score))[ _.:/-](.+)", re.IGNORECASE)
-"""Pattern of such a column with the bodypart behind the coordinate."""
+"""Pattern of a column of one bodypart whose name begins with the coordinate, such as x_nose."""
 PART = "{bodypart}"
 VALUES_MAX = 4 * common.POINTS_MAX
 """Largest number of cells of a table."""

@@ -30,7 +30,7 @@ class Pose3D(Brief):
     names: tuple[str, ...]
     """Names of the J joints."""
     xyz_m: np.ndarray
-    """(T, J, 3) float, metres, NaN = missing."""
+    """(T, J, 3): positions of the joints, metres, NaN if missing."""
     frames: np.ndarray
     """(T,): whole, strictly increasing frame numbers."""
     source: str | None = None
@@ -69,11 +69,11 @@ class StoredPoints:
 
     names: tuple[str, ...]
     values: np.ndarray
-    """(T, K, 2) pixels, or (T, K, 3) in the file's unit and axes, NaN = missing."""
+    """(T, K, 2) or (T, K, 3): positions in pixels, or in 3D in the file's unit and axes; NaN if missing."""
     frames: np.ndarray
     """(T,): whole, strictly increasing frame numbers."""
     likelihood: np.ndarray | None = None
-    """(T, K), NaN = unknown; None if the file has none."""
+    """(T, K): likelihoods of the points, NaN if unknown; None if the file has none."""
     fps: float | None = None
     individual: str | None = None
     scorer: str | None = None

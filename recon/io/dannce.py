@@ -112,8 +112,10 @@ def _variables(path: Path) -> dict[str, Any]:
     """
     content = read_content(path, "a MATLAB file", MAX_BYTES)
     if content.startswith(b"MATLAB 7.3") or content[126:128] != b"IM":
-        expected = "version 7 or older: in MATLAB, save(name, '-v7')"
-        raise InputError(Problem(path, "file", "a MATLAB file of version 7.3, or not little-endian", expected))
+        is_hdf5 = content.startswith(b"MATLAB 7.3")
+        actual = "a MATLAB file of version 7.3" if is_hdf5 else "no header of a little-endian MATLAB file"
+        expected = "a MATLAB file of version 7 or older: in MATLAB, save(name, '-v7')"
+        raise InputError(Problem(path, "file", actual, expected))
     return dict(_File().top(memoryview(content)[128:]))
 
 

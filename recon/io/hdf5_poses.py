@@ -471,9 +471,9 @@ class _Series(NamedTuple):
     """One point in T frames."""
 
     positions: np.ndarray
-    """(T, 2) pixels, or (T, 3) in the file's unit."""
+    """(T, 2) or (T, 3): positions in pixels, or in 3D in the file's unit."""
     confidence: np.ndarray
-    """(T,): NaN if unknown."""
+    """(T,): confidences, NaN if unknown."""
     times_s: np.ndarray
     """(T,): times of the frames, seconds."""
     fps: float | None

@@ -43,11 +43,11 @@ class _Seen(NamedTuple):
     """Location in the file, for messages."""
     frame: int
     animal: str
-    """Empty if the file does not distinguish animals."""
+    """Name or number of the animal; empty if the file does not distinguish animals."""
     xy_px: np.ndarray
-    """(K, 2), NaN where a point is missing."""
+    """(K, 2): the keypoints, NaN where one is missing."""
     score: np.ndarray
-    """(K,): 0 where a point is missing, NaN where the file has none."""
+    """(K,): scores of the keypoints, 0 where one is missing, NaN where the file states no score."""
 
 
 def _mentions(path: Path, *keys: bytes) -> bool:
@@ -126,7 +126,9 @@ def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[st
     with_points = [c for c in categories if c.get("keypoints") and (c.get("id") in used or len(categories) == 1)]
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}
     if len(lists) != 1:
-        raise InputError(Problem(path, "categories", f"{len(lists)} lists of keypoints in use", "one"))
+        raise InputError(
+            Problem(path, "categories", f"{len(lists)} lists of keypoints in use", "one for all annotations")
+        )
     return lists.pop()
 
 

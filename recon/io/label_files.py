@@ -42,9 +42,9 @@ class LabelledFrames:
     """Name of the labeller, as in the project's config.yaml."""
     names: tuple[str, ...]
     frames: Integers
-    """(N,) frame numbers, increasing."""
+    """(N,): increasing frame numbers."""
     xy_px: Array
-    """(N, K, 2), NaN where a point is not labelled."""
+    """(N, K, 2): labels in pixels, NaN where a keypoint is not labelled."""
     origins: tuple[tuple[str, ...], ...] = ()
     """Origin of each label, such as "by hand", for each frame and keypoint; empty if all are by hand."""
     edges: tuple[tuple[int, int], ...] = ()

@@ -161,7 +161,11 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
-    """Return times after a date in any format, in seconds after the first; None unless all have the same date."""
+    """Return the times of texts such as 30/11/2026 10:15:00.5, in seconds after the first.
+
+    None unless each text has a date and a time, with the same date and the same of AM and PM. The date's format does
+    not matter.
+    """
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
     dated = [match for match in matches if match is not None]
     if len(dated) < len(texts) or len({(match[1], match[3]) for match in dated}) != 1:

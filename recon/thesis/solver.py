@@ -47,7 +47,7 @@ _FIRST_TOLERANCE = 1e-3
 _SECOND_TOLERANCE = 1e-5
 """Tolerance of the second solution of all frames; a smaller one moves no joint by a tenth of a millimetre."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
-"""Angles between the direction of travel and the starts of the first frame."""
+"""Angles between the direction of travel and the headings from which the search in the first frame starts."""
 
 
 def solve_frames(

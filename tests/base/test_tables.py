@@ -1,4 +1,4 @@
-"""Test tables that people open, and patterns that files contain."""
+"""Test that texts in tables cannot act as formulas, and that slow regular expressions are refused."""
 
 from __future__ import annotations
 

@@ -259,7 +259,7 @@ def test_a_camera_without_a_pose_may_look_down_by_a_known_angle(tilt):
     level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rotation = Rotation.from_euler("x", tilt).as_matrix() @ level
     posed = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))
-    assert (posed.camera_to_world((0, 0, 1)))[2] == pytest.approx(-np.sin(tilt))  # down
+    assert (posed.camera_to_world((0, 0, 1)))[2] == pytest.approx(-np.sin(tilt))  # the optical axis points down
     np.testing.assert_allclose(camera.up, posed.up, atol=1e-15)
     board = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0), world_z_up=False, tilt_rad=tilt)
     np.testing.assert_allclose(board.up, posed.up, atol=1e-15)

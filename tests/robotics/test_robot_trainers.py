@@ -34,7 +34,10 @@ def solved(retargeted) -> Retargeting:
 
 
 def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
-    """Return the bodies of one leg with angles (3,), rad, in the trunk's axes, joint by joint as in its URDF."""
+    """Return position and rotation of each body of one leg in the trunk's frame, for its joint angles (3,), rad.
+
+    They are computed joint by joint, as the robot's URDF defines them.
+    """
     side = 1 if name[1] == "L" else -1
     hip, thigh = Rotation.from_euler("x", q[0]), Rotation.from_euler("y", q[1])
     at = np.array([*HIPS[name], 0.0])
