@@ -28,6 +28,9 @@ PARTS = {
         ["--jobs", "2", "--pairs", "1", "--cameras", "two", "--degrees", "3", "--turned", "first"],
         data="cheetah-runs",
     ),
+    "turned-share": Part(
+        "pairs.py", ["--pairs", "3", "--cameras", "two", "--degrees", "3", "--turned-share", "0.1"], data="cheetah-runs"
+    ),
     "moving": Part("moving.py", data="cheetah-runs"),
     "turning": Part("camera_motion.py", data="still-videos"),
     "panning-film": Part("panning_film.py"),

@@ -37,6 +37,7 @@ from wrong_inputs import Case, Clip, Given, cameras_of, errors, fitted, truth_on
 
 from recon import InputError
 from recon.api.clip import PAIR_REFINED
+from recon.fit import constants
 from recon.fit.result import LEVELS
 from recon.testing.coverage import coordinate_coverage
 
@@ -146,11 +147,18 @@ def main() -> None:
         "--turned", nargs="+", choices=["second", "first"], default=["second"], help="which of two cameras is turned"
     )
     parser.add_argument("--every", action="store_true", help="print every fit")
+    parser.add_argument(
+        "--turned-share",
+        type=float,
+        default=constants.TURNED_SHARE,
+        help="value of TURNED_SHARE (default: %(default)s)",
+    )
     parser.add_argument("--degrees", nargs="+", type=float, default=[0.0, 1.0, 3.0, 6.0])
     parser.add_argument("--cameras", nargs="+", choices=["one", "two", "all"], default=["one", "two", "all"])
     options = parser.parse_args()
     every_task = [*tasks(options)]
-    with ProcessPoolExecutor(options.jobs) as pool:
+    turned_share = (constants, "TURNED_SHARE", options.turned_share)
+    with ProcessPoolExecutor(options.jobs, initializer=setattr, initargs=turned_share) as pool:
         outcomes = [*pool.map(partial(outcome, settings_of(options)), every_task)]
     fits = [fit for fit in outcomes if fit is not None]
     rows = []
