@@ -70,7 +70,7 @@ def saved(small_trajectory: Motion, tmp_path: Path) -> Path:
 
 
 def refuses(path: Path, *expected: tuple[object, ...]) -> None:
-    """Check that a file is refused; expected: problems as for `refusal`, without the file."""
+    """Check that a file is refused for the expected problems, given as for `refusal` but without the file."""
     with refusal(*((path, *one) for one in expected)):
         Motion.load(path.parent)
 

@@ -41,7 +41,7 @@ def test_the_help_of_a_setting_is_about_that_setting():
 
 
 def refuses(given: dict, *expected: tuple[object, ...], config: Path | None = None) -> None:
-    """Check a refused setting; expected: problems as for `refusal`, with the setting's option or config as the file."""
+    """Check that a setting is refused for the expected problems, whose file is its option or the config."""
     with refusal(*((config or SETTINGS[str(one[0])].on_command_line, *one) for one in expected)):
         read_settings(config, given)
 

@@ -27,8 +27,18 @@ from recon.show.plots.style import save
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
 DIRECTIONS = (
-    *("ahead of the animal", "ahead to the animal's left", "on the animal's left side", "behind to the animal's left"),
-    *("behind the animal", "behind to the animal's right", "on the animal's right side", "ahead to the animal's right"),
+    *(
+        "ahead of the animal",
+        "ahead of the animal, to its left",
+        "on the animal's left side",
+        "behind the animal, to its left",
+    ),
+    *(
+        "behind the animal",
+        "behind the animal, to its right",
+        "on the animal's right side",
+        "ahead of the animal, to its right",
+    ),
 )
 """Words for directions from the animal in steps of 45°, counterclockwise seen from above, from straight ahead."""
 HEIGHTS = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))

@@ -22,9 +22,9 @@ MAX_SIGMA_RAD = np.radians(10.0)
 POSTURE_RAD = np.radians(15.0)
 """Standard deviation of the angle between up and the direction from the feet to the body, averaged over a clip."""
 FOOT_SHARE = 1 / 15
-"""Height of standing feet above the ground as a fraction of the body's height above them.
+"""Standard deviation of standing feet's height above the ground, as a fraction of the body's height above the feet.
 
-The height is then `GROUND_FOOT_M` for a cheetah.
+For a cheetah, it equals `GROUND_FOOT_M`.
 """
 MIN_STANDING = 3
 """Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""

@@ -156,7 +156,7 @@ class SerialChain:
 
     @cached_property
     def lengths_m(self) -> Array:
-        """Distances (L,) between consecutive joint positions, and from the last to the end effector, metres.
+        """Return the distances (L,) between consecutive joint positions, and from the last to the end effector, metres.
 
         Joints that slide are at 0.
         """

@@ -166,7 +166,7 @@ class IkRun:
 
     @property
     def begins_s(self) -> float:
-        """Time at which the stride begins in the clip, seconds."""
+        """Return the time at which the stride begins in the clip, seconds."""
         return self.limb.first_s + self.stride.start_s
 
     @cached_property
@@ -201,7 +201,7 @@ class IkRun:
 
     @cached_property
     def animal_closures(self) -> dict[str, Array]:
-        """Degrees of closure (n,) of the animal's joints over the stride (`Run.closures`), NaN if there are gaps."""
+        """Return the degrees of closure (n,) of the animal's joints over the stride (`Run.closures`); NaN with gaps."""
         kinds = "angle", "plane", "unscaled"
         closures = {kind: np.full(self.limb.chain.n, np.nan) for kind in kinds}
         for joint, portrait in enumerate(self.portraits.values()):

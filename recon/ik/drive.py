@@ -77,7 +77,7 @@ class Run:
 
     @property
     def distance_m(self) -> Array:
-        """Distance of the end effector from the target, or from the path's points, shape (K,), metres."""
+        """Return the distance of the end effector from the target, or from the path's points, shape (K,), metres."""
         return np.linalg.norm(self.aim_m - self.end_m, axis=1)
 
     @property
@@ -87,12 +87,12 @@ class Run:
 
     @property
     def reason(self) -> str:
-        """Why the motion to a target ended."""
+        """Return why the motion to a target ended."""
         return self.note or "reached"
 
     @property
     def time_s(self) -> Array:
-        """Times of the K configurations from the start, shape (K,), seconds."""
+        """Return the times of the K configurations from the start, shape (K,), seconds."""
         return np.asarray(self.interval_s * np.arange(len(self.q)), float)
 
     @cached_property
@@ -119,7 +119,7 @@ class Run:
 
     @property
     def roughness_rad2(self) -> float:
-        """Mean of |q_{k+1} - 2 q_k + q_{k-1}|^2 over the inner configurations; 0 is smoothest."""
+        """Return the mean of |q_{k+1} - 2 q_k + q_{k-1}|^2 over the inner configurations; 0 is smoothest."""
         return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:

@@ -130,25 +130,25 @@ class SolverRecord:
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the chain's D unknowns."""
+        """Return the names of the chain's D unknowns."""
         return self.solution.chain.state_names
 
     @cached_property
     def cost(self) -> pd.DataFrame:
-        """Half the sum of squared residuals, frames x terms."""
+        """Return half the sum of squared residuals, frames x terms."""
         costs = {row: {term: 0.5 * np.sum(r**2) for term, (r, _) in terms.items()} for row, terms in self.terms.items()}
         return pd.DataFrame.from_dict(costs, orient="index").fillna(0.0).reindex(range(len(self.motion.frames)))
 
     @cached_property
     def gradient(self) -> Array:
-        """Gradient of the cost in each frame, shape (T, D)."""
+        """Return the gradient of the cost in each frame, shape (T, D)."""
         return self._by_frame(
             {row: np.sum([J.T @ r for r, J in terms.values()], axis=0) for row, terms in self.terms.items()}
         )
 
     @cached_property
     def column_norm(self) -> Array:
-        """Norms of the Jacobian's columns, shape (T, D)."""
+        """Return the norms of the Jacobian's columns, shape (T, D)."""
         return self._by_frame({row: np.linalg.norm(self.jacobian(row), axis=0) for row in self.terms})
 
     def jacobian(self, row: int) -> Array:
@@ -163,12 +163,12 @@ class SolverRecord:
 
     @property
     def optimality(self) -> Array:
-        """Largest component of the gradient, shape (T,)."""
+        """Return the largest component of the gradient, shape (T,)."""
         return np.abs(self.gradient).max(axis=1)
 
     @cached_property
     def sizes(self) -> dict[str, Array]:
-        """Squared norm and mean size of the residuals, mean size and fraction of zeros of the Jacobian, (T,) each."""
+        """Return sizes of the residuals and of the Jacobian, and its fraction of zeros, (T,) each, by name."""
         table = np.full((4, len(self.motion.frames)), np.nan)
         for row, terms in self.terms.items():
             residual, jacobian = np.concatenate([r for r, _ in terms.values()]), self.jacobian(row)
@@ -179,12 +179,12 @@ class SolverRecord:
 
     @property
     def image_error_px(self) -> Array:
-        """Distances between detections and reprojections, shape (T, J), pixels; NaN if either is missing."""
+        """Return the distances between detections and reprojections, shape (T, J), pixels; NaN if either is missing."""
         return self.motion.pictures[0].distance_px
 
     @property
     def active(self) -> dict[str, Array]:
-        """Numbers of angles beyond their expected ranges and of rates beyond their limits, (T,) each, by name."""
+        """Return how many angles exceed their expected ranges, and how many rates their limits, (T,) each, by name."""
         return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
 
     @property

@@ -117,12 +117,12 @@ class FrameSolution(Solution):
 
     @property
     def constant_velocity_m_s(self) -> Array:
-        """Speed of the straight run from which the search started, shape (T,), m/s."""
+        """Return the speed of the straight run from which the search started, shape (T,), m/s."""
         return self.travel.speed_m_s
 
     @property
     def position_error_time_s(self) -> float | None:
-        """Correlation time of the path's error, seconds; None without a path."""
+        """Return the correlation time of the path's error, seconds; None without a path."""
         if self.path is None:
             return None
         variance = np.diagonal(self.path.covariance, axis1=1, axis2=2)
@@ -158,7 +158,7 @@ class FrameSolution(Solution):
 
     @property
     def prior_misfit(self) -> float:
-        """Mean squared norm of the Gaussian priors' residuals, relative to that of a typical view; 1 without priors."""
+        """Return the mean squared norm of the priors' residuals, relative to a typical view's; 1 without priors."""
         costs = [
             report.squared_norm * sum(report.cost_shares.get(name, 0.0) for name in POSE_PRIORS)
             for report in self.reports
@@ -168,7 +168,7 @@ class FrameSolution(Solution):
 
     @property
     def posterior_factor(self) -> float:
-        """Factor by which the stated uncertainty of the poses grows with the misfit of the priors."""
+        """Return the factor by which the stated uncertainty of the poses grows with the misfit of the priors."""
         return FRAME_BY_FRAME * max(1.0, self.prior_misfit)
 
     def reported(self, field: str) -> Array:
@@ -209,17 +209,17 @@ class FrameSolution(Solution):
 
     @property
     def _angles_rad(self) -> Array:
-        """Theta and phi of the free links, shape (T, 2 A)."""
+        """Return theta and phi of the free links, shape (T, 2 A)."""
         return self.chain_states[:, : 2 * self.chain.n_angles]
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """Excess of angles over their expected ranges, shape (T, 2 A), rad; negative inside, NaN without a pose."""
+        """Return the excess of angles over their ranges, shape (T, 2 A), rad; negative inside, NaN without a pose."""
         return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """Chord rate since the previous solved frame minus its limit, shape (T, 2 A), rad/s.
+        """Return the chord rate since the previous solved frame minus its limit, shape (T, 2 A), rad/s.
 
         The result is NaN for the first frame and without a pose.
         """

@@ -209,12 +209,12 @@ class FrameSearch:
 
     @property
     def step_norms(self) -> Array:
-        """Length of the step from each point, shape (K - 1,)."""
+        """Return the length of the step from each point, shape (K - 1,)."""
         return np.asarray(np.linalg.norm(np.diff(self.points, axis=0), axis=1), dtype=float)
 
     @property
     def step_norm(self) -> float:
-        """Length of the last step that is not zero."""
+        """Return the length of the last step that is not zero."""
         steps = self.step_norms
         return float(np.append(0.0, steps[steps > 0])[-1])
 
@@ -232,12 +232,12 @@ class FrameSearch:
 
     @cached_property
     def costs(self) -> Array:
-        """Half the sum of squared residuals at each point under the last loss, shape (K,)."""
+        """Return half the sum of squared residuals at each point under the last loss, shape (K,)."""
         return np.array([0.5 * float(np.sum(self.problem.at(x)[0] ** 2)) for x in self.points])
 
     @cached_property
     def damping(self) -> Array:
-        """Damping lambda of the step from each point, shape (K - 1,): (J'J + lambda S) step = -J'r.
+        """Return the damping lambda of the step from each point, shape (K - 1,): (J'J + lambda S) step = -J'r.
 
         S contains the largest squared norms that the columns of J have had. The damping is that of MINPACK, computed
         from the step.

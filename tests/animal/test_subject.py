@@ -55,7 +55,7 @@ def test_left_and_right_share_their_unknowns():
 
 
 def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
-    """Fit an animal of this shape that two cameras filmed; posed: with its poses known."""
+    """Fit the shape of an animal with the values `true` that two cameras filmed; `posed` states its poses as known."""
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
     options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0)
@@ -109,7 +109,7 @@ def test_lengths_and_offsets_together_are_less_certain():
 
 
 def _run_of(animal: Body) -> np.ndarray:
-    """Return keypoints (T, J, 3), metres, of the run of `truth_m` by another body."""
+    """Return the keypoints (T, J, 3), metres, of another body in the poses of the run `truth_m`."""
     states, *_ = solve_points(BODY, truth_m())
     return animal.detected.pose(states).points_m
 

@@ -40,7 +40,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks a
 
 
 def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str, str]]:
-    """Return (action, reason) of each clip, and run the batch in this process."""
+    """Run the batch in this process, and return the planned action and its reason for each clip."""
     plan = plan_batch(clips, out, overwrite)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("recon.api.batch.run_tasks", run_tasks_here)
@@ -498,13 +498,13 @@ def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path
 
 
 def finished(out: Path) -> dict[str, int]:
-    """Return by clip when the report of each finished clip was written, ns."""
+    """Return the time, ns, at which the report of each finished clip was written, by clip."""
     done = [name for name, row in Record(out / RECORD).rows.items() if "files" in row]
     return {name: (out / name / "report.json").stat().st_mtime_ns for name in done}
 
 
 def some_left(clips: Path, done: dict[str, int]) -> int:
-    """Delete all clips that are left but one, and return how many are left: 1 or 0."""
+    """Delete all unfinished clips but one, and return how many are left: 1 or 0."""
     left = sorted(path for path in clips.glob("*.csv") if path.stem not in done)
     for path in left[1:]:
         path.unlink()

@@ -1,4 +1,4 @@
-"""Test values that are computed from arrays."""
+"""Test the running median of arrays."""
 
 from __future__ import annotations
 

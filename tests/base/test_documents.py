@@ -1,4 +1,4 @@
-"""Test texts that the parsers of the standard library fail on, and files that are no documents."""
+"""Test that JSON and TOML on which Python's parsers crash, and paths that are no regular files, are refused."""
 
 from __future__ import annotations
 

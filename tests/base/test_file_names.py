@@ -52,7 +52,7 @@ for command in " ".join(sys.argv[1:]).split(" then "):
 
 
 def process(*args: object, shell: str = "") -> subprocess.CompletedProcess:
-    """Run `recon ARGS` in its own process; shell: text after the command."""
+    """Run `recon ARGS` in its own process; `shell` is appended to the command, such as a redirection."""
     command = ["bash", "-c", f'"$@" {shell}', "bash", sys.executable, "-m", "recon", *map(str, args)]
     env = {**os.environ, "COLUMNS": "80", "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, capture_output=True, env=env, check=False, timeout=300)

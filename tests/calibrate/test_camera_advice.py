@@ -95,7 +95,7 @@ def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(
 def test_places_in_words():
     assert direction_text(0.0, 0.1) == "ahead of the animal, level with its middle (0°)"
     assert direction_text(np.radians(270), 0.5) == "on the animal's right side, raised (270°)"
-    assert direction_text(np.radians(120), np.radians(80)) == "behind to the animal's left, almost above it (120°)"
+    assert direction_text(np.radians(120), np.radians(80)) == "behind the animal, to its left, almost above it (120°)"
 
 
 @pytest.mark.parametrize("directions", [2, pytest.param(12, marks=pytest.mark.slow)])

@@ -160,7 +160,7 @@ def test_a_cut_is_seen():
 
 
 def driven(way_m: float, turned_rad: float) -> np.ndarray:
-    """Return pictures by a camera that is carried along a wall, 8 m away, 1.5 m above the ground."""
+    """Return pictures of a wall 8 m away, taken by a camera that is carried along it 1.5 m above the ground."""
     dx, dy, dz = (directions(PINHOLE) @ Rotation.from_rotvec([0, turned_rad, 0]).as_matrix().T).T
     to_ground, to_wall = np.where(dy > 1e-3, 1.5 / np.maximum(dy, 1e-3), 1e9), 8 / dz
     far = np.minimum(to_ground, to_wall)

@@ -19,7 +19,7 @@ from recon.testing.cameras import level_pose
 
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
-    """Return the findings on a motion that has only what the rules read."""
+    """Return the findings on the agreement of views, in a stand-in for a motion that has only the fields they need."""
     # A further lag of 0.3 frames that the fit did not find.
     late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)
     leads = [view.offset_frames for view in views]

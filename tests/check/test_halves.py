@@ -24,7 +24,7 @@ def solved(path) -> tuple[ClipProblem, TrajectorySolution]:
 
 
 def later(clip: ClipProblem, half: np.ndarray, frames: int) -> ClipProblem:
-    """Return the clip with the half (J,) of an animal that runs that many frames behind."""
+    """Return the clip with one half, a mask (J,) of the markers, of an animal that runs `frames` frames behind."""
     (view,) = clip.views
     xy_px = view.xy_px.copy()
     xy_px[frames:, half] = view.xy_px[: len(xy_px) - frames, half]

@@ -44,7 +44,7 @@ def dense_system(rng, T, D, W):
 
 
 def blocks_of(dense, T, D, W, outside=0.0):
-    """Return the blocks (T, W + 1, D, D) of a dense matrix; outside: the value of blocks beyond its edges."""
+    """Return the blocks (T, W + 1, D, D) of a dense matrix; blocks beyond its edges have the value `outside`."""
     grid = dense.reshape(T, D, T, D)
     blocks = np.full((T, W + 1, D, D), outside)
     for t in range(T):
@@ -227,7 +227,7 @@ def test_marginals_of_a_stiff_smoother_are_columns_of_the_inverse(rng):
 
 
 def in_pieces(rng, dense, T, D, W, P, stops):
-    """Return a clip's normal equations with P shared unknowns, as pieces that end at the stops, and dense, bordered."""
+    """Return normal equations with P shared unknowns, in pieces that end at `stops` and as a dense system."""
     border, gradient = rng.normal(size=(T, D, P)), rng.normal(size=(T, D))
     flat = border.reshape(T * D, P)
     corner, of_shared = flat.T @ np.linalg.solve(dense, flat) + 2 * np.eye(P), rng.normal(size=P)

@@ -29,7 +29,7 @@ SHIFT, SECOND_SHIFT = 3, 9
 
 
 def likelihood(measured: dict[int, float], sigma_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the precision and the gradient of errors that were measured, each on its own."""
+    """Return the precision (12, 12) and the gradient (12,) of independent measurements of some errors, by index."""
     precision, pull = np.zeros((12, 12)), np.zeros(12)
     for index, value in measured.items():
         precision[index, index], pull[index] = sigma_rad**-2, -value * sigma_rad**-2

@@ -66,7 +66,7 @@ def _pose(camera: Camera) -> np.ndarray:
 
 
 def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...]) -> FitSettings:
-    """Write files of a clip and return its settings; later: frames by which the cameras began after the first."""
+    """Write files of a clip, and return its settings; camera i begins `later[i]` frames after the first."""
     body, files = load_skeleton(skeleton), []
     for camera, first in zip(cameras, later, strict=True):
         files.append(folder / f"run_{camera.name}.csv")

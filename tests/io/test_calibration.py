@@ -63,7 +63,7 @@ def write(tmp_path):
 
 
 def refuses(path, *expected, name=None, **options) -> None:
-    """Check that a file is refused; expected: problems as for `refusal`, without the file."""
+    """Check that a file is refused for the expected problems, given as for `refusal` but without the file."""
     with refusal(*((path, *one) for one in expected)):
         read_camera(path, name, **options)
 

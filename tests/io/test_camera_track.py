@@ -53,7 +53,7 @@ def turning(T: int, by_rad: float = 0.01, centre_m: tuple[float, float, float] =
 
 
 def refuses(text: str, path: Path, *expected: tuple[object, ...]) -> None:
-    """Check that a track is refused; expected: problems as for `refusal`, without the file."""
+    """Check that a track is refused for the expected problems, given as for `refusal` but without the file."""
     path.write_text(text)
     with refusal(*((path, *one) for one in expected)):
         read_camera_track(path)
@@ -368,7 +368,7 @@ def test_frames_without_a_pose_have_no_detections(runs, tmp_path):
 
 
 def panned(runs: Path) -> dict[str, Any]:
-    """Write the sample as a camera that turns to and fro sees it: keypoints and track, for settings."""
+    """Write keypoints and track of the sample as seen by a camera that turns to and fro, and return their settings."""
     (view,) = views_of(
         prepare(FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)).sources
     )

@@ -50,7 +50,7 @@ def save(folder: Path, text: str, name: str = "clip.csv") -> Path:
 
 
 def refuses(path: Path, *expected: tuple[object, ...], individual: str | None = None) -> None:
-    """Check that a file is refused; expected: problems as for `refusal`, without the file."""
+    """Check that a file is refused for the expected problems, given as for `refusal` but without the file."""
     with refusal(*((path, *one) for one in expected)):
         read_keypoints(path, individual)
 

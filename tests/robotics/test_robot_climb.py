@@ -128,7 +128,7 @@ def test_fields_act_along_the_published_directions():
 
 
 def energy(feet_m: np.ndarray, at: np.ndarray) -> float:
-    """Return the energy by quadrature of the slopes from their zero, and of the pull."""
+    """Return the energy of a torso, by numerical integration of the wells' slopes and of the balancing force."""
     r = (feet_m - at[:3, 3]) @ at[:3, :3] - HIPS
     ways = zip(
         (np.linalg.norm(r, axis=1), np.arctan2(r[:, 0], -r[:, 2]), np.arctan2(LEFT * r[:, 1], -r[:, 2])),

@@ -69,7 +69,7 @@ def test_puma_560_against_ikpy(rows, convention, name):
 
 
 def elementary(convention, row, q):
-    """Return one row of a table, multiplied out."""
+    """Return the transform (4, 4) of one row of a table at q, as a product of elementary rotations and translations."""
 
     def turn(axis, angle):
         c, s = np.cos(angle), np.sin(angle)
