@@ -322,7 +322,7 @@ def test_level_by_marks_is_said_and_so_is_what_does_not_fit(pan_film, tmp_path):
     given = ("camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "a.csv")
     ended = run(*given, "--level-marks", tmp_path / "level.csv")
     assert ended.code == 0, ended.err
-    assert "by 1 marks in" in ended.out
+    assert "from 1 mark in" in ended.out
     report = json.loads((tmp_path / "a_report.json").read_text())["by_frame"]
     assert report["roll_deg"][0] == pytest.approx(-np.degrees(np.arctan2(10, 290)), abs=0.05)
     assert report["tilt_deg"][0] == pytest.approx(0.0, abs=0.2)
