@@ -12,16 +12,12 @@ adds what else the command line needs.
 
 from __future__ import annotations
 
-import ast
-import inspect
-import sys
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache
 from inspect import Parameter, Signature
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
 
@@ -184,7 +180,7 @@ class SettingInfo:
         return str(value) if isinstance(value, Path) else value
 
 
-_CONFIG = pydantic.ConfigDict(extra="forbid")
+_CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
 class _ReadableSignature:
@@ -253,7 +249,13 @@ class Settings:
     def infos(cls) -> dict[str, SettingInfo]:
         """Return all settings by name, in their order."""
         types = typing.get_type_hints(cls, include_extras=True)
-        texts = {name: text for part in reversed(cls.__mro__) for name, text in _texts_below_fields(part).items()}
+        field_items = (vars(info).get("__pydantic_fields__", {}).items() for info in reversed(cls.__mro__))
+        texts = {
+            name: " ".join(info.description.split())
+            for items in field_items
+            for name, info in items
+            if info.description
+        }
         infos = {}
         for field in fields(cls):  # pyright: ignore[reportArgumentType]
             metadata = getattr(types[field.name], "__metadata__", ())
@@ -262,28 +264,6 @@ class Settings:
             default = MISSING if isinstance(field.default, FieldInfo) else field.default  # required
             infos[field.name] = SettingInfo(field.name, option, default, tuple(_parts(types[field.name])))
         return infos
-
-
-def _texts_below_fields(cls: type) -> dict[str, str]:
-    """Return the text below each field of a class, by the field's name; nothing if there is no source.
-
-    pydantic's `use_attribute_docstrings` takes 10 ms for a class, because it searches the stack for the class.
-    """
-    if not inspect.get_annotations(cls):
-        return {}
-    try:
-        scope = ast.parse(inspect.getsource(sys.modules[cls.__module__])).body
-    except (OSError, TypeError, KeyError):
-        return {}
-    for name in cls.__qualname__.split("."):
-        named = [node for node in scope if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name]
-        scope = named[-1].body if named else scope
-    return {
-        field.target.id: " ".join(text.value.value.split())
-        for field, text in pairwise(scope)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)
-    }
 
 
 OUTPUTS = ("out", "overlay")
