@@ -120,9 +120,8 @@ def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, s
         elif shape.endswith("AA") and not _is_positive_definite(array):
             problems.append((name, "a matrix that is not positive definite", "covariances"))
         elif name == "weights" and ((array < 0).any() or abs(array.sum() - 1) > 1e-5):
-            problems.append(
-                (name, f"{array.min():g} and more, {array.sum():g} in all", "weights of at least 0 that add up to 1")
-            )
+            actual = f"weights from {array.min():g} that add up to {array.sum():g}"
+            problems.append((name, actual, "weights of at least 0 that add up to 1"))
     return problems
 
 

@@ -173,7 +173,7 @@ def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], time
     """Raise InputError if keypoints have frames that the video does not have."""
     outside = [number for number in points if not 0 <= number < len(times_s)]
     if outside:
-        actual = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({len(times_s)} frames)"
+        actual = f"{len(outside)} of {len(points)} frames outside {s.video}, which has {len(times_s)} frames"
         if note := missing_note(s.video, times_s, s.first_frame):
             actual += f"; {note}"
         raise InputError(

@@ -68,7 +68,7 @@ def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
         if track is not None and track.intrinsics_px is not None:
             track_px, camera_px = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
             if not camera_px / MOST_ZOOM <= track_px <= camera_px * MOST_ZOOM:
-                expected = f"about the {camera_px:.4g} px of the camera file, or {MOST_ZOOM} times more or less"
+                expected = f"within a factor of {MOST_ZOOM} of the camera file's {camera_px:.4g} px"
                 yield Problem(track.source, "fx", f"{track_px:.4g} px (median)", expected)
 
 
@@ -105,7 +105,7 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     times = keypoints.frames * fps / keypoints.fps
     frames = np.arange(int(np.ceil(times[0])), int(np.floor(times[-1])) + 1)
     if len(times) < 2 or not len(frames):
-        expected = f"two or more frames that last as long as one frame at {fps:g} Hz"
+        expected = f"two or more frames that together last at least one frame at {fps:g} Hz"
         raise InputError(Problem(keypoints.source or "keypoints", "frames", str(len(times)), expected))
     next_rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
     share = ((frames - times[next_rows - 1]) / (times[next_rows] - times[next_rows - 1]))[:, None]

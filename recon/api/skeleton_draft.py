@@ -359,8 +359,8 @@ def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Ar
     kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
     frames_together = seen[:, kept].T.astype(int) @ seen[:, kept]
     if len(kept) < MIN_JOINTS or frames_together.min() < FEWEST_FRAMES:
-        actual = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
-        expected = f"{MIN_JOINTS} or more, every pair of them in some frames"
+        actual = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all in the same frames"
+        expected = f"{MIN_JOINTS} or more, with every pair in {FEWEST_FRAMES} common frames"
         raise InputError(Problem(source, "keypoints", actual, expected))
     return points_m[:, kept], [names[k] for k in kept.tolist()]
 

@@ -182,7 +182,7 @@ def evaluate_files(
     notes += () if rename else tuple(_other_names(pose, truth, result))
     if _is_result(truth_path) and not _is_result(pose_path):
         notes += (
-            f"the reference, {truth_path}, is a result of recon fit, the evaluated file is not: are the two exchanged?",
+            f"the reference ({truth_path}) is a result of recon fit, but the other file is not: are they exchanged?",
         )
     return replace(result, notes=tuple(dict.fromkeys(notes)))
 

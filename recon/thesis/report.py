@@ -111,7 +111,7 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         yield "speed", f"unknown from this camera: {reason}"
     else:
         run = f"about {number(run_m_s, '.0f')} m/s if the animal ran straight"
-        yield "speed", f"{run}; this camera shows no more: {reason}"
+        yield "speed", f"{run}; not known more closely: {reason}"
     yield "heading", heading_text(data["heading_to_picture_rad"])
 
 

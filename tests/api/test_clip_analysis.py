@@ -252,7 +252,7 @@ def test_without_a_path_the_straight_run_has_the_speed(frame_results, one_sided)
     assert summarise(one_sided, "clip")["speed"]["doubt"] is None
     free = replace(motion.solution, path=None)  # as with path=free
     told = dict(build_report(replace(motion, solution=free))["lines"])
-    assert told["speed"].startswith("about 14 m/s if the animal ran straight; this camera shows no more")
+    assert told["speed"].startswith("about 14 m/s if the animal ran straight; not known more closely: ")
 
 
 def test_too_few_poses(frame_results):

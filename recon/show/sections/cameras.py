@@ -87,5 +87,5 @@ def _estimated_text(motion: Motion, camera: dict[str, Any]) -> str:
         shift = length_text(*(float(np.linalg.norm(correction[name])) for name in ("shift_m", "shift_sigma_m")))
         text += f"; turned by {plus_minus(turn, turn_sigma, '°')} and moved by {shift}"
     if (focal := camera["focal"]) is not None:
-        text += f"; focal length times {plus_minus(focal['factor'], focal['sigma'])}"
+        text += f"; focal length {plus_minus(focal['factor'], focal['sigma'])} times the given one"
     return text

@@ -94,7 +94,7 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     names = ", ".join(f"{name} {count}" for count, name in with_outliers[:3])
     listed_names = names + (", ..." if len(with_outliers) > 3 else "")
     joints = f": {listed_names}" if with_outliers else ""
-    yield "outliers", f"{totals['outliers']} of the {used} detections used disagree with the pose{joints}"
+    yield "outliers", f"{totals['outliers']} of the {used} used detections disagree with the pose{joints}"
 
 
 def medians_px(motion: Motion) -> Array:
