@@ -82,7 +82,7 @@ AXES = "tilt", "pan", "roll"
 
 
 def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]:
-    """Return the change of a clip that turns one camera of a pair and sets the settings of the fit."""
+    """Return a function that turns one camera of a pair, and gives the fit its settings."""
     turned_camera = task.clip.cameras[-1 if task.turned == "second" else 0]
 
     def change(clip: Clip, given: Given) -> Given:

@@ -1,4 +1,4 @@
-"""Choose how tightly the frame method's poses are tied to the path on all runs but one, and test this on that run.
+"""Choose how tightly the frame method ties poses to the path on all runs but one, and test the choice on that run.
 
     python benchmarks/parts/path_ties.py [FOLDER] [--ties M ...]
 
@@ -22,7 +22,7 @@ from recon.thesis import solver
 from recon.thesis.solver import FrameSolver
 
 FREE_M = 1000.0
-"""A tie so loose that it has no effect."""
+"""Standard deviation of a tie so loose that it has no effect, metres."""
 TIES_M = (0.01, 0.1, 0.5, FREE_M)
 MORE_PX = 0.2
 """Largest excess of the median error over that of frames without a tie, pixels."""
@@ -45,7 +45,7 @@ class FirstSolutions:
 
 
 def summary(table: pd.DataFrame) -> list[str]:
-    """Return the cells of one tie."""
+    """Return the cells of the results of one tie."""
     return [
         f"{table['error_px'].median():.2f}, {table['error_px'].mean():.2f}",
         f"{table[table['named']]['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.1f}",

@@ -6,7 +6,7 @@
 in_NUMBER.npz in FOLDER has pixels without lens distortion (C, T, K, 2), the cameras' focal lengths (C,) and poses as
 rotation vectors and translations (C, 3), the frame rate, pairs of keypoints with a constant distance (N, 2), and
 recon's triangulation: positions (T, K, 3), and which detections they come from (C, T, K). out_NUMBER.npz gets the
-positions (T, K, 3) of each program, NaN where it gives none, and its processor time in seconds.
+positions (T, K, 3) of each program, NaN if unknown, and its processor time in seconds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import pandas as pd
 
 
 def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the positions by aniposelib's optimiser, on the detections that recon's triangulation uses.
+    """Return positions from aniposelib's optimiser, given the detections that recon's triangulation uses.
 
     aniposelib's own robust subsets try all subsets of cameras for each point, which takes minutes for half a second of
     six cameras.
@@ -38,7 +38,7 @@ def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def by_pose2sim(given: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the positions by Pose2Sim, which leaves out outlying cameras, fills gaps, and fits splines.
+    """Return positions from Pose2Sim, which leaves out outlying cameras, fills gaps, and fits splines.
 
     The settings are those of Pose2Sim's demo, except that the filter is a spline that chooses its own smoothness. The
     demo's cut-off of 6 Hz suits a walking person.

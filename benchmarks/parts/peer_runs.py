@@ -55,7 +55,7 @@ class PeerClip:
 
 
 def peer_python() -> Path | None:
-    """Return the Python of the other programs, which are installed if missing; None if that fails."""
+    """Install the other programs if they are missing, and return their Python interpreter; None if that fails."""
     python = ENVIRONMENT / "bin" / "python"
     if works(python):
         return python
@@ -70,7 +70,7 @@ def peer_python() -> Path | None:
 
 
 def works(python: Path) -> bool:
-    """Return whether a Python has the other programs in the pinned versions."""
+    """Return whether a Python interpreter has the other programs in the pinned versions."""
     if not python.is_file():
         return False
     pairs = [requirement.split("==") for requirement in (*PINNED, *PINNED_ALONE)]
@@ -79,7 +79,7 @@ def works(python: Path) -> bool:
 
 
 def outside() -> dict[str, str]:
-    """Return environment variables with which Python does not find the project."""
+    """Return the environment without the variables by which Python finds the project."""
     return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 

@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def row(clip: SyntheticClip, seed: int) -> list[str]:
-    """Return the results for one set of faults."""
+    """Return the cells of a row: the numbers of faults and of listed faults, and the errors of the three fits, mm."""
     exact = clip.keypoints
     noisy, with_faults, faults = detections(clip, np.random.default_rng(seed))
     with tempfile.TemporaryDirectory() as folder:
@@ -64,7 +64,7 @@ def row(clip: SyntheticClip, seed: int) -> list[str]:
 
 
 def detections(clip: SyntheticClip, rng: np.random.Generator) -> tuple[Keypoints, Keypoints, set[tuple[int, int]]]:
-    """Return a clip's detections with noise, the same detections with faults, and the cells of the faults."""
+    """Return a clip's detections with noise, the same detections with faults, and the faults as (frame, keypoint)."""
     exact = clip.keypoints
     noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
     xy_px, faults = noisy.xy_px.copy(), dict(planted(noisy, rng))
@@ -74,7 +74,7 @@ def detections(clip: SyntheticClip, rng: np.random.Generator) -> tuple[Keypoints
 
 
 def planted(keypoints: Keypoints, rng: np.random.Generator) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Yield the cell of each fault, and the position of its wrong detection."""
+    """Yield the cell (frame, keypoint) of each fault, and the wrong position there, pixels."""
     taken: set[tuple[int, int]] = set()
     free = {(int(t), int(k)) for t, k in np.argwhere(keypoints.present)}
     T, K = keypoints.present.shape

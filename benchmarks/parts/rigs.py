@@ -1,4 +1,4 @@
-"""Fit animals of 0.1 m, 1 m and 2 m in simulated cameras, with proportions that differ from the skeleton's.
+"""Fit animals of 0.1 m, 1 m and 2 m seen by simulated cameras, with proportions that differ from the skeleton's.
 
     python benchmarks/parts/rigs.py [--animals mouse-top dog-27 human-25] [--seeds 4] [--cameras 4 1] [--refine]
 

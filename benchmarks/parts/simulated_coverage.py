@@ -11,8 +11,7 @@ Each clip draws a motion, a size, a camera and a detector's errors as the trajec
 - path: straight, at 6 to 14 m/s, in all directions
 - camera: 40 to 100 degrees wide; the animal is 3 to 12 m away and up to 1.5 m below
 - detections: noise with a correlation time, keypoint bias, the camera's time offset, 5 % of gross outliers, and
-randomly
-  missing points
+  randomly missing points
 
 If the uncertainty is right, the 50 and 90 % regions contain the truth in 50 and 90 % of the cases, and the rank of the
 true distance in its distribution is uniform (Kolmogorov-Smirnov, p > 0.05).

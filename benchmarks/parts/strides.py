@@ -67,7 +67,7 @@ def plate_rows() -> list[dict]:
 
 
 def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
-    """Return the clip as fitted by the skeleton, with amplified angles of the left limbs (right if mirrored)."""
+    """Replace a clip's markers by a fit of the skeleton, with amplified angles of the left (mirrored: right) limbs."""
     body = body_of()
     states = solve_points(body, clip.markers(body))[0]
     prefix = "r_" if mirrored else "l_"
@@ -80,7 +80,7 @@ def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
 
 
 def fit_changed(seen: Clip, seed: int, kept: Path) -> Motion:
-    """Return the fit of one camera's view, loaded from a folder if the folder has it."""
+    """Fit one camera's view, or load the fit from the folder `kept` if it is there."""
     if (kept / "motion.npz").is_file():
         return Motion.load(kept)
     with tempfile.TemporaryDirectory() as folder:

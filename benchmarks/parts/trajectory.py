@@ -592,9 +592,10 @@ def times(runs: Sequence[Path]) -> dict[str, Rows]:
 def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np.ndarray]:
     """Return views of an animal that runs in a circle, and its joints (T, J, 3), world frame.
 
-    The circle has a radius of 6 m, 10 to 22 m away. Detections have 3 px of noise, and 5 % are missing. The animal
-    makes three strides per second along the prior's two widest directions. The second camera is at the same distance
-    from the middle, a quarter of the circle further on.
+    The circle has a radius of 6 m, and the animal is 10 to 22 m from the first camera. Detections have 3 px of noise,
+    and 5 % are missing. The animal makes three strides per second, in which its pose varies along the two directions of
+    largest variance in the prior. The second camera is at the same distance from the middle, a quarter of the circle
+    further on.
     """
     body, prior, rng = body_of("phantom"), prior_of(PRIOR), np.random.default_rng(0)
     values, vectors = np.linalg.eigh(prior.covariance)

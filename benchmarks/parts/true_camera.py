@@ -70,7 +70,7 @@ def log_likelihood(motion: Motion) -> float:
 
 
 def fit(clip: Clip, name: str, as_given: bool = False) -> tuple[Motion, Given] | None:
-    """Return the fit of a case, with the poses as given if asked for; None if it is refused."""
+    """Fit a case, with the cameras' poses as given if `as_given`; return None if the fit is refused."""
     case = CASES[name]
 
     def change(clip: Clip, given: Given) -> Given:

@@ -92,7 +92,7 @@ MISPLACED = (*OFF, "pair_refined")
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Real origin of keypoints: the run, the camera, and the delay of the frame numbers."""
+    """The run and the camera that really recorded some keypoints, and the delay of their frame numbers."""
 
     run: Path
     camera: Camera
