@@ -155,19 +155,31 @@ class ClipAnalysis(Brief):
         """Return the angles at the inner joints of each limb and, if the skeleton has a spine, its flexion, by name."""
         # A displacement of all joints together does not change the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
-        result, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
+        result, fps = {}, self.motion.fps
         for along in limb_chains(self.motion).values():
             for i in range(1, len(along) - 1):
                 if along[i] not in result:
                     joints = along[i - 1], along[i], along[i + 1]
                     result[along[i]] = kinematics.joint_angle(self.pose, joints, fps, errors)
+        if (joints := self._spine) and np.ptp(kinematics.joint_angle(self.pose, joints, fps).range_rad) > STIFF_RAD:
+            result["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, joints)
+        return result
+
+    @property
+    def _spine(self) -> tuple[str, str, str] | None:
+        """Return the rear, the middle and the front marker of the back, or None if the skeleton has no such markers.
+
+        If the skeleton's anatomy does not name them, the middle is the middle marker of the limb along the back.
+        """
+        if named := self.motion.body.anatomy.get("spine"):
+            return named
+        rear, front = self.motion.forward_names
+        for along in limb_chains(self.motion).values():
             if {rear, front} <= {*along}:
                 first, last = sorted((along.index(rear), along.index(front)))
                 if between_ends := along[first + 1 : last]:
-                    joints = rear, between_ends[len(between_ends) // 2], front
-                    if np.ptp(kinematics.joint_angle(self.pose, joints, fps).range_rad) > STIFF_RAD:
-                        result["spine_flexion"] = kinematics.spine_flexion(self.pose, fps, errors, joints)
-        return result
+                    return rear, between_ends[len(between_ends) // 2], front
+        return None
 
     @cached_property
     def skeleton_angles(self) -> dict[str, AngleKinematics]:

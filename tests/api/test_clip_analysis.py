@@ -419,6 +419,16 @@ def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whol
     assert {"spine_flexion_rad", f"{one_sided.motion.posture_names[0]}_sigma_rad"} <= {*columns}
 
 
+def test_the_back_bends_at_the_spine_of_the_anatomy(whole):
+    """The back bends at the spine of the anatomy, also if a marker on the skin above it follows in the trunk's limb."""
+    solution, body = whole.motion.solution, whole.motion.body
+    limbs = body.limbs | {"trunk": ("tail_base", "spine", "r_shoulder", "neck_base")}
+    assert body.limbs["trunk"] == body.anatomy["spine"] == ("tail_base", "spine", "neck_base")
+    longer = replace(whole.motion, solution=replace(solution, body=replace(body, limbs=limbs)))
+    found = analyse(longer).angles["spine_flexion"]
+    np.testing.assert_array_equal(found.series.value, whole.angles["spine_flexion"].series.value)
+
+
 def test_a_back_of_one_segment_has_no_flexion(whole):
     """A back of one segment has no flexion, even if it rolls and seems to bend in the vertical plane."""
     solution, rolls = whole.motion.solution, Rotation.from_euler("x", np.linspace(0.0, 0.5, 60)[:, None]).as_matrix()
