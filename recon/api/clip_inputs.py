@@ -16,9 +16,10 @@ from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
 from recon.api.clip_cameras import Cameras, ClipCamera, read_clip_cameras
 from recon.api.inside_picture import require_inside
-from recon.api.settings import FitSettings
+from recon.api.settings import UNITS_M, FitSettings
 from recon.base.arrays import mean_along
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.check.sights import triangulated_m
 from recon.clip import (
     Keypoints,
     Source,
@@ -28,6 +29,7 @@ from recon.clip import (
     fill_from_nearest,
     leave_out,
     parse_frame_range,
+    views_of,
 )
 from recon.fit.result import Finding
 from recon.io.corrections import read_corrections, with_corrections
@@ -45,6 +47,15 @@ FEW_OF_FILE = 0.5
 """Fraction of the file's keypoints that are in the skeleton, below which it may have other names than the skeleton.
 
 Both fractions have to be small: a file may have many further points, or only a few of a large skeleton.
+"""
+KNOWN_FOR_UNIT = 0.5
+"""Fraction of the markers that several cameras have to see in a frame for the frame to show the calibration's unit."""
+LOG_SIZE_OF_UNIT = math.log(2.0)
+"""Largest deviation of the logarithm of the animal's size in a unit that the calibration can have."""
+LEAST_BETWEEN_UNITS = 50.0
+"""Factor between two units above which the animal's size distinguishes them.
+
+An animal may be a tenth as large as its skeleton, so centimetres and millimetres are not distinguished.
 """
 HEIGHT_SIGMA = 0.05
 """Relative standard deviation of a size computed from the height at the withers, within a species.
@@ -126,6 +137,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
     inputs = ClipInputs(body_with_offsets, prior, sources, later_frames, fps, side, reason)
     cameras = [source.camera for source in sources]
+    _require_unit(inputs, settings)
     up_is_unknown = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
     if len(cameras) == 1 or not up_is_unknown or settings.up is not None:
         return inputs
@@ -135,6 +147,40 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
         inputs.sources, sources, body_with_offsets, fps, settings.trajectory_options().sigma_px
     )
     return replace(inputs, sources_apart=turned, findings=findings)
+
+
+def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
+    """Raise InputError if the rays of several cameras meet in an animal as large as in another unit of the calibration.
+
+    A fit cannot find the unit: it keeps the animal's size and moves the animal to one of the cameras.
+    """
+    views = views_of(inputs.sources)
+    if len(views) < 2 or not all(view.camera.has_extrinsics for view in views):
+        return
+    points_m = triangulated_m(views, settings.trajectory_options().sigma_px, 0.0)
+    expected_m = inputs.body.tree.pose(np.zeros((1, inputs.body.n_state))).points_m[0]
+    known = np.isfinite(points_m).all(axis=2)
+    times = [
+        _spread(row[seen]) / _spread(expected_m[seen])
+        for row, seen in zip(points_m, known, strict=True)
+        if seen.mean() >= KNOWN_FOR_UNIT
+    ]
+    if not any(times):
+        return
+    size, given_m = float(np.median([of for of in times if of > 0])), UNITS_M[settings.camera_unit]
+    for unit, metres in UNITS_M.items():
+        is_far = abs(math.log(metres / given_m)) > math.log(LEAST_BETWEEN_UNITS)
+        if is_far and abs(math.log(size * metres / given_m)) < LOG_SIZE_OF_UNIT:
+            times_text = f"{size:.0f}" if size > 1 else f"{size:.1g}"
+            actual = f"{settings.camera_unit}, in which the animal is {times_text} times as large as expected"
+            raise InputError(
+                Problem("--camera-unit", "camera_unit", actual, f"the calibration's unit, probably {unit}")
+            )
+
+
+def _spread(points_m: np.ndarray) -> float:
+    """Return the median distance of points (J, 3) from their median, which a few outliers do not change."""
+    return float(np.median(np.linalg.norm(points_m - np.median(points_m, axis=0), axis=1)))
 
 
 def read_model_and_cameras(settings: FitSettings) -> SharedInputs:

@@ -86,6 +86,9 @@ def test_cameras_in_millimetres(runs):
     (runs / "in_mm.json").write_text(json.dumps(scene))
     in_mm = settings(runs, 1, 2, camera=runs / "in_mm.json", camera_unit="mm")
     np.testing.assert_allclose(places_m(in_mm), places_m(settings(runs, 1, 2)), rtol=1e-12)
+    for scene_file, given, right in (("in_mm.json", "m", "mm"), ("scene.json", "mm", "m"), ("scene.json", "cm", "m")):
+        with refusal(("--camera-unit", "camera_unit", [given, "times as large"], f"probably {right}")):
+            prepare(settings(runs, 1, 2, camera=runs / scene_file, camera_unit=given))
     with refusal(("settings", "camera_unit", "'mm'", "--camera")):
         FitSettings(keypoints=(Path("a.csv"),), hfov_deg=60, image_size_px=(9, 9), camera_unit="mm")
 
