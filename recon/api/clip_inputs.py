@@ -167,7 +167,7 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
     ]
     if not any(times):
         return
-    size, given_m = float(np.median([of for of in times if of > 0])), UNITS_M[settings.camera_unit]
+    size, given_m = float(np.median([ratio for ratio in times if ratio > 0])), UNITS_M[settings.camera_unit]
     for unit, metres in UNITS_M.items():
         is_far = abs(math.log(metres / given_m)) > math.log(LEAST_BETWEEN_UNITS)
         if is_far and abs(math.log(size * metres / given_m)) < LOG_SIZE_OF_UNIT:

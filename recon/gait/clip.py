@@ -169,9 +169,10 @@ class ClipAnalysis(Brief):
     def _spine(self) -> tuple[str, str, str] | None:
         """Return the rear, the middle and the front marker of the back, or None if the skeleton has no such markers.
 
-        If the skeleton's anatomy does not name them, the middle is the middle marker of the limb along the back.
+        If the skeleton's anatomy names none that the motion has, the middle is that of the limb along the back.
         """
-        if named := self.motion.body.anatomy.get("spine"):
+        named = self.motion.body.anatomy.get("spine")
+        if named and {*named} <= {*self.motion.names}:
             return named
         rear, front = self.motion.forward_names
         for along in limb_chains(self.motion).values():
