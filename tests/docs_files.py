@@ -76,7 +76,7 @@ def pose() -> Pose3D:
 
 
 def _first(count: int) -> Callable[[Path], None]:
-    """Return a maker of the first frames of the sample, for pages that need no more."""
+    """Return a function that writes the first `count` frames of the sample, for pages that need no more."""
 
     def make(path: Path) -> None:
         lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
@@ -86,7 +86,7 @@ def _first(count: int) -> Callable[[Path], None]:
 
 
 def _clips(path: Path) -> None:
-    """Write two clips, the first 20 frames of the sample."""
+    """Write two clips, each with the first 20 frames of the sample."""
     path.mkdir()
     lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
     for name in ("run1", "run2"):
@@ -94,7 +94,7 @@ def _clips(path: Path) -> None:
 
 
 def _filmed_twice(folder: Path, name: str) -> None:
-    """Write the sample run of two cameras, its first 15 frames."""
+    """Write the keypoint files of two cameras with the first 15 frames of the sample run."""
     folder.mkdir(exist_ok=True)
     for camera in ("cam1", "cam2"):
         lines = (SAMPLES / f"whole_{camera}.csv").read_text().splitlines(keepends=True)

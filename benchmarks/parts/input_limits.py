@@ -89,7 +89,7 @@ STATISTICS = {
 """The limit of each statistic, and the cases in which it is shown."""
 
 Statistics = dict[str, float]
-"""Values of one clip by the names of `STATISTICS`, those left out that do not apply."""
+"""Values of one clip by the names of `STATISTICS`, without statistics that do not apply to the clip."""
 
 
 @dataclass(frozen=True)

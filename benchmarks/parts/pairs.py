@@ -96,7 +96,7 @@ def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]
 
 
 def tasks(options: argparse.Namespace) -> Iterator[Task]:
-    """Yield the fits that the command line asks for."""
+    """Yield the fits selected by the options."""
     for run in runs_of(recordings("cheetah-runs")):
         names = cameras_of(run)
         others = sorted(names[1:], key=partial(detections, run), reverse=True)[: options.pairs]

@@ -70,7 +70,7 @@ class MotionPrior:
     drift: Array
     """Matrix (A, 2A) of the model of accelerations, d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
     acceleration_covariance: Array
-    """Covariance of the noise in this model, rad^2/s^4, shape (A, A)."""
+    """Covariance of the noise in the model of accelerations, rad^2/s^4, shape (A, A)."""
     source: str
     """Source of the poses, as text."""
     segments: tuple[SegmentRow, ...] = ()

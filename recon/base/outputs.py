@@ -58,7 +58,7 @@ class WrittenFile:
     results: str | None = None
     """Results folder that the file was made from, relative to the file's folder, or None."""
     manifest: str | None = None
-    """SHA-256 of the manifest of these results at that time."""
+    """SHA-256 of the results' manifest when the file was made from them, or None."""
     is_named: bool = False
     """Whether the user named this very file, which is then kept when the results it was made from are removed."""
 

@@ -31,7 +31,7 @@ The second is tried if the first fits better than the given focal length, or if 
 much shorter lens would move the animal behind the nearest cameras.
 """
 LONGER = (0.2, 0.4)
-"""Logarithms of the factors above 1 that are tried, in the same way."""
+"""Logarithms of the factors above 1 that are tried on the focal length, in the same order as `SHORTER`."""
 USUAL = -0.12
 """Mean of the logarithms of the estimated factors in correct views."""
 SPREAD = 0.15

@@ -252,14 +252,14 @@ CURVED_PX = 0.1
 Points on a straight line are on a cubic, too.
 """
 LONG = 1.45
-"""Ratio to the steps around it above which a step is long.
+"""Length of a step relative to the steps around it above which the step is long.
 
 In 32 real views at most 0.12 of the steps are long, also with half of their points missing, a side hidden, or an animal
 that comes into the picture. The fraction is 0.06 to 0.29 (median 0.19) if a quarter of the frames is left out (`python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
 SHORT = 0.5
-"""Ratio to the steps around it below which a step is short."""
+"""Length of a step relative to the steps around it below which the step is short."""
 SHARE_LONG = 0.13
 """Fraction of long steps above which frames were left out, if less than half as many steps are short.
 
@@ -272,7 +272,7 @@ Swinging legs, seen on their own or by a camera that follows, are fast for sever
 was left out is long by itself.
 """
 SHARE_ALONE = 0.4
-"""Smallest fraction of the long steps that have this ratio if frames were left out.
+"""Smallest fraction of the long steps whose ratio exceeds `ALONE` if frames were left out.
 
 The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames (`python
 benchmarks/wrong_inputs.py --only input-limits`).

@@ -36,7 +36,7 @@ EXTRAS = {
 }
 """Purpose of each optional extra."""
 MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "tables"}
-"""Modules by distribution, for distributions that another one can replace: opencv-python, or a custom build."""
+"""Module of each distribution that another distribution can replace, such as opencv-python or a custom build."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
 """Largest accepted error of the sample, mm, twice the usual error; a larger error means that the solver is broken."""

@@ -17,7 +17,7 @@ from recon.cli.answers import Answer, table_of
 from recon.cli.commands import OptionsOf
 
 MANY_LEFT_OUT = 0.2
-"""Fraction of a camera's detections in disagreement with the other cameras above which this is reported."""
+"""Fraction of a camera's detections in disagreement with the other cameras above which a note names the camera."""
 
 
 class _TriangulateSettings(Settings):

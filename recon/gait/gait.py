@@ -27,9 +27,12 @@ from recon.io.common import Pose3D
 PERIOD_OF_CLIP = (0.5, 1 / 0.6)
 """Shortest and longest period searched for in a clip without a complete stride, relative to the clip's duration."""
 PERIOD_SIGMA = 0.08
-"""Relative standard deviation of this period, measured on clips of a dog that last 0.7 to 1.2 of a stride."""
+"""Relative standard deviation of a period found without a complete stride.
+
+It was measured on clips of a dog that last 0.7 to 1.2 of a stride.
+"""
 PERIODIC = 0.9
-"""Smallest fraction of the variance of the feet's motion that the period has to explain."""
+"""Smallest fraction of the variance of the feet's motion that a period has to explain to be used."""
 AGREE = 0.2
 """Relative tolerance of a stride's duration. A stride with a missed stance is twice as long, whereas the ends of a
 correct stride are wrong by at most two of about ten frames.

@@ -363,7 +363,7 @@ def joint_angle(
         Errors(angle_sigma(angle_of, points, error.sigma[:, joint_rows]), error.correlation_s) for error in errors
     ]
     for stated in angle_errors:
-        # Near straight the angle cannot be differentiated, so its linearised standard deviation is unknown.
+        # At a nearly straight joint the angle cannot be differentiated, so its linearised sigma is unknown.
         angle = np.where(np.isfinite(stated.sigma) & (stated.sigma > 0), angle, np.nan)
     result = angle_kinematics(frame_times(pose.frames, fps), angle, angle_errors, **options)
     if angle_of is not angle_between or not errors:

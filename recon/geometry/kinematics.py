@@ -476,7 +476,7 @@ def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array
 
 
 def derivatives_of(tree: Tree, moved_now: Moved) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Return the result of `derivatives` for a state, from that of `Tree.moved`."""
+    """Return first and second derivatives as `derivatives` does, given the result of `Tree.moved` for one state."""
     plan, J = tree.plan, len(tree.markers)
     _, axes, moved = moved_now
     axes, moved = axes[..., 0], moved[..., 0]

@@ -85,7 +85,7 @@ class Armature:
     root_m: Array
     """(T, 3): origin of the first bone."""
     pose: Pose3D
-    """The joints in these frames, z up."""
+    """Positions of the joints in the T frames, z up."""
     fps: float
     notes: tuple[str, ...]
 

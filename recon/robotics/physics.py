@@ -61,13 +61,13 @@ CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8
 has to leap higher to be in the air for the same fraction of a stride.
 """
 DEGREE = 5
-"""Degree of the polynomials that describe how forces rise and fall."""
+"""Degree of the polynomials that describe how a foot's force rises and falls over a stance."""
 MOST = 10.0
-"""Largest coefficient of these polynomials, as a fraction of the weight."""
+"""Largest coefficient of the polynomials that describe a foot's force, as a fraction of the weight."""
 TURNS = 12
-"""Largest number of steps of `carried`."""
+"""Largest number of optimisation steps in `carried`."""
 HOPELESS = 50.0
-"""Excess over the limits after three steps above which further steps are not worth trying."""
+"""Excess over the limits after three optimisation steps above which `carried` gives up."""
 UNIT = 0.02
 """Unmet part of the weight that gives a residual of 1, as a fraction of the weight."""
 TORQUE = 0.05

@@ -34,7 +34,7 @@ STEPS = 6
 ROUNDS = 4
 """Number of iterations to find the rotation between two pictures for a given focal length."""
 COARSE_ROUNDS = 2
-"""Number of iterations to find this rotation while trial focal lengths are compared."""
+"""Number of iterations to find the rotation between two pictures while trial focal lengths are compared."""
 PAIR_FLOOR_PX = 0.15
 """Error common to all points of a pair of pictures."""
 
