@@ -121,7 +121,7 @@ UPWARD = {
 
 
 class Syntax(NamedTuple):
-    """Nodes of a file's syntax tree, with those inside functions."""
+    """Nodes of a file's syntax tree: all, those inside functions, and the statements at the top."""
 
     nodes: list[ast.AST]
     local: list[ast.AST]

@@ -58,7 +58,7 @@ Change = Callable[[Sequence[View]], list[View]]
 
 
 def with_pixels(view: View, xy_px: np.ndarray) -> View:
-    """Return a view with other detections."""
+    """Return a view with its detections replaced by other pixels (T, K, 2), NaN if missing."""
     return replace(view, xy_px=xy_px, confidence=np.isfinite(xy_px[..., 0]).astype(float))
 
 

@@ -29,7 +29,7 @@ METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory":
 def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float, float, bool]:
     """Return a view's errors and stated standard deviations.
 
-    They are the error and standard deviation of the velocity, the RMS of their quotient, the error and standard
+    The results are the error and standard deviation of the velocity, the RMS of their quotient, the error and standard
     deviation of the net acceleration, and whether the fit states the speed as known.
     """
     said = ClipAnalysis(motion)

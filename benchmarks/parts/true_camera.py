@@ -51,7 +51,7 @@ CLEAR = 3.0
 
 
 def log_likelihood(motion: Motion) -> float:
-    """Return the log-likelihood of a motion, up to a constant of its keypoints."""
+    """Return the log-likelihood of a motion, up to a constant that depends only on its keypoints."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     cost = sum(value for name, value in solution.cost_by_term.items() if name != SIZE)

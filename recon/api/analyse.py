@@ -187,17 +187,19 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     rejections = [] if gait is None else [rejection_text(stride) for stride in gait.rejected_strides]
     yield from rejections[:MOST_REASONS]
     if (count_more := len(rejections) - MOST_REASONS) > 0:
-        yield f"{counted(count_more, 'more stride')} left out for similar reasons."
+        yield f"Not counted for similar reasons: {counted(count_more, 'more stride')}."
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."
         yield "Forces were validated on galloping cheetahs on level ground."
         yield from (sentence(finding, named=False) for finding in findings_of_dynamics(motion, analysis.dynamics))
     elif motion.side is None and gait is not None:
-        yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."
+        yield "The skeleton has no masses ([mass]), so centre of mass, energies and forces are not computed."
     if gait is not None and analysis.stride is None:
-        yield "No complete stride in the clip: no joint_flexion; side view and phase portraits show the whole clip."
+        yield "The clip has no complete stride, so joint_flexion is not drawn."
+        yield "The side view and the phase portraits show the whole clip."
     elif gait is not None and not gait.strides and analysis.stride is not None and analysis.stride.at == "return":
-        yield "No complete stride in the clip: no joint_flexion; phase portraits show a foot's nearest return."
+        yield "The clip has no complete stride, so joint_flexion is not drawn."
+        yield "The phase portraits show the nearest return of a foot to its position."
 
 
 def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:

@@ -164,7 +164,7 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
     paths = [settings.out.with_name(name) for name in motion_files(settings.out)]
     lost_count, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost_count} of {report['frames']} frames have a pose, {keyframes}."]
-    lines += [f"Too little background in {counted(lost_count, 'frame')}: no pose there."] if lost_count else []
+    lines += [f"No pose, because of too little background: {counted(lost_count, 'frame')}."] if lost_count else []
     residual, sigma = quantity(report["residual_px"], 2, "px"), quantity(report["sigma_deg"], 3, "°")
     lines.append(f"Residual of the background: {residual}. Uncertainty of the camera's direction: ±{sigma}.")
     notes = report["notes"][len(NOTES) :]

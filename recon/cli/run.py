@@ -82,7 +82,7 @@ class _RunSettings(Settings):
     keypoints: Path | None = None
     """Keypoint file to use instead of a network; with a folder of videos, the folder of their keypoint files."""
     corrections: Path | None = None
-    """Detections that were corrected by hand, of one video. (default: corrections.csv in --out, if there is one)"""
+    """Detections that were corrected by hand, for one video. (default: corrections.csv in --out, if there is one)"""
     camera_motion: Literal["turns", "zooms"] | None = None
     """Motion of the camera, to be found from the background: turns or zooms. (default: the camera stands still)"""
     start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None

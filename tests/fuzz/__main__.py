@@ -3,8 +3,8 @@
     python -m tests.fuzz [--cases 100000] [--seed 0] [--jobs 2] [--first 0]
     python -m tests.fuzz --case 1234 --seed 0     # repeat one case with its traceback, and keep its file
 
-The package's own writers make files of every kind. They are damaged (`mutations.py`) and read in children with limits
-of time and memory (`pool.py`). `--real` also takes files from the recordings' folder (`RECON_SHARED_DATA`, see
+The package's own writers make files of every kind. These files are damaged (`mutations.py`), and read in children with
+limits of time and memory (`pool.py`). `--real` also takes files from the recordings' folder (`RECON_SHARED_DATA`, see
 CONTRIBUTING.md). The script prints the outcomes by cause, and ends with 1 if a file was neither read nor refused. It
 needs Unix.
 """

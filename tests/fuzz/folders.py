@@ -74,7 +74,7 @@ def require_same(before: Snapshot, folder: Path) -> None:
 
 
 def _emptied(path: Path) -> Path:
-    """Return a new folder next to a case's file."""
+    """Return a new, empty folder next to a case's file."""
     folder = path.with_name("tree")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()

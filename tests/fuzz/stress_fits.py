@@ -262,7 +262,7 @@ class Case:
     """A fit of a damaged clip."""
 
     method: str
-    """frame or trajectory."""
+    """Method of the fit, "frame" or "trajectory"."""
     skeleton: str
     camera: str
     """One of `CAMERAS`."""
@@ -388,7 +388,7 @@ def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
 def faults(motion: Motion, report: dict, folder: Path) -> list[str]:
     """Return what is wrong with a result.
 
-    This may be an incomplete pose, a missing pose without a flag, a position that no camera can see, or NaN.
+    A fault is an incomplete pose, a missing pose without a flag, a position that no camera can see, or NaN.
     """
     found = []
     joints, solved = motion.joints_camera_m, motion.solved

@@ -220,7 +220,7 @@ def test_without_masses_nothing_is_said(motion: Motion):
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
     found = analyse(plain)
     assert found.dynamics is None
-    assert any("no masses ([mass])" in note for note in notes(found))
+    assert any("has no masses ([mass])" in note for note in notes(found))
 
 
 def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
