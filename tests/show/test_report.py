@@ -299,7 +299,7 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
     tall = build_report(small_trajectory, {"height_m": 0.8})
     assert seen["size"]["measured"] is tall["size"]["measured"] is True
     assert says(dict(summary_lines(seen))["size"], "the positions of the cameras")
-    assert dict(summary_lines(tall))["size"] == "as given (--height-m 0.8), ±6 %"
+    assert dict(summary_lines(tall))["size"] == "as given (height at the withers, --height-m 0.8), ±6 %"
     odd = build_report(with_solution(small_trajectory, size=0.7), {})
     assert numbers(odd, "size_unexpected") == {"size": 0.7, "expected_sigma": 0.1}
     odder = build_report(with_solution(small_trajectory, size=0.6), {})

@@ -142,7 +142,7 @@ def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 def given_size(motion: Motion) -> str:
     """Return the option or file that gave the animal's size; empty for an average animal."""
-    for name, option in (("height_m", "--height-m "), ("size", "--set size=")):
+    for name, option in (("height_m", "height at the withers, --height-m "), ("size", "--set size=")):
         if (value := motion.settings.get(name)) is not None:
             return f"{option}{value:g}"
     return file_name(motion.body.subject) or ""
