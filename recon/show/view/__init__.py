@@ -176,7 +176,7 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     return rrb.Tabs(*grids, active_tab=0)
 
 
-_MARKS = "close up: white detected, ● reprojected, red: outlier"
+_MARKS = "close up: white detected, ● reprojected, magenta: distance between them, red: outlier"
 
 
 def _picture_view(
@@ -193,7 +193,7 @@ def _title(motion: Motion) -> str:
     title = f"3D, {motion.frame_of_reference} frame, grid of {scenes.GRID_SPACING_M:g} m"
     if motion.side is None:
         title += "; left blue, right orange"
-    return title + "; ellipsoids: one standard deviation"
+    return title + "; white: standing foot; yellow: path so far; ellipsoids: one standard deviation"
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
