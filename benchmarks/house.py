@@ -277,7 +277,7 @@ def parsed(source: str) -> ast.Module:
 
 @cache
 def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
-    """Return the imports in a source text, in functions too, and its calls, if one of them may import by a string.
+    """Return the imports of a source text, also those in functions, and its calls if a call may import by a string.
 
     Imports are statements, so the expressions, which make up most of a syntax tree, are walked only if the text may
     import by a string.

@@ -815,7 +815,7 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
         line.replace(str(pose), str(fitted[0])) for line in ended.out.splitlines()
     ]
     assert len(of_folder) == len(ended.out.splitlines()) + 2
-    assert says(run("evaluate", TRUTH, fitted[0]).out, "note:", f"reference, {fitted[0]}")
+    assert says(run("evaluate", TRUTH, fitted[0]).out, "note:", f"reference ({fitted[0]}) is a result")
 
 
 def test_evaluate_as_json(fitted):

@@ -152,7 +152,7 @@ NAMES = (
     *(b"@a +b.csv", b"--out.csv", b" a .csv", b"a\nb\r.csv", b"\x1b[31m\x07.csv", "\u0430\u202e\u2028.csv".encode()),
     *(b"NUL.csv", b"x" * 250 + b".csv"),
 )
-"""Names of files."""
+"""File names, some of them with unusual characters."""
 
 
 @dataclass(frozen=True)

@@ -300,7 +300,7 @@ def check(wanted: Iterable[Case], sizes: int, by_file: bool) -> int:
     wrong = 0
     for case in wanted:
         total = size_of(case)[by_file]
-        # From almost no space to a little more than is needed.
+        # The largest disk has a little more space than is needed.
         steps = [max(LEAST, round(1.1 * total * (k + 1) / sizes)) for k in range(sizes)]
         found = [verdict(case, size, by_file) for size in steps]
         counts = {kind: sum(1 for one, _ in found if one == kind) for kind in dict.fromkeys(one for one, _ in found)}
