@@ -64,8 +64,8 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
 def possible_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
     """Return the other cameras of the camera file that may have filmed a clip, with poses in metres.
 
-    They have a pose in a world with z up, and a picture of the size of the clip's own camera. There are none if `up`
-    turns the world.
+    These cameras have a pose in a world with z up, and a picture of the size of the clip's own camera. There are none
+    if `up` turns the world.
     """
     if settings.up is not None or not camera.knows_up:
         return ()

@@ -53,7 +53,7 @@ def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Seque
     Parameters
     ----------
     path : Path
-        The table.
+        CSV table of the design, one row for each clip.
     names : sequence of str
         Names of the clips, each of which needs a row.
     by : str

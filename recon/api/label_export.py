@@ -175,7 +175,7 @@ def write_labels(labels: LabelledFrames, video: Path, number_of_first: int, outp
     labels
         Labels of the video.
     video
-        The video.
+        Video file from which the labelled pictures are taken.
     number_of_first
         Frame number of the video's first frame, in the numbering of the labels.
     output

@@ -134,7 +134,7 @@ class LabelSession:
         Parameters
         ----------
         video
-            The video.
+            Video file whose frames are labelled.
         out
             Folder of the project, which contains labeled-data.
         names

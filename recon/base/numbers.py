@@ -21,7 +21,7 @@ _ONE_DIGIT_OF_INTERVAL = 3.55
 def decimals(value: float) -> str:
     """Return the format of a number without uncertainty.
 
-    It has one decimal, two decimals below 1, and one significant digit below 0.01.
+    The number has one decimal, two decimals below 1, and one significant digit below 0.01.
     """
     if 0 < abs(value) < 0.01:
         return f".{-math.floor(math.log10(abs(value)))}f"

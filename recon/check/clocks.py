@@ -60,7 +60,7 @@ def drift_findings(
     clip
         The problem of the whole clip, with two views or more.
     solution
-        Its solution.
+        Solution of the problem.
     names
         The cameras' names.
     fps

@@ -59,7 +59,7 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
     Parameters
     ----------
     code
-        The code.
+        Code of the finding, a key of `CODES`.
     frames
         First frame number, and the one after the last; None means the whole clip.
     camera

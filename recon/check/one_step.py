@@ -88,7 +88,7 @@ def one_steps(
     clip
         The problem of the whole clip, which states the prior's weight and whether the ground is near z = 0.
     solution
-        The solution.
+        Solution of the problem, from which the step starts.
     unknowns
         The derivatives with respect to each unknown, by the number of the camera whose detections depend on it.
     fixed

@@ -306,16 +306,16 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     Parameters
     ----------
     motion
-        The motion.
+        Motion loaded from a results folder.
     folder
-        Its folder, which the error names.
+        The results folder, which the error names.
     anyway
         Whether to return the motion even if its verdict is "do not use".
 
     Raises
     ------
     InputError
-        If its verdict is "do not use", unless `anyway` is true.
+        If the motion's verdict is "do not use", unless `anyway` is true.
     """
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:

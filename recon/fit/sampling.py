@@ -37,7 +37,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     clip
         The problem that was solved.
     solution
-        Its solution.
+        Solution of the problem, around which motions are drawn.
     count
         Number of draws.
     seed

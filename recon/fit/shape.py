@@ -111,7 +111,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     Parameters
     ----------
     shape
-        The unknowns.
+        The unknown lengths and offsets.
     clips
         Clips whose bodies have the segments and markers of `shape.body`, and may have other lengths. Their size is held
         fixed.

@@ -278,10 +278,10 @@ def _turning_sigma(
 ) -> Array:
     """Return the standard deviations (T, 4) of the internal energy and the angular momentum of the rods.
 
-    at_m: ends of the rods (T, E, 3), two for each segment. rate_m_s: their velocities (T, E, 3). share: fractions (E,)
-    of the mass; share_sigma: standard deviations of the segments' fractions (S,). Each end has the error of its nearest
-    joint: equal for all ends of a joint, independent between joints. An error that lasts for `correlation_s` changes at
-    the rate sigma / correlation_s.
+    Each end of a rod has the error of its nearest joint: equal for all ends of a joint, independent between joints. An
+    error that lasts for `correlation_s` changes at the rate sigma / correlation_s. The rods have their ends at `at_m`
+    (T, E, 3), two for each segment, with the velocities `rate_m_s` (T, E, 3) and the fractions `share` (E,) of the
+    mass. `share_sigma` (S,) holds the standard deviations of the segments' fractions.
     """
     axes = np.eye(3)
     by_rate = np.concatenate([rate_m_s[:, :, :, None], np.cross(at_m[:, :, None], axes)], axis=3)
@@ -385,8 +385,8 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> list[Flight]:
     """Return the flights between the first and the last stance, for an animal with four known feet.
 
-    by_mass_m (T, S, 3): shift of the centre by one standard deviation of each segment's mass fraction, metres. errors
-    (T, 3): errors of the centre from all other causes.
+    `by_mass_m` (T, S, 3) is the shift of the centre of mass for one standard deviation of each segment's mass fraction,
+    metres. `errors` (T, 3) are the errors of the centre from all other causes, metres.
     """
     time_s, flights = motion.time_s, list[Flight]()
     if len(gait.tracks.feet) >= 4 and gait.stances:

@@ -376,7 +376,7 @@ def read_points(
     Parameters
     ----------
     path : path
-        The file.
+        File in any known format.
     individual : str, optional
         Name of the animal, needed if there are several.
     kind : Kind, optional

@@ -40,7 +40,7 @@ def read_pose3d(
     Parameters
     ----------
     path : path
-        The file.
+        File in any known format of 3D positions.
     individual : str, optional
         Name of the animal, needed if there are several.
     unit, up : str, optional
