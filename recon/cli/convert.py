@@ -127,7 +127,10 @@ def _require_content(source: Path, data: Keypoints | Pose3D, motion: Motion | No
     elif isinstance(data, Keypoints):
         fits, expected = "2D" in target.writes, f"3D positions for {target.title}: fit the clip first (recon fit)"
     else:
-        fits, expected = "3D" in target.writes, f"2D keypoints for {target.title}"
+        fits = "3D" in target.writes
+        expected = (
+            f"2D keypoints for {target.title}: 3D positions can be written --to deeplabcut (recon convert --list)"
+        )
     if not fits or target.write is None:
         content = "2D keypoints" if isinstance(data, Keypoints) else "3D positions"
         raise InputError(Problem(source, "content", content, expected))

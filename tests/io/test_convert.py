@@ -386,7 +386,9 @@ def test_choice_of_format():
 def test_2d_does_not_become_3d_nor_3d_2d(files_2d, files_3d, tmp_path):
     with refusal((files_2d["movement.nc"], "content", "2D keypoints", "3D positions for TRC")):
         convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.trc"))
-    with refusal((files_3d["movement.nc"], "content", "3D positions", "2D keypoints for plain CSV")):
+    with refusal(
+        (files_3d["movement.nc"], "content", "3D positions", ["2D keypoints for plain CSV", "--to deeplabcut"])
+    ):
         convert(ConvertSettings(source=files_3d["movement.nc"], out=tmp_path / "a.csv", to="long"))
     with refusal(("--up", "IN", ["2D keypoints", files_2d["movement.nc"]], "left out")):
         convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.csv", up="z"))
