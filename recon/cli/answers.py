@@ -62,7 +62,7 @@ class Answer:
         if as_json:
             typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
         for line in () if as_json else self.lines:
-            console.print(line) if isinstance(line, Table) else say(console, line)
+            say_table(console, line) if isinstance(line, Table) else say(console, line)
         for note in () if as_json else self.notes:
             say(console, f"note: {note}")
         for error in self.errors:
@@ -95,6 +95,10 @@ def terminal(**options: Any) -> Console:
     return _Terminal(markup=False, emoji=False, **options)
 
 
+_WIDEST = 1000
+"""Width in which every table fits without wrapping, characters."""
+
+
 class _Terminal(Console):
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         for segment in super().render(renderable, options):
@@ -109,6 +113,13 @@ def say(console: Console, text: str | Text, style: str = "") -> None:
     """Print one line without markup, wrapped between words on a terminal and unbroken in a file or a pipe."""
     line = Text(printable(text), style) if isinstance(text, str) else text
     console.print(line, soft_wrap=not console.is_terminal)
+
+
+def say_table(console: Console, table: Table) -> None:
+    """Print a table, in a file or a pipe as wide as its words need, so that no column is cut."""
+    least = console.measure(table, options=console.options.update(width=_WIDEST)).minimum
+    width = console.width if console.is_terminal else max(console.width, least)
+    console.print(table, width=width, crop=console.is_terminal)
 
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:

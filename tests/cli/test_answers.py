@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from recon.cli.answers import RemainingTime, duration_text, say, terminal
+from recon.cli.answers import RemainingTime, duration_text, say, say_table, table_of, terminal
 
 
 def test_the_time_left_is_right_within_a_factor_of_two_where_work_comes_in_pieces():
@@ -42,3 +42,14 @@ def test_a_terminal_breaks_lines_between_words():
     piped = terminal(file=io.StringIO(), width=80)
     say(piped, words)
     assert piped.file.getvalue() == words + "\n"
+
+
+def test_a_table_in_a_pipe_is_as_wide_as_its_words():
+    names = [f"column_{i:02}_with_a_long_name" for i in range(9)]
+    pipe = terminal(file=io.StringIO(), width=80)
+    say_table(pipe, table_of("method", numbers=names, rows=[["damped", *("123456789" for _ in names)]]))
+    words = pipe.file.getvalue().split()
+    assert ([word for word in words if "column" in word], words.count("123456789")) == (names, len(names))
+    short = terminal(file=io.StringIO(), width=80)
+    say_table(short, table_of("method", rows=[["damped"]]))
+    assert max(map(len, short.file.getvalue().split("\n"))) <= 80
