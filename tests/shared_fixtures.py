@@ -85,7 +85,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 
 @pytest.fixture(scope="session")
 def whole_results(made_once) -> Path:
-    """Return the folder of `recon fit` on the whole-animal sample with default options. Not to be written to."""
+    """Return the folder of `recon fit` on the whole-animal sample with default options. Tests must not write to it."""
     settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
     return made_once("whole", lambda out: run_clip(settings, out))
 
@@ -173,7 +173,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
 
 @pytest.fixture(scope="session")
 def level_results(made_once) -> Path:
-    """Return results of the sample without a calibration and with a tilt, in the camera frame. Not to be written to."""
+    """Return the folder of the sample fitted with a tilt but without a calibration. Tests must not write to it."""
     settings = FitSettings(
         keypoints=SAMPLES / "whole.csv", hfov_deg=60, image_size_px=(1920, 1080), tilt_deg=3, fps=60, fast=True
     )
@@ -182,14 +182,14 @@ def level_results(made_once) -> Path:
 
 @pytest.fixture(scope="session")
 def frame_results(made_once) -> Path:
-    """Return the folder of `recon frame` on the noisy sample. Not to be written to."""
+    """Return the folder of `recon frame` on the noisy sample. Tests must not write to it."""
     settings = FitSettings(keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, method="frame")
     return made_once("frame", lambda out: run_clip(settings, out))
 
 
 @pytest.fixture(scope="session")
 def chain_results(made_once) -> Path:
-    """Return the folder of the trajectory method with the chain of `frame_results`. Not to be written to."""
+    """Return the folder of the trajectory method with the chain of `frame_results`. Tests must not write to it."""
     settings = FitSettings(
         keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, skeleton="cheetah-8u"
     )

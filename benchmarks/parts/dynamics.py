@@ -183,7 +183,7 @@ def independent(off: np.ndarray) -> float:
 def dog_rows(as_stated: bool) -> list[list[str]]:
     """Return a row for each clip: speeds and net accelerations within their intervals, flights, mean force.
 
-    If `as_stated`, the animal's size and keypoints deviate as the skeleton states.
+    If `as_stated` is true, the animal's size and keypoints deviate as the skeleton states.
     """
     folder, body, rows, reach = recordings("dog-mocap"), load_skeleton("dog-27"), [], radius(INTERVAL)
     with tempfile.TemporaryDirectory() as written:

@@ -203,8 +203,8 @@ def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None
 def body_travel(states: Array) -> Array:
     """Return the horizontal direction of travel (3,), a unit vector, of a body's states (T, D).
 
-    It points from the first to the last position of the root, or in the direction in which the animal faces if the root
-    hardly moves.
+    The direction points from the first to the last position of the root, or where the animal faces if the root hardly
+    moves.
     """
     known = states[np.isfinite(states).all(axis=1)]
     if not len(known):

@@ -191,7 +191,8 @@ class SerialChain:
 def mobility(bodies: int, freedoms: Sequence[int], body_freedoms: Literal[3, 6] = 6) -> int:
     """Return the degrees of freedom of a mechanism by Grübler's formula.
 
-    The result is b (bodies - 1 - joints) plus the freedoms of all joints. It holds if the constraints are independent.
+    The result is b (bodies - 1 - joints) plus the freedoms of all joints. The formula holds if the constraints are
+    independent.
 
     Parameters
     ----------

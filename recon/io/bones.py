@@ -428,7 +428,7 @@ def _positions_at_rest(offsets_m: Array, parents: Sequence[int | None]) -> Array
 
 
 def _animation(buffer: _Buffer, rig: Armature, turns: Sequence[Array]) -> dict[str, Any]:
-    """Return the animation of the root's position and of the bones that turn; `turns` has a bone's quaternions."""
+    """Return the animation of the root's position and of the bones that turn, by each bone's quaternions `turns`."""
     time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
     moved = [(0, "translation", rig.root_m)]
     moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]

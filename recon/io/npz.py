@@ -1,7 +1,7 @@
 """Read and write NumPy archives of 3D positions: recon's own, and those of FMPose3D's animal demo.
 
-Recon's have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's are `pose3D/0000_3D.npz`
-with the points of a picture as `pose3d`.
+Recon's archives have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's archives are
+`pose3D/0000_3D.npz` with the points of a picture as `pose3d`.
 """
 
 from __future__ import annotations

@@ -163,8 +163,8 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
     """Return the times of texts such as 30/11/2026 10:15:00.5, in seconds after the first.
 
-    None unless each text has a date and a time, with the same date and the same of AM and PM. The date's format does
-    not matter.
+    The result is None unless every text has a date and a time, all with the same date and the same half of the day (AM
+    or PM). The date's format does not matter.
     """
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
     dated = [match for match in matches if match is not None]

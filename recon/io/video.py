@@ -148,7 +148,7 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
     Parameters
     ----------
     path : path
-        The video.
+        Video file.
     times_s : (T,)
         Time stamps of the frames that can be decoded, from `first_frame`.
     first_frame : int

@@ -77,7 +77,7 @@ def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
 
 
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
-    """Build a chain from the rows, starting at the base.
+    """Build a chain from the rows of a Denavit-Hartenberg table, starting at the base.
 
     Raises ValueError if there are no rows, or if the convention is unknown.
     """

@@ -154,7 +154,7 @@ class Leg:
     def slack_m(self, feet_m: Array) -> Array:
         """Return the distance (...) of feet from the edge of the reach, metres, negative outside.
 
-        Only for a leg whose swing joint comes first.
+        The swing joint of the leg has to come first.
         """
         distance, (shortest, longest) = np.linalg.norm(feet_m, axis=-1), self.distances_m
         p, q, r_plus_n2 = self._pqr

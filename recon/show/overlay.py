@@ -173,7 +173,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
     frames : ndarray
         Frame numbers of the clip, shape (T,).
     video : path
-        The video.
+        Video file of the clip.
     first_frame : int
         Frame number, in the clip, of the video's first frame.
 

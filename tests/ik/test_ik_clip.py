@@ -55,7 +55,7 @@ def compared_in(dim: int, whole_results: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def compared(whole_results, tmp_path_factory) -> Path:
-    """Return both tasks of the whole animal in the plane by all methods. Not to be written to."""
+    """Return both tasks of the whole animal in the plane by all methods. Tests must not write to it."""
     return compared_in(2, whole_results, tmp_path_factory.mktemp("compared") / "fit")
 
 
