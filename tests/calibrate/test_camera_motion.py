@@ -352,7 +352,7 @@ def test_bad_input_is_one_clear_message(tmp_path):
     film_refused(tmp_path, [*still, sampled(x, y, seed=3)], ("film.avi", "video", ["a cut", "frame 3"]))
     points = tmp_path / "points.csv"
     points.write_text("frame,keypoint,x,y,likelihood\n7,nose,160,90,0.9\n")
-    of_others = (points, "frames", ["1 of 1 frames", "film.avi", "(3 frames)"], "--first-frame")
+    of_others = (points, "frames", ["1 of 1 frames", "film.avi", "3 frames"], "--first-frame")
     film_refused(tmp_path, still, of_others, more=("--keypoints", points))
 
 
