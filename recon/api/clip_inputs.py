@@ -159,7 +159,7 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
         return
     points_m = triangulated_m(views, settings.trajectory_options().sigma_px, 0.0)
     expected_m = inputs.body.tree.pose(np.zeros((1, inputs.body.n_state))).points_m[0]
-    known = np.isfinite(points_m).all(axis=2)
+    known = np.asarray(np.isfinite(points_m).all(axis=2))
     times = [
         _spread(row[seen]) / _spread(expected_m[seen])
         for row, seen in zip(points_m, known, strict=True)
