@@ -1,6 +1,6 @@
-"""Data of a clip: for each camera, cleaned 2D keypoints and a view.
+"""Hold the data of a clip: the cleaned 2D keypoints and the view of each camera.
 
-Keypoints are on the frames that all cameras share. A view holds the keypoints of one camera and its poses.
+The keypoints of all cameras refer to the same frames. A view holds the keypoints of one camera and the camera's poses.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX = 1.0
-"""Largest x and y, in pixels, of a constant position that a file may store for missing points."""
+"""Largest x and y, in pixels, of the corner in which a constant position may stand for missing points."""
 CONSTANT_SHARE = 0.005
 """Smallest fraction of a file's points at one position for it to count as the constant for missing points."""
 CONSTANT_KEYPOINTS = 3
-"""Smallest number of keypoints at the constant position for missing points; a single one may be stuck there."""
+"""Smallest number of keypoints at the constant position for missing points; a single keypoint may be stuck."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,8 +35,13 @@ class Keypoints(Brief):
     """Detections of K named keypoints in T frames of one camera.
 
     A reader returns the values of its file: a confidence of NaN means that the file has none, and a missing point may
-    still have a confidence. `clean` turns these values into the form below. Raises ValueError if shapes or types do not
-    agree, names are not unique, frame numbers do not increase, or the frame rate is not positive.
+    still have a confidence. `clean` turns these values into the form below.
+
+    Raises
+    ------
+    ValueError
+        If shapes or types do not agree, names are not unique, frame numbers do not increase, or the frame rate is not
+        positive.
     """
 
     names: tuple[str, ...]
@@ -50,7 +55,7 @@ class Keypoints(Brief):
     fps: float | None = None
     """Frames per second, if known."""
     stated_fps: float | None = None
-    """Frame rate stated by the file, if another rate was given."""
+    """Frame rate stated by the file, Hz, if the user gave another one."""
     image_size_px: tuple[int, int] | None = None
     """Width and height of the picture, if known."""
     individual: str | None = None
@@ -60,7 +65,7 @@ class Keypoints(Brief):
     scorer: str | None = None
     """Name of the network or person that labelled the file; None if the file has none."""
     notes: tuple[str, ...] = ()
-    """Choices of the reader, in plain sentences."""
+    """Choices that the file's reader made, in plain sentences."""
     corrected: int = 0
     """Number of detections that were corrected by hand."""
 
@@ -87,7 +92,7 @@ class Keypoints(Brief):
         table : pandas.DataFrame
             Either as in DeepLabCut, with the column levels scorer, (individuals,) bodyparts and coords, and the frames
             as its index; or long, with the columns frame, keypoint (or bodypart), x, y and confidence (or likelihood).
-            Pixels.
+            Positions are in pixels.
         fps : float, optional
             Frames per second.
         individual : str, optional
@@ -109,7 +114,7 @@ class Keypoints(Brief):
         Parameters
         ----------
         dataset : xarray.Dataset
-            Its times are seconds if it has a frame rate or `fps` is given.
+            Poses; their times are seconds if the dataset has a frame rate or `fps` is given.
         fps : float, optional
             Frames per second.
         individual : str, optional
@@ -134,7 +139,7 @@ COUNTS = (
     *("frames", "used", "missing", "rejected", "missing_zero_zero", "missing_nan_with_likelihood", "missing_empty"),
     *("missing_absent_frame", "missing_constant", "likelihood_unknown"),
 )
-"""Counts of frames of a keypoint; used + missing + rejected = frames.
+"""Names of the counts of a keypoint's frames; used + missing + rejected = frames.
 
 A point is missing if it was stored as (0, 0) without a likelihood, as NaN with a likelihood, as an empty cell, or as a
 constant for missing points (`CleaningReport.constant_px`), or if the file lacks its frame. `likelihood_unknown` counts
@@ -166,7 +171,7 @@ class LeftOut(Brief):
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
     def with_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return these detections together with those in the mask `points` (T, K).
+        """Return these detections and those in the mask `points` (T, K), which were left out for `reason`.
 
         `later_frames` is the clip's frame number minus that of the file.
         """
@@ -198,13 +203,13 @@ class CleaningReport(Brief):
     frames_dropped: int
     """Number of rows outside the requested range."""
     inserted: tuple[tuple[int, int], ...]
-    """Ranges of frames that the file lacks, now all missing."""
+    """Ranges of frames that the file lacks, inserted with all points missing."""
     keypoints: dict[str, dict[str, int]]
-    """`COUNTS` of each keypoint."""
+    """Counts of each keypoint, by the names in `COUNTS`."""
     notes: tuple[str, ...] = ()
-    """Choices of the reader."""
+    """Choices of the file's reader and of the cleaning, in plain sentences."""
     constant_px: tuple[float, float] | None = None
-    """The constant, such as (-1, -1), stored for missing points with a likelihood, if there is one."""
+    """Constant position, px, that the file stores for missing points with a likelihood, such as (-1, -1), if any."""
     left_out: LeftOut = field(default_factory=LeftOut)
     """Detections that are not used."""
 
@@ -262,7 +267,7 @@ def clean(
     rows_in_file = len(keypoints.frames)
     selected = select_frames(keypoints, frames)
     marked, missing = mark_missing(selected)
-    unknown = marked.present & np.isnan(marked.confidence)  # hand labels are certain
+    unknown = marked.present & np.isnan(marked.confidence)  # hand labels are taken as certain
     known = replace(marked, confidence=np.where(unknown, 1.0, marked.confidence))
     unlikely = known.present & (known.confidence < likelihood_min)
     likelihood_unknown, rejected = unknown.sum(axis=0), unlikely.sum(axis=0)
@@ -302,7 +307,7 @@ def leave_out(
         return keypoints, report
     lost_points = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
     counts = {}
-    for name, counted in report.keypoints.items():  # the names in the file; the clip may have more names
+    for name, counted in report.keypoints.items():  # counts exist for the file's names only
         used, lost = counted["used"] - lost_points.get(name, 0), lost_points.get(name, 0)
         unknown = min(counted["likelihood_unknown"], used)
         counts[name] = {**counted, "used": used, "rejected": counted["rejected"] + lost, "likelihood_unknown": unknown}
@@ -330,7 +335,7 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
         expected = f"a range of the clip's frames ({has})"
         raise InputError(Problem(_source(keypoints), "frames", f"no frame in the range {shown}", expected))
-    if keep.all():  # copying half an hour takes 100 MB
+    if keep.all():  # a copy of half an hour needs 100 MB
         return keypoints
     xy_px, confidence, numbers = (values[keep] for values in (keypoints.xy_px, keypoints.confidence, keypoints.frames))
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=numbers)
@@ -436,7 +441,7 @@ class View(Brief):
     intrinsics_px: Array | None = None
     """fx, fy, cx, cy of each frame, shape (T, 4), for a camera that zooms."""
     offset_frames: float = 0.0
-    """Delay of the pictures in frames of the clip; at least 0 and below 1 unless it was estimated."""
+    """Delay of this camera's pictures relative to the clip's frames, in frames; 0 to below 1 unless estimated."""
     rotation_sigma_rad: Array | None = None
     """Standard deviation of each pose's rotation about any axis, shape (T,), if the camera's track states it."""
 
@@ -468,14 +473,14 @@ class View(Brief):
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
     def rotation_covariance_m2(self, points_m: Array) -> Array:
-        """Return the covariance (T, J, 3, 3) of points (T, J, 3) due to the uncertainty of each pose's rotation."""
+        """Return the covariance (T, J, 3, 3), m^2, of points (T, J, 3) due to errors of the camera's rotation."""
         arm = points_m - self.centre_m[:, None]
         variance = np.zeros(len(arm)) if self.rotation_sigma_rad is None else self.rotation_sigma_rad**2
         perpendicular = np.sum(arm * arm, axis=-1)[..., None, None] * np.eye(3) - arm[..., :, None] * arm[..., None, :]
         return variance[:, None, None, None] * perpendicular
 
     def part(self, frames: slice | Index) -> View:
-        """Return the view cut to the given frames."""
+        """Return the view of only the given frames, which are rows of its arrays."""
         names = ["xy_px", "confidence", "intrinsics_px", "rotation_sigma_rad"]
         names += [] if self.is_still else ["T_camera_world"]
         arrays = {name: getattr(self, name) for name in names}
@@ -483,7 +488,10 @@ class View(Brief):
 
     @property
     def turn_px(self) -> Array | float:
-        """Return the standard deviation (T,) of the picture's centre, px, from errors of rotation; 0 if unknown."""
+        """Return the standard deviation (T,), px, of the picture's centre due to errors of the camera's rotation.
+
+        The value is 0 if these errors are unknown.
+        """
         return 0.0 if self.rotation_sigma_rad is None else self.focal_px * self.rotation_sigma_rad
 
     @property
@@ -512,7 +520,7 @@ class View(Brief):
     def shift_to_exposure(self, points_m: Array) -> Array:
         """Return points (T, J, 3) of the clip's frames, moved to the times at which this view's pictures were taken.
 
-        Before a gap, the last known velocity is used.
+        Points in the last frame before a gap move with the velocity of the frames before.
         """
         if not self.offset_frames or len(points_m) < 2:
             return points_m
@@ -573,12 +581,15 @@ class View(Brief):
 
 
 def world_from_reference(first: Camera) -> Array:
-    """Return T_world_reference (4, 4) of `recon.geometry.frames` for a clip whose first camera does not move."""
+    """Return the transform from the reference frame to the world frame (4, 4), for a first camera that does not move.
+
+    `recon.geometry.frames` defines both frames.
+    """
     return np.eye(4) if first.knows_up else rigid(level_from_camera(first.up), np.zeros(3)) @ _pose(first)
 
 
 def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
-    """Return T_camera_world (4, 4) of still cameras, in the world frame of `recon.geometry.frames`."""
+    """Return the poses T_camera_world (4, 4) of still cameras, in the world frame of `recon.geometry.frames`."""
     T_reference_world = inverse(world_from_reference(cameras[0]))
     return [_pose(camera) @ T_reference_world for camera in cameras]
 
@@ -628,7 +639,10 @@ class Source(Brief):
 
     camera: Camera
     keypoints: Keypoints
-    """Cleaned keypoints to fit, in the body's order, on the clip's frames, with the first camera's frame numbers."""
+    """Cleaned keypoints to fit, in the order of the body, on the frames of the clip.
+
+    Frame numbers are those of the first camera.
+    """
     cleaning: CleaningReport
     file_names: tuple[str, ...]
     """All keypoint names of the file."""
@@ -691,9 +705,10 @@ def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> t
 
 
 def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
-    """Return a mask (T,) of the consecutive frames near a detection, and of the first and last frames.
+    """Return a mask (T,) of the frames that are first, last or near a detection by any camera.
 
-    What remains of a long gap is still too long to be bridged.
+    A gap that is too long to be bridged keeps its margins and remains too long. `starts` are the sources' first frame
+    numbers, and `bridged` is the longest bridged gap in frames.
     """
     seen = np.zeros(len(frames), dtype=bool)
     for source, start in zip(sources, starts, strict=True):

@@ -23,21 +23,21 @@ from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
 LARGEST = 1e9
-"""Largest number in a camera; larger numbers mean a damaged file."""
+"""Largest absolute value that an array of a camera may contain; larger values mean a damaged file."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
     "distortion": ((), "the lens coefficients"),
     "rotation": ((3, 3), "a rotation, world to camera: 3x3 or a Rodrigues vector"),
     "translation_m": ((3,), "a translation of 3 numbers"),
 }
-"""Arrays of a camera: their shapes, if fixed, and their meaning."""
+"""Shape and meaning of each array of a camera; the shape is () if it depends on the lens model."""
 POSE = ("rotation", "translation_m")
-TILT = "radians between -pi/2 and pi/2, or 0 if a pose says which way is up"
+TILT = "radians between -pi/2 and pi/2, or 0 if the pose defines the upward direction"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera(Brief):
-    """One calibrated camera.
+    """Camera matrix, lens distortion, picture size and, if known, pose of one calibrated camera.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class Camera(Brief):
     world_z_up: bool = True
     """Whether the world's z axis points up; False if a calibration board defines the world."""
     tilt_rad: float = 0.0
-    """Angle by which the camera looks down, if its pose does not define the upward direction; 0 is level."""
+    """Angle by which the camera looks down, rad; 0 is level. Used if the pose does not define the upward direction."""
 
     def __post_init__(self) -> None:
         for field in ("matrix", "distortion", "rotation", "translation_m"):
@@ -137,9 +137,9 @@ class Camera(Brief):
         pixels : (..., 2)
             NaN where invalid.
         valid : (...)
-            Whether the point is in front of the camera and within the range where the lens model increases with the
-            angle from the optical axis. Beyond this range a polynomial folds points back into the image. A valid point
-            may lie outside the image: see `in_image`.
+            Whether the point is in front of the camera and within the range where the distorted radius increases with
+            the angle from the optical axis. Beyond this range a polynomial folds points back into the image. A valid
+            point may lie outside the image: see `in_image`.
         """
         pixels, _, valid = self.project_with_jacobian(points_m, jacobian=False)
         return pixels, valid
@@ -194,7 +194,8 @@ class Camera(Brief):
 
         A detection is possible if the pixel has a ray and is not further outside the picture than the picture's own
         width and height, because trackers and interpolation carry points beyond the edge. NaN gives False. If the
-        camera zooms, `unzoomed_px` (..., 2) are the pixels for the camera's own matrix.
+        camera zooms, `unzoomed_px` (..., 2) are the same detections as pixels of the unzoomed camera, whose matrix is
+        `matrix`.
         """
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
@@ -262,16 +263,34 @@ class Camera(Brief):
 
     @property
     def centre_world(self) -> Array:
-        """Return the centre of projection (3,) in the world frame, metres. Raises ValueError if the pose is unknown."""
+        """Return the centre of projection (3,) in the world frame, metres.
+
+        Raises
+        ------
+        ValueError
+            If the pose is unknown.
+        """
         return self.camera_to_world(np.zeros(3))
 
     def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
-        """Transform points (..., 3), metres, from the world to the camera frame. Raises ValueError without a pose."""
+        """Transform points (..., 3), metres, from the world to the camera frame.
+
+        Raises
+        ------
+        ValueError
+            If the pose is unknown.
+        """
         rotation, translation = self._pose()
         return np.asarray(points_m, dtype=float) @ rotation.T + translation
 
     def camera_to_world(self, points_m: npt.ArrayLike) -> Array:
-        """Transform points (..., 3), metres, from the camera to the world frame. Raises ValueError without a pose."""
+        """Transform points (..., 3), metres, from the camera to the world frame.
+
+        Raises
+        ------
+        ValueError
+            If the pose is unknown.
+        """
         rotation, translation = self._pose()
         return (np.asarray(points_m, dtype=float) - translation) @ rotation
 
@@ -281,9 +300,14 @@ class Camera(Brief):
         return self.rotation, self.translation_m
 
     def corrected(self, correction: Array) -> Camera:
-        """Return the camera with an extrinsic correction (6,), as in `View.corrected`.
+        """Return the camera after an extrinsic correction (6,) by three Euler angles, rad, and a shift, m.
 
-        Raises ValueError if the pose is unknown.
+        Points in the camera frame become X_new = R(angles) X + shift, as in `View.corrected`.
+
+        Raises
+        ------
+        ValueError
+            If the pose is unknown.
         """
         rotation, translation = self._pose()
         turn = euler_rotation(correction[:3])
@@ -298,7 +322,7 @@ class Camera(Brief):
     # Plain data
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain strings, numbers and lists, without an unknown pose or a zero tilt."""
+        """Return the camera as a dictionary of strings, numbers and lists, without an unknown pose or a zero tilt."""
         names = ("name", "model", "image_size_px", *BLOCKS, *(["tilt_rad"] if self.tilt_rad else []), "world_z_up")
         values = {name: getattr(self, name) for name in names}
         return {name: np.asarray(value).tolist() for name, value in values.items() if value is not None}

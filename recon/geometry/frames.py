@@ -26,10 +26,10 @@ _CROSS_TWICE = _CROSS @ _CROSS
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:
-    """Return two level unit vectors (3,) in the camera frame, to the right and away from the camera.
+    """Return two horizontal unit vectors (3,) in the camera frame, to the right and away from the camera.
 
-    The first points to the picture's right, or down if right is up; the second points away from the camera. `up` (3,)
-    is the upward unit vector in the camera frame.
+    The first points to the picture's right, or down if the picture's right is up. The second points away from the
+    camera. `up` (3,) is the upward unit vector in the camera frame.
     """
     sideways = np.eye(3)[int(abs(up[0]) > 0.999)]
     right = sideways - up * (sideways @ up)
@@ -38,13 +38,13 @@ def level_axes(up: Array) -> tuple[Array, Array]:
 
 
 def level_from_camera(up: Array) -> Array:
-    """Return the rotation R_level_camera (3, 3)."""
+    """Return the rotation (3, 3) from the camera frame to the level frame; `up` (3,) is upward in the camera frame."""
     right, ahead = level_axes(up)
     return np.stack([right, ahead, up])
 
 
 def rigid(rotation: Array, translation_m: Array) -> Array:
-    """Return transforms T (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    """Return the rigid transforms (..., 4, 4) composed of rotations (..., 3, 3) and translations (..., 3), metres."""
     T = np.zeros((*rotation.shape[:-2], 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = rotation, translation_m, 1.0
     return T
@@ -57,18 +57,18 @@ def inverse(T: Array) -> Array:
 
 
 def moved(T: Array, points_m: Array) -> Array:
-    """Transform points (..., 3) from frame b to frame a by T (4, 4), which is T_a_b."""
+    """Transform points (..., 3), metres, from frame b to frame a by the rigid transform T_a_b (4, 4)."""
     return points_m @ T[:3, :3].T + T[:3, 3]
 
 
 def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
-    """Return rotations R = Rx(xi) Ry(psi) Rz(zeta) (..., 3, 3) of angles (..., 3)."""
+    """Return the rotations R = Rx(xi) Ry(psi) Rz(zeta) (..., 3, 3) by Euler angles (..., 3), rad."""
     x, y, z = _turns(angles_rad)
     return x @ y @ z
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
-    """Return rotations R (..., 3, 3) of angles (..., 3) and exact derivatives.
+    """Return the rotations (..., 3, 3) by Euler angles (..., 3), rad, and their exact derivatives dR (..., 3, 3, 3).
 
     The derivative with respect to angle k is dR[..., k, :, :].
     """
@@ -83,7 +83,7 @@ def quaternions(rotations: Array) -> Array:
     A quaternion's largest component is positive. scipy's `Rotation` gives the same, but takes 60 ms to import.
     """
     R, trace, i, j, k = rotations, np.trace(rotations, axis1=1, axis2=2), [0, 1, 2], [1, 2, 0], [2, 0, 1]
-    products = np.empty((len(R), 4, 4))  # of the components with each other, times four
+    products = np.empty((len(R), 4, 4))  # four times the product of each two components
     products[:, :3, :3] = R + R.swapaxes(1, 2)
     products[:, i, i] += 1.0 - trace[:, None]
     products[:, 3, :3] = products[:, :3, 3] = R[:, k, j] - R[:, j, k]
@@ -94,7 +94,7 @@ def quaternions(rotations: Array) -> Array:
 
 
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Return the rotations about x, y and z by angles (..., 3), (..., 3, 3) each.
+    """Return the three rotations (..., 3, 3) about the x, y and z axis by angles (..., 3), rad.
 
     R = I + sin G + (1 - cos) G G (Rodrigues) and dR = G R, where G is the cross-product matrix of an axis.
     """

@@ -5,19 +5,20 @@ order (yaw, pitch, roll; right-handed; x forwards, y left, z up):
 
     O_segment = O_parent Rz(yaw) Ry(pitch) Rx(roll)        o_segment = o_parent + size O_parent offset
 
-The first segment is the root: it is free and its parent frame is the world. Markers are points fixed on segments. The
-unknowns of one frame, the state, are [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments'
-angles].
+The first segment is the root. It moves freely, and its parent frame is the world. Markers are points fixed on segments.
+The unknowns of one frame, the state, are [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments'
+angles, rad].
 
-Kinds of joints differ only in their axes: hinge y, universal z y, ball z y x, free for the root. Joints of machines
-turn about z ("turn") or slide along z ("slide", metres in place of an angle); their frames have a fixed rotation to the
-parent's. A "summed" universal joint, of the 8U chain (`recon.animal.chain`), adds the angles of all its summed
-ancestors to its own and turns relative to the root: O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
+The kinds of joints differ in their axes: y for a hinge, z and y for a universal joint, z, y and x for a ball joint and
+for the free root. Joints of machines turn about z ("turn") or slide along z ("slide", with a distance in metres instead
+of an angle); a fixed rotation leads from their frame to the parent's. A "summed" universal joint belongs to the 8U
+chain (`recon.animal.chain`). It adds the angles of all its summed ancestors to its own, and turns relative to the root:
+O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
 
-A marker is the root's origin plus vectors fixed in the frames between the root and the marker. The derivative with
-respect to an angle is axis x (the sum of the vectors in the frames that the angle turns): all frames that follow, or
-for a summed joint those up to the next summed joint. The second derivative with respect to two angles is the outer
-angle's axis x the derivative with respect to the inner angle.
+A marker's position is the root's origin plus vectors fixed in the frames between the root and the marker. Its
+derivative with respect to an angle is axis x (sum of the vectors in the frames that the angle turns). An angle turns
+all frames that follow; the angle of a summed joint only turns those up to the next summed joint. The second derivative
+with respect to two angles is the outer angle's axis x the derivative with respect to the inner angle.
 """
 
 from __future__ import annotations
@@ -44,32 +45,32 @@ AXES: dict[str, str] = {
     "turn": "z",
     "slide": "s",
 }
-"""Rotations of each kind of joint, in the order of the state; "s" is a slide along z."""
+"""Axes about which each kind of joint rotates, in the order of the state; "s" is a slide along z."""
 
 ANGLE_OF_AXIS = {"z": "yaw", "y": "pitch", "x": "roll"}
-"""Name of a rotation about each axis."""
+"""Name of the rotation angle about each axis."""
 _NAMES = ANGLE_OF_AXIS | {"s": "slide"}
 _SUMMED = {"z": "phi", "y": "theta"}
-"""Names of a summed joint's rotations, as published for the 8U chain."""
+"""Names of a summed joint's angles, by axis, as published for the 8U chain (`recon.animal.chain`)."""
 
 _BLOCK = 64
-"""Frames in a block with Jacobians, which stays in the processor's cache."""
+"""Number of frames whose Jacobians are computed at once: few enough for the processor's cache."""
 _FRAMES_AT_ONCE = 4096
-"""Frames in a block without Jacobians, to limit memory."""
+"""Number of frames whose markers are computed at once without Jacobians, to limit memory."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
-"""Indices of x, y, z, x, y; the factors of a cross product are slices of them."""
+"""Indices of the components x, y, z, x, y, of which the factors of a cross product are slices."""
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
 
 ROOT = slice(0, 3)
-"""The root's origin in the state."""
+"""Elements of the state that are the root's origin, m."""
 YAW, PITCH, ROLL = 3, 4, 5
-"""The root's rotation in the state."""
+"""Elements of the state that are the root's rotation angles, rad."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A rigid part of a tree."""
+    """A rigid segment of a kinematic tree, joined to its parent."""
 
     name: str
     parent: str | None
@@ -77,7 +78,7 @@ class Segment:
     joint: Joint
     """Kind of joint between the segment and its parent."""
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin in the parent's frame, (x, y, z)."""
+    """Origin of the segment in the parent's frame, (x, y, z)."""
     rotation: tuple[tuple[float, ...], ...] | None = None
     """Rotation (3, 3) from the segment's frame to its parent's before the joint moves.
 
@@ -87,7 +88,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Marker:
-    """A point fixed on a segment, at offset_m (x, y, z) from its origin in its frame."""
+    """A point fixed on a segment, at `offset_m` (x, y, z) from the segment's origin in the segment's frame."""
 
     name: str
     segment: str
@@ -96,10 +97,10 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Markers of a tree for N states; derivatives are empty unless requested."""
+    """Positions of a tree's J markers for N states, and their derivatives, which are empty unless requested."""
 
     points_m: Array
-    """Markers in the world, shape (N, J, 3)."""
+    """Positions of the markers in the world frame, shape (N, J, 3)."""
     jacobian: Array = field(default_factory=lambda: _NONE)
     """Derivatives of the markers with respect to the state, shape (N, J, 3, D)."""
     d_size: Array = field(default_factory=lambda: _NONE)
@@ -107,7 +108,7 @@ class TreePose:
 
 
 class _Plan:
-    """Everything that a tree's kinematics need in addition to the state.
+    """Index arrays and masks, computed once for a tree, from which its kinematics follow for any state.
 
     Dimensions: S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
     marker and an angle of the state.
@@ -119,39 +120,41 @@ class _Plan:
         index_of = {segment.name: i for i, segment in enumerate(segments)}
         paths = _paths_of(segments)
         base_segments = [0 if segments[path[-1]].joint == "summed" else path[-2] for path in paths[1:]]
-        """(S - 1,): for each segment but the root, the segment whose frame it turns from: the root if summed."""
+        """(S - 1,): for each segment but the root, the segment relative to which it turns: its parent, or the root if
+        its joint is summed."""
         carriers = [path[-2] for path in paths[1:]] + [index_of[marker.segment] for marker in markers]
 
         self.sums = _sums_of(tree, paths)
         """(K + 1, K): 1 where an angle of the state is part of a rotation's angle; the last row is 0."""
         base_frame = np.array([0, *(base + 1 for base in base_segments)], dtype=np.intp)
         self.levels = [(1 + level, base_frame[level]) for level in _levels_of(base_segments)]
-        """By level, the frames that depend on earlier levels only, and the frames that they turn from."""
+        """For each depth in the tree, the frames at this depth, and the frames relative to which they turn."""
 
         self.carriers = carriers
         """(S - 1 + J,): the segment to which each origin (except the root's) and each marker is fixed."""
         self.points = self._points_of(tree)
-        """(S + J, 3 (S + 1)): each point as vectors in all frames."""
+        """(S + J, 3 (S + 1)): for each origin and each marker, the vector in every frame; the point is their sum."""
         points = self.points.reshape(S + J, 3, S + 1)
 
         self.angle = _angles_of_frames(tree)
-        """(2 or 3, S + 1): the angle that turns each frame about z, y and, if any frame has one, x; K: none."""
+        """(2 or 3, S + 1): angle that turns each frame about z, y and, if any joint rolls, x; K if none."""
         axes = _axes_of_rotations(tree, base_frame)
         self.axes = axes @ (S + 1, 1)
-        """(K,): the column of a frame that each rotation turns about."""
+        """(K,): for each rotation, the index of the frame's column that is its axis."""
         pitched = [k for k, (i, axis) in enumerate(rotations) if axis == "y" and (i, "x") in rotations]
         self.pitched = np.array(pitched, dtype=np.intp)
-        """The pitch axes of joints that also roll: the segment's y axis is turned back by the angle `rolls`."""
+        """Pitch rotations of joints that also roll: the axis is the segment's y axis turned back by the roll angle."""
         self.rolls = self.pitched + 1
         self.z_axes = 2 * (S + 1) + axes[pitched, 1]
 
         pairs = _pairs_of(tree, paths, carriers, points)
         self.marker, self.turning, self.arm, self.centre = pairs.T.copy()
-        """(M,) each: marker and rotation of each pair; the marker moves by axis x (arm - centre), where both are
-        points.
+        """(M,) each: marker and rotation of each pair, and the points at the end (`arm`) and the start (`centre`) of
+        its lever arm. The rotation moves the marker by axis x (arm - centre).
         """
         marker, moving_angle, self.merge = self.marker, self.turning, None
-        """(P, M): sums the M pairs to the P pairs of a marker and an angle of the state. None: identity."""
+        """(P, M): matrix that sums the M pairs to the P pairs of a marker and an angle of the state; None for the
+        identity."""
         if any(segment.joint == "summed" for segment in segments):
             moving = (marker == np.arange(J)[:, None])[:, None] * self.sums[self.turning].T  # (J, K, M)
             marker, moving_angle = np.nonzero(moving.any(axis=2))
@@ -165,20 +168,20 @@ class _Plan:
             self.placed = np.array([_IDENTITY, *(_IDENTITY if s.rotation is None else s.rotation for s in segments)])
         slides = [k for k, (_, axis) in enumerate(rotations) if axis == "s"]
         self.slides = np.array(slides, dtype=np.intp)
-        """(L,): the rotations that are slides."""
+        """(L,): indices of the rotations that are slides."""
         reached = [*paths, *(paths[i] for i in carriers[S - 1 :])]
         self.slid = np.array([[float(rotations[k][0] in path) for k in slides] for path in reached])
         """(S + J, L): 1 for the points that each slide shifts, otherwise 0."""
         self.sliding = np.flatnonzero(np.isin(self.turning, slides))
-        """The pairs whose rotation is a slide."""
+        """Indices of the pairs whose rotation is a slide."""
 
         self.outer = _outer_of(tree, base_segments)
-        """(K, K): 1 where the first of two rotations turns what the second moves, otherwise 0."""
+        """(K, K): 1 where the first of two rotations turns the axis and the points of the second, otherwise 0."""
         self.gathered = (np.arange(K)[:, None] == self.turning).astype(float)
         """(K, M): 1 for the pairs of each rotation, otherwise 0."""
 
     def _points_of(self, tree: Tree) -> Array:
-        """Return each point of a tree as vectors in all frames, (S + J, 3 (S + 1))."""
+        """Return the vectors in every frame whose sum is an origin or a marker, (S + J, 3 (S + 1))."""
         S, J = len(tree.segments), len(tree.markers)
         points = np.zeros((S + J, 3, S + 1))
         for i, (parent, item) in enumerate(
@@ -189,14 +192,14 @@ class _Plan:
         return points.reshape(S + J, 3 * (S + 1))
 
     def with_lengths_of(self, tree: Tree) -> _Plan:
-        """Return the plan of a tree that differs only in lengths, see `Tree.use_plan_of`."""
+        """Return this plan for a tree that differs only in lengths, see `Tree.use_plan_of`."""
         plan = copy(self)
         plan.points = self._points_of(tree)
         return plan
 
 
 def _paths_of(segments: Sequence[Segment]) -> list[list[int]]:
-    """Return the segments from the root to each of the S segments."""
+    """Return the path to each of the S segments: the indices of all segments from the root to it."""
     index_of = {segment.name: i for i, segment in enumerate(segments)}
     paths: list[list[int]] = []
     for i, segment in enumerate(segments):
@@ -215,7 +218,7 @@ def _sums_of(tree: Tree, paths: Sequence[Sequence[int]]) -> Array:
 
 
 def _levels_of(base_segments: Sequence[int]) -> list[Index]:
-    """Return the segments by their depth: the number of frames between theirs and the root's."""
+    """Return the indices of the segments at each depth, where the root has depth 0."""
     depth = [0]
     for base in base_segments:
         depth.append(depth[base] + 1)
@@ -223,10 +226,10 @@ def _levels_of(base_segments: Sequence[int]) -> list[Index]:
 
 
 def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int], points: Array) -> Index:
-    """Return marker, rotation, end and start of the arm of each pair (M, 4) of a marker and a rotation that moves it.
+    """Return all pairs (M, 4) of a marker and a rotation that moves it, with end and start of the lever arm.
 
-    The arm ends at the marker, or at the first summed joint on the path to the marker, because a summed joint is not
-    turned by its ancestors. The root turns everything.
+    The arm starts at the rotating segment's origin. It ends at the marker, or at the first summed joint on the path to
+    the marker, because a summed joint is not turned by its ancestors except the root, which turns all segments.
     """
     S, pairs = len(tree.segments), []
     for j, path in enumerate(paths[i] for i in carriers[S - 1 :]):
@@ -240,7 +243,10 @@ def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int
 
 
 def _angles_of_frames(tree: Tree) -> Index:
-    """Return the angle that turns each frame about z, y and, if any frame has one, x, (2 or 3, S + 1); K if none."""
+    """Return the index of the angle that turns each frame about z, y and, if any joint rolls, x, (2 or 3, S + 1).
+
+    The index is K where a frame has no such angle.
+    """
     rotations, S = tree.rotations, len(tree.segments)
     angles = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), len(rotations), dtype=np.intp)
     for k, (i, axis) in enumerate(rotations):
@@ -250,11 +256,11 @@ def _angles_of_frames(tree: Tree) -> Index:
 
 
 def _axes_of_rotations(tree: Tree, base_frame: Index) -> Index:
-    """Return the axis (0 to 2 for x to z) of each rotation, and the frame in which it is that axis, (K, 2).
+    """Return the axis of each rotation (0 to 2 for x to z) and the index of the frame that has this axis, (K, 2).
 
-    Yaw turns about the z axis of the frame that the joint starts from (`base_frame`, by segment); roll about the
-    segment's x axis; pitch about the segment's y axis where there is no roll. A joint with z alone shares its axis with
-    its segment.
+    Yaw turns about the z axis of the frame from which the joint starts (`base_frame`, by segment), roll about the
+    segment's x axis, and pitch about the segment's y axis if the joint does not roll. A joint that only turns about z
+    shares its axis with its segment.
     """
     axes = np.empty((len(tree.rotations), 2), dtype=np.intp)
     for k, (i, axis) in enumerate(tree.rotations):
@@ -264,9 +270,10 @@ def _axes_of_rotations(tree: Tree, base_frame: Index) -> Index:
 
 
 def _outer_of(tree: Tree, base_segments: Sequence[int]) -> Array:
-    """Return a mask (K, K): whether the first of two rotations turns what the second moves.
+    """Return a mask (K, K) of the pairs of rotations of which the first turns the axis and the points of the second.
 
-    A segment is turned by all segments whose frames it turns from, and by its own earlier angles.
+    A segment is turned by the segment relative to which it turns, by that segment's own base and so on to the root, and
+    by its own earlier angles.
     """
     outer = np.zeros((len(tree.rotations), len(tree.rotations)))
     for k, (inner, _) in enumerate(tree.rotations):
@@ -292,7 +299,7 @@ class Tree(Brief):
     markers: tuple[Marker, ...]
 
     def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
-        """Return the tree with the offset of each segment and marker multiplied by a factor for its name."""
+        """Return the tree with the offset of each segment and marker multiplied by `factor_of` its name."""
 
         def longer(item: _Placed) -> _Placed:
             return replace(item, offset_m=tuple(float(factor_of(item.name)) * value for value in item.offset_m))
@@ -353,14 +360,14 @@ class Tree(Brief):
     # Kinematics
 
     def _frames(self, state: Array) -> tuple[Array, Array, Array]:
-        """Return the frames, and cosine and sine of the angles, for states (N, D).
+        """Return the orientations of all frames, and cosine and sine of the angles, for states (N, D).
 
         Returns
         -------
         frames : (3, S + 1, 3, N)
-            Columns, frames (the world first), components.
+            Rotation matrices, by column, frame (the world first) and component.
         cosine, sine : (K + 1, N)
-            The last angle is 0.
+            Cosine and sine of each rotation's angle; the last angle is 0.
         """
         plan, N = self.plan, len(state)
         angles = plan.sums @ state[:, 3:].T
@@ -427,16 +434,16 @@ class Tree(Brief):
         return TreePose(state[:, None, ROOT] + relative, jacobian, relative)
 
     def moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return marker positions, rotation axes, and the derivative of each of `_Plan`'s pairs.
+        """Return marker positions, rotation axes, and the derivative of each marker with respect to each rotation.
 
         Returns
         -------
         points : (J, 3, N)
-            Markers relative to the root.
+            Positions of the markers relative to the root's origin, in the axes of the world.
         axes : (K, 3, N)
-            Axes of the rotations.
+            Unit vectors along the axes of the rotations, in the world frame.
         moved : (M, 3, N)
-            Derivative of each pair's marker with respect to its rotation.
+            Derivative of the marker with respect to the rotation, for each pair of `_Plan`.
         """
         plan, N = self.plan, len(state)
         frames, cosine, sine = self._frames(state)
@@ -445,7 +452,7 @@ class Tree(Brief):
         if len(plan.pitched):
             y, z = axes[plan.pitched], columns[plan.z_axes]
             axes[plan.pitched] = cosine[plan.rolls, None] * y - sine[plan.rolls, None] * z
-        # x, y, z, x, y: then the cross product's cyclic neighbours are slices
+        # In the order x, y, z, x, y, the factors of a cross product are slices.
         turn_axes = axes.take(CYCLE, axis=1).take(plan.turning, axis=0)
         cyclic = points.take(CYCLE, axis=1)
         arms = cyclic.take(plan.arm, axis=0) - cyclic.take(plan.centre, axis=0)
@@ -456,7 +463,7 @@ class Tree(Brief):
 
 
 Moved = tuple[Array, Array, Array]
-"""Result of `Tree.moved`."""
+"""Marker positions, rotation axes and derivatives, as `Tree.moved` returns them."""
 
 
 def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:

@@ -1,4 +1,4 @@
-"""Distort and undistort rays by a lens model: one class per model, and the table of all models.
+"""Distort and undistort rays by lens models, each of which is a class in the table `LENS_MODELS`.
 
 A lens bends ideal normalised coordinates (a, b) = (x/z, y/z) to distorted coordinates, which the camera's matrix turns
 into pixels. As in OpenCV's documentation (modules calib3d and fisheye):
@@ -25,9 +25,9 @@ from numpy.polynomial import Polynomial, polynomial
 from recon.base.arrays import Array, Bools
 
 _ANGLES = 2048
-"""Number of samples of the table from which Newton's method starts."""
+"""Number of samples of the radial distortion, whose interpolated inverse is the start of Newton's method."""
 _LARGEST_RADIUS = 1e8
-"""Largest radius of the table from which Newton's method starts."""
+"""Largest radius, in normalised coordinates, at which the radial distortion is sampled."""
 
 
 class Lens:
@@ -53,7 +53,7 @@ class Lens:
 
     @cached_property
     def max_radius(self) -> float:
-        """Return the radius sqrt(a^2 + b^2) up to which the distorted radius increases, or inf."""
+        """Return the radius sqrt(a^2 + b^2) up to which the distorted radius increases, inf if it always does."""
         return math.inf
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
@@ -75,11 +75,11 @@ class Lens:
 
     @cached_property
     def _radial(self) -> tuple[Array, Array]:
-        """Return distorted radii along a line through the centre, and their rays' angles to the optical axis, rad."""
+        """Return samples of the distorted radius, and the angles of their rays to the optical axis, rad."""
         angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
         r, zero = np.tan(angles), np.zeros(_ANGLES)
         ahead, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
-        return 0.5 * (ahead - opposite), angles  # the tangential part is the same on both sides
+        return 0.5 * (ahead - opposite), angles  # cancels the tangential part, the same on both sides
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
         """Return the ideal coordinates of distorted coordinates, and whether they exist, (N,) each."""
@@ -178,7 +178,7 @@ class _Fisheye(Lens):
         return math.tan(math.sqrt(theta2)) if theta2 < (math.pi / 2) ** 2 else math.inf
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
-        # The offset keeps 0/0 away from the axis and is lost in rounding everywhere else.
+        # The offset avoids 0/0 on the optical axis and is lost in rounding everywhere else.
         r = np.sqrt(r2 + 1e-30)
         k1, k2, k3, k4 = self.k
         t2 = (theta := np.arctan(r)) ** 2
@@ -206,7 +206,7 @@ def _first_positive_root(coefficients: npt.ArrayLike) -> float:
     Coefficients are in increasing order.
     """
     array = np.asarray(coefficients, dtype=float)
-    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # polyroots divides by the last
+    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # polyroots divides by the last one
     roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min(initial=math.inf))
