@@ -47,7 +47,8 @@ MAX_NOISE_FACTOR = 2.0
 MAX_NOISE_FACTOR_OF_TWO = 1.1
 """Largest factor for two cameras, without a third camera to show that the errors are noise.
 
-Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visible only across the line between them.
+The error ratios of 68 real pairs of cameras are up to 1.5. Two cameras show a rotation of one of them only across the
+line between them.
 """
 EXPLAINED = 0.25
 """Fraction of a camera's error ratio; a cause that reduces the error ratio to this fraction or less explains it."""
@@ -60,11 +61,14 @@ CLEAR_GAIN = 1.5
 LARGEST_ROTATION_RAD = np.radians(45.0)
 """Largest best-fitting rotation that is attributed to the camera."""
 FRAMES = 480
-"""Largest number of frames that are compared: those of a longer clip with the most detections in common."""
+"""Largest number of frames in which cameras are compared.
+
+In a longer clip, the frames with the most detections in common are used.
+"""
 _KEPT_POINTS = 16
-"""Number of groups of cameras whose points are kept for further comparisons."""
+"""Number of groups of cameras whose triangulated points are kept in memory for further comparisons."""
 Comparison = dict[str, float]
-"""Comparison of one camera with the cameras that agree with each other; NaN if it cannot be determined.
+"""Comparison of one camera with the cameras that agree with each other; NaN if unknown.
 
 - points: number of points compared
 - error_px: median distance from the positions at which the others see the points
@@ -115,7 +119,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             findings.append(
                 by_effect(item, motion.trunk_m, is_gross=comparison["level"] > MAX_ERROR_RATIO * MAX_NOISE_FACTOR)
             )
-    for v in exchanged:  # as given, so that the error ratios show the exchange
+    for v in exchanged:  # compared before the correction, so that the error ratios show the exchange
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, points_of, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
@@ -243,7 +247,7 @@ def _exchanged_pair(ratios: Array, trials: Mapping[tuple[int, int], Array], limi
 def _compare_each(
     sights: Sequence[Sight], agreeing: Sequence[int], fps: float, points_of: PointsOf
 ) -> list[Comparison]:
-    """Compare each camera with all others that agree."""
+    """Return the comparison of each camera with the other cameras that agree."""
     return [
         _compare(sight, [sights[o] for o in agreeing if o != v], fps, points_of, wide=v not in agreeing)
         for v, sight in enumerate(sights)
@@ -305,7 +309,7 @@ class _RemovalCost(NamedTuple):
     is_unexplained: bool
     """Whether neither a rotation nor a time offset makes the camera agree."""
     ratio_sum: float
-    """Sum of the error ratios of the cameras after the removal or the correction."""
+    """Sum of the error ratios that are left after the removal or the best correction of the camera."""
 
 
 def _cost_of_removal(
@@ -316,7 +320,7 @@ def _cost_of_removal(
     limit: float,
     points_of: PointsOf,
 ) -> _RemovalCost:
-    """Return the cost of removing the camera that is missing from the rest.
+    """Return the cost of removing the one agreeing camera that is not among `rest`.
 
     A rotation and a time offset are tried only if there are three cameras.
     """
@@ -332,7 +336,7 @@ def _cost_of_removal(
 
 
 def _compare(sight: Sight, partners: Sequence[Sight], fps: float, points_of: PointsOf, wide: bool) -> Comparison:
-    """Compare a camera with others; with `wide`, search a long range of time offsets."""
+    """Return the comparison of a camera with others; if `wide` is true, a long range of time offsets is searched."""
     corrected = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         ratio, error_rad, n = error_ratio_of_pair(sight, partners[0])

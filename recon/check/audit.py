@@ -36,9 +36,9 @@ LIMITS: Mapping[str, float] = {
     "feet_slide": 1.0,
     "joint_beyond_range": 1.0,
 }
-"""Largest measure of each check in a correct file."""
+"""Largest value that the measure of each check has in a correct file, by the check's code."""
 TRACKS_ONLY = ("keypoints_normalised", "keypoints_y_up")
-"""Checks of 2D keypoints."""
+"""Codes of the checks that apply only to 2D keypoints."""
 POSES_ONLY = (
     "sides_exchanged",
     "lengths_change",
@@ -49,7 +49,7 @@ POSES_ONLY = (
     "feet_slide",
     "joint_beyond_range",
 )
-"""Checks of 3D poses."""
+"""Codes of the checks that apply only to 3D poses."""
 CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "detections_repeated": ("detections_frozen", "point_frozen", "frames_dropped", "points_interpolated"),
     "detections_frozen": ("point_frozen", "frames_dropped", "points_identical"),

@@ -17,7 +17,10 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array, Bools, Brief, Index, Integers
 
 NAMES_KNOWN = 0.6
-"""Fraction of a file's points, or of a skeleton's markers, with matching names above which the skeleton is used."""
+"""Smallest fraction of matching names with which a built-in skeleton is used.
+
+The fraction is that of the file's points or of the skeleton's markers, whichever are fewer.
+"""
 LEAST_NAMES = 4
 """Smallest number of matching names with which a skeleton is used, because two or three match several animals."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
@@ -28,7 +31,7 @@ _TRUNK = re.compile(
 )
 _WORD = re.compile(r"[A-Za-z]{3}")
 DECIMALS = 6
-"""Largest number of decimals to which a file's numbers may be rounded."""
+"""Number of decimals above which the numbers of a file count as not rounded."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +110,9 @@ class Measure:
     value: float
     """Value to compare with the code's limit (`recon.check.audit.LIMITS`)."""
     rows: tuple[int, int] | None = None
-    """Rows of the frames: the first, and the one after the last; None means all."""
+    """First row that the result is about, and the row after the last one; None means all rows."""
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers that the sentence of the finding states."""
+    """Numbers for the text of the finding."""
 
 
 def resolution_of(values: Array) -> float:

@@ -22,20 +22,23 @@ In clips of half a second, the drift is 1.2 at most in correct pairs, and 0.0 to
 one picture a second fewer (`python benchmarks/wrong_inputs.py --only limits`). Only longer clips show such a drift.
 """
 NO_DRIFT_SIGMAS = 0.5 * DRIFT_SIGMAS
-"""Drift in some frames of a long clip, in standard deviations, up to which the clip is not tested with all frames."""
+"""Largest drift, in standard deviations, at which the quick test of a long clip is final.
+
+The quick test uses some of the frames. If it shows a larger drift, all frames are used.
+"""
 RAY_SIGMAS = 3.0
 """Number of standard deviations by which the drift shown by rays must be below half of an estimate to refute it.
 
 Wrong lengths of a rough skeleton look like a drift, but rays do not depend on them. Errors of detections alone hardly
-ever reach three standard deviations, so a real drift is hardly ever refuted (`tests/check/test_clocks.py` has both
-cases).
+ever reach three standard deviations, so a real drift is hardly ever refuted (`tests/check/test_clocks.py` tests
+both).
 """
 
 
 def drifts_of(clip: ClipProblem, solution: TrajectorySolution, every: int = 1) -> dict[int, Step]:
     """Return the drift of each camera's clock over the clip, in frames, by the camera's number.
 
-    `every` above 1 is several times faster, and rough: see `one_steps`.
+    If `every` is above 1, only every such frame is used, which is several times faster but less exact (`one_steps`).
     """
     segment = solution.longest_segment
     if segment is None:
@@ -70,7 +73,7 @@ def drift_findings(
     if segment is None:
         return
     frames = segment.rows.stop - segment.rows.start
-    if frames > 2 * piece_of(fps):  # a long clip is first tested with some of its frames, which takes little time
+    if frames > 2 * piece_of(fps):  # a quick test with some of the frames comes first
         rough = drifts_of(clip, solution, every=max(1, round(fps / APPROACH_HZ)))
         if all(abs(step.value) < NO_DRIFT_SIGMAS * step.sigma for step in rough.values()):
             return

@@ -21,7 +21,10 @@ from recon.fit.result import Finding, Severity
 NAMED = 5
 """Largest number of names in a text."""
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
-"""Numbers that a text shows as lengths: {height_length} shows height_m, with sigma_m if the finding has it."""
+"""Names of numbers that a text shows as lengths.
+
+For example, {height_length} shows height_m, with sigma_m if the finding has this number.
+"""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
@@ -45,9 +48,9 @@ CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of others."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
-"""Numbers of findings: the change of poses (joints about their middle) and of positions if the finding is right."""
+"""Names of numbers: the change of poses (joints about their middle) and of positions, m, if a finding is right."""
 SPEEDS: tuple[str, str] = ("given_speed_m_s", "other_speed_m_s")
-"""Numbers of findings on the frame rate: the mean speed at the given and at the other rate."""
+"""Names of the numbers that state the animal's mean speed at the given and at another frame rate, m/s."""
 WITHOUT_FAULT = frozenset({"camera_agreement"})
 """Codes of notes that report agreement, not a fault."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
@@ -104,7 +107,10 @@ def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def sentence(item: Finding, named: bool = True) -> str:
-    """Return the text of a finding; with `named`, cameras are called by name, for clips with several cameras."""
+    """Return the text of a finding.
+
+    If `named` is true, as for clips of several cameras, the text calls a camera by its name.
+    """
     words = CODES[item.code][1]
     numbers: dict[str, Any] = item.numbers
     values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in numbers.items()}

@@ -2,8 +2,8 @@
 
 Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks equally large but flatter, and moves
 1.5 times as far in depth. One second of the clip is solved again with other focal lengths, from the solution moved
-along the optical axis. The costs count as negative log-likelihoods of persistent errors, and the minimum of a parabola
-through them estimates the focal length.
+along the optical axis. Since errors persist over frames, each fit's cost is divided by their correlation time, in
+frames. The minimum of a parabola through these costs estimates the focal length.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Correct views are from -1.2 to 0.9, views of 1.5 times the focal length from -2.
 2.2. Some correct clips that are short or partly hidden are at 1.5.
 """
 SEEN = 0.25
-"""Smallest fraction of the frames in which each foot is detected; without legs, size and distance are uncertain."""
+"""Fraction of the frames in which each foot must be detected, because size and distance are uncertain without legs."""
 BEYOND = 0.2
 """Largest distance between the logarithm of the estimate and the logarithms that were tried."""
 INSIDE_90 = 0.5 * NORMAL_90**2
@@ -125,15 +125,15 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
 
 @dataclass(frozen=True, eq=False)
 class SceneRefit:
-    """Solution of part of a clip with another camera, states (T, D) at nominal size, and its cost."""
+    """Solution of a part of a clip with another camera: states (T, D) at nominal size, and the cost."""
 
     cost: float
-    """Cost, where errors within the correlation time count once."""
+    """Cost, in which errors within the correlation time count only once."""
     states: Array
 
 
 def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float) -> SceneRefit:
-    """Return the solution with another focal length, with the contacts and the ground of that scene."""
+    """Return the solution with another focal length, with the contacts and the ground that result from it."""
     (view,) = clip.views
     scaled = replace(clip, views=(view.with_focal_scale(log_factor),))
     axis = view.T_camera_world.reshape(-1, 4, 4)[0, 2, :3]
@@ -143,7 +143,7 @@ def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float)
 
 
 def refit_scene(clip: ClipProblem, start: Array, noise_px: Array) -> SceneRefit:
-    """Return the minimum near states (T, D), with the contacts and the ground of these states."""
+    """Return the best fit near the states `start` (T, D), with the contacts and the ground of these states."""
     *_, contact_terms = contacts(clip, clip.markers(start), 1.0)
     return _scene_refit(clip, clip.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS))
 

@@ -40,7 +40,7 @@ def hind_markers(clip: ClipProblem) -> Bools:
 
 
 def offset_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
-    """Return the time offset of the hind half of a clip that one camera sees, in frames, or None if it is unknown."""
+    """Return the time offset of the animal's hind half in a clip of one camera, in frames, or None if it is unknown."""
     segment, is_hind = solution.longest_segment, hind_markers(clip)
     if segment is None or segment.rows.stop - segment.rows.start < LEAST_FRAMES or is_hind.all():
         return None

@@ -127,7 +127,10 @@ def _has_error(findings: Sequence[Finding]) -> bool:
 
 
 def _as_solved(clip: ClipProblem, solution: TrajectorySolution) -> ClipProblem:
-    """Return the problem with the prior's weight in a solution, and a ground near z = 0 only if feet stand there."""
+    """Return the problem under the assumptions of its solution.
+
+    These are the weight of the prior, and a ground near z = 0, which is assumed only if the feet stand there.
+    """
     weights = [segment.prior_weight for segment in solution.segments]
     is_elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
     return replace(
@@ -390,7 +393,10 @@ def steps_are_missing(ratios: Array) -> bool:
 
 
 def long_steps(ratios: Array) -> tuple[Bools, Bools, Bools]:
-    """Return masks of the long steps, of the short ones, and, without the ends, of those long between shorter ones."""
+    """Return masks of the long steps, of the short steps, and of the long steps between two shorter ones.
+
+    The third mask lacks the first and the last step.
+    """
     is_long = ratios > LONG
     is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
     return is_long, ratios < SHORT, is_alone
@@ -418,9 +424,9 @@ LEAST_S = 0.25
 STILL = 0.95
 """Smallest fraction of frames in which an animal that stands still is slower than `STILL_M_S`."""
 STILL_M_S = 0.3
-"""Largest speed of an animal that stands still; a trunk length per second if its trunk is shorter than 0.3 m."""
+"""Largest speed of an animal that stands still, m/s; one trunk length per second if its trunk is below 0.3 m."""
 STILL_RAD_S = 0.6
-"""Largest median angular speed of the joints of an animal that stands still."""
+"""Largest median angular speed of the joints of an animal that stands still, rad/s."""
 STILL_TRUNKS = 0.5
 """Largest extent of the path of an animal that stands still, in trunk lengths."""
 BACKWARDS_M_S = 1.0
@@ -432,8 +438,8 @@ SLOWEST = 0.1
 LOWEST = 0.2
 """Fraction of a foot's frames in which the foot counts as on the ground: those in which it is lowest.
 
-On a belt or under a camera that pans, feet move in these frames at 0.55 to 1.22 of the speed of `SLOWEST` (42 clips of
-cheetahs). If a dog stands, steps or turns on the spot, they move at -0.13 to 0.27 of it (11 clips; `python
+On a belt or under a camera that pans, feet move in these frames at 0.55 to 1.22 times `FeetSpeeds.slowest_m_s` (42
+clips of cheetahs). If a dog stands, steps or turns on the spot, the factor is -0.13 to 0.27 (11 clips; `python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_SHARE = 0.25
@@ -565,7 +571,7 @@ def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
     if not seem_to_slide(speeds):
         return None
     if abs(on_ground_m_s(motion)) < 0.5 * abs(speeds.slowest_m_s):
-        return None  # the feet on the ground stand, and others step or shake
+        return None  # the lowest feet stand still, and only the other feet move
     if speeds.slowest_m_s < 0 and abs(speeds.body_m_s) < STAYS_SHARE * speeds.over_feet_m_s:
         return finding("treadmill", slide_m_s=-speeds.slide_m_s, speed_m_s=speeds.body_m_s)
     return finding("camera_moves", slide_m_s=speeds.slowest_m_s, speed_m_s=speeds.body_m_s)

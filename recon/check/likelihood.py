@@ -50,8 +50,8 @@ model.
 SURE = 30.0
 """Log-likelihood gain above which evidence is clear.
 
-A swap needs this gain over a swap that contradicts it, a whole clip with all swaps undone over the clip as given, and
-another frame rate over the given rate.
+This gain is required of a swap over a swap that contradicts it, of a whole clip with all swaps undone over the clip as
+given, and of another frame rate over the given rate.
 """
 OWN_SHARE = 0.4
 """Fraction of the information of a limb's keypoints that is independent.
@@ -81,7 +81,7 @@ def single_view(clip: ClipProblem, view: View) -> ClipProblem:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Solution of part of a clip, states (n, D) at nominal size about the origin, and its likelihoods."""
+    """Solution of a part of a clip: states (n, D) at nominal size about the origin, and their likelihoods."""
 
     states: Array
     correlated: float
@@ -91,7 +91,7 @@ class Refit:
 
     @classmethod
     def of_states(cls, clip: ClipProblem, states: Array) -> Refit:
-        """Return the refit with the likelihoods of states, infinite if a frame has no state."""
+        """Return the refit of given states (n, D); its likelihoods are infinite if a frame has no state."""
         if not np.isfinite(states).all():
             return cls(states, np.inf, np.inf)
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
@@ -163,17 +163,17 @@ class Baseline:
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
     """The fits of parts of the clip as given, by first frame and the frame after the last."""
     _settled: dict[tuple[int, int], Estimate] = field(default_factory=dict, init=False, repr=False)
-    """The minima near the states of parts of the clip, by first frame and the frame after the last."""
+    """The best fits near the states of parts of the clip, by first frame and the frame after the last."""
     _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
     """The triangulated points of parts of the clip, by first frame."""
 
     @property
     def view(self) -> View:
-        """Return the view."""
+        """Return the only view of the baseline's clip."""
         return self.clip.views[0]
 
     def with_view(self, view: View) -> ClipProblem:
-        """Return the problem with its view replaced."""
+        """Return the clip's problem with another view instead of its own."""
         return single_view(self.clip, view)
 
     def refit(self, part: slice) -> Refit:
@@ -189,9 +189,10 @@ class Baseline:
         return self._refits[key]
 
     def settled(self, rows: slice, noise_px: Array) -> Estimate:
-        """Return the minimum near the states of some rows, with the ground under them.
+        """Return the best fit near the states of some rows, with the ground under these states.
 
-        The tests of the lens and of the focal length begin with it, both with the noise (T, J) of the fit.
+        The tests of the lens and of the focal length begin with this fit. `noise_px` (T, J) is the noise of the whole
+        fit.
         """
         key = rows.start, rows.stop
         if key not in self._settled:
@@ -449,7 +450,7 @@ LARGEST = 5.0
 _LENS_ITERATIONS = 6
 """Largest number of iterations of a fit with another lens."""
 LASTING = 0.25
-"""Fraction of the first third and of the last third of a second above which a keypoint counts as lasting.
+"""Fraction of the frames of both the first and the last third of a second in which a lasting keypoint is detected.
 
 A zoom is tested with these keypoints, and only if all feet are among them: an animal that leaves the picture does not
 grow, and feet that are not seen do not slide.
@@ -536,7 +537,7 @@ def zoom_of(nearer: float, farther: float) -> float:
 
 
 def with_calibration_at_either_end(item: Finding) -> Finding:
-    """Return a finding on a zoom with the effect on positions if the camera was calibrated at the start or the end.
+    """Return a finding on a zoom, with the effect on positions of a calibration at the start or the end of the clip.
 
     The fit assumes that the focal length is as calibrated in the middle of the second that was tested.
     """
@@ -555,7 +556,7 @@ RATE_STEP = 2**0.5
 RATE_STEPS = 8
 """Largest number of steps upwards or downwards: a factor of 16."""
 NEARLY = 1.02
-"""Factor within which stated frame rates are the same."""
+"""Largest ratio of two frame rates that count as the same."""
 ANOTHER = 1.3
 """Factor from which the rate at which angles swing suggests a different frame rate.
 
@@ -568,13 +569,13 @@ SPEEDS = 1.25
 An animal that stands or turns therefore does not count as slow motion.
 """
 FAR = 1.5
-"""Factor from which a different frame rate is an error, because speeds are wrong by this factor for any poses.
+"""Factor from which a different frame rate is an error, because even with correct poses the speeds are wrong.
 
 Below it, a different rate is at most a warning unless poses or positions change as well. Animals that turn swing their
 legs 1.45 times slower than animals that run straight ahead.
 """
 RATE_S = 5.0
-"""Seconds of a clip that are tested."""
+"""Seconds of a clip in which the frame rate and the lens distortion are tested."""
 _RATE_TOLERANCE = 1e-3
 """Relative decrease of the cost at which the fit at a frame rate ends."""
 _RATE_ITERATIONS = 10
@@ -593,7 +594,7 @@ def frame_rate_finding(
     clip
         A solved part of the clip.
     states
-        (T, D), at nominal size about the origin, without gaps.
+        States (T, D) at nominal size about the origin, without gaps.
     stated_hz
         Frame rate stated in a file, or None.
     by_motion
@@ -611,7 +612,7 @@ def frame_rate_finding(
     as_stated, rescaled = (_at_rate(clip, states, by) for by in (1.0, factor))
     misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (as_stated, rescaled))
     gain = _rate_cost(*as_stated, clip.correlation_frames) - _rate_cost(*rescaled, clip.correlation_frames)
-    # whether the motion at that rate is unlike the motions of the prior
+    # at that rate, the motion is unlike the motions of the prior, and no less so than at the given rate
     is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None
@@ -620,7 +621,7 @@ def frame_rate_finding(
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
-    if not 1 / FAR < factor < FAR:  # speeds are wrong by this factor for any pose
+    if not 1 / FAR < factor < FAR:  # speeds are wrong by this factor even if the poses are right
         return item
     return by_effect(item, trunk_m, is_gross=True)
 
@@ -673,7 +674,7 @@ def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: fl
 def _at_rate(
     clip: ClipProblem, states: Array, factor: float, correlation_frames: float = 1.0
 ) -> tuple[LeastSquares, Estimate]:
-    """Return the problem and its minimum at another rate.
+    """Return the problem at `factor` times the given frame rate, and its solution near the states (T, D).
 
     `correlation_frames` is the number of frames whose errors count once. The noise is the expected one, because the
     noise of a fit depends on the rate.

@@ -30,7 +30,7 @@ class Detections:
     """Detections of one camera in N frames, with the values that a derivative needs."""
 
     frames: Array
-    """(N,): frames of the clip."""
+    """(N,): rows of the frames in the clip."""
     centre_px: Array
     """(2,): the principal point."""
     projected_px: Array
@@ -81,7 +81,7 @@ def one_steps(
     fixed: Sequence[str] = (),
     every: int = 1,
 ) -> dict[int, Step]:
-    """Estimate unknowns, each of one camera and with the others at 0, in the longest segment of a clip.
+    """Estimate unknowns of single cameras in the longest segment of a clip, each with the other unknowns at 0.
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ def one_steps(
     fixed
         Names of shared unknowns that are assumed to be known.
     every
-        Only every such frame is used, with more weight: the estimate is then rough, and the derivatives are those of a
-        clip at the lower frame rate.
+        Distance between the frames that are used. Above 1, the estimate is less exact, and the functions in
+        `unknowns` get a clip at a frame rate that is lower by this factor.
 
     Returns
     -------

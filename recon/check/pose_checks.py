@@ -156,7 +156,7 @@ def _unit_for(times: float) -> str:
 
 
 def _upward(points: AuditedPoints) -> Array | None:
-    """Return the unit vector from the feet to the trunk, typical of all frames."""
+    """Return the mean direction from the feet to the trunk over all frames, as a unit vector (3,), or None."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return None

@@ -9,7 +9,7 @@ from recon.fit import constants
 from recon.fit.result import Finding, TrajectorySolution
 
 UNCHANGED_FACTOR = 1.1
-"""Growth of a camera's median reprojection error up to which refined poses count as no worse for it.
+"""Growth of a camera's median reprojection error up to which refined poses count as no worse for that camera.
 
 The errors of some cameras may grow a little if those of another camera decrease.
 """
@@ -28,7 +28,7 @@ def why_not_refined(
     *,
     may_fit_worse: bool = False,
 ) -> tuple[Finding, ...]:
-    """Return the reasons to keep the calibrated cameras, or nothing if the refined poses are to be used.
+    """Return the reasons to keep the calibrated cameras, or () if the refined poses are to be used.
 
     A camera that leaves its pose may become an outlier as a whole, which lowers a robust cost. If no camera fits
     better, the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a

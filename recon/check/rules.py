@@ -69,7 +69,7 @@ LOG_SIZE_MOST = math.log(2.0)
 """Largest deviation of the logarithm of a grown animal's size, for any standard deviation."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""Largest factor between a ratio of heights and the number of a unit in a metre with which the unit is suggested.
+"""Largest factor between a ratio of heights and the units per metre, up to which that unit is suggested.
 
 The camera's height above the feet is as uncertain as the animal's size.
 """
@@ -322,8 +322,8 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
     """Yield a finding on the first segment whose feet do not stand near z = 0.
 
-    If the camera's height is too large by about the number of some unit in a metre, the camera file is in that unit. If
-    the height is too small by the number of the given units in a metre, the file is in metres.
+    If the camera is too high by about the number of centimetres, millimetres or inches in a metre, the camera file is
+    in that unit. If a unit was given, and the camera is too low by its number in a metre, the file is in metres.
     """
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)

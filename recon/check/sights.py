@@ -58,7 +58,7 @@ class Sight:
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
     def part(self, rows: Index) -> Sight:
-        """Return the directions of some rows."""
+        """Return the directions in some of the T frames."""
         parts = (self.rays[rows], self.centre_m[rows], self.rotation[rows], self.focal_px, self.noise_rad[rows])
         return Sight(*parts)
 

@@ -30,11 +30,11 @@ The deviations are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x
 (median 3.7) if x is scaled by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
 """
 SEEN = 0.25
-"""Smallest fraction of the frames in which each foot is detected; without legs, the animal's height is unknown."""
+"""Fraction of the frames in which each foot must be detected, because the animal's height is unknown without legs."""
 
 
 def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
-    """Return the logarithm of the stretch of the picture of a clip that one camera sees, or None if it is unknown."""
+    """Return the logarithm of the stretch of the picture in a clip of one camera, or None if the stretch is unknown."""
     return one_steps(clip, solution, {0: _by_stretch}, fixed=(focal_scale(0),)).get(0)
 
 

@@ -47,16 +47,16 @@ This is less than a stride. The clip must also show a leg.
 OF_LEG = 3
 """Number of a leg's last markers that show its side; the upper markers hardly do."""
 _STRAIGHT = 3
-"""Number of frames before and after an end over which tracks are treated as straight."""
+"""Number of frames before and after an end of a swap over which tracks are treated as straight."""
 _LEAST_OFF_PX = 3.0
-"""Smallest deviation of tracks from a line, in pixels."""
+"""Smallest usual deviation of tracks from a line that is assumed, in pixels."""
 STEADY = 1.0
 """Largest usual deviation from a line, relative to the distance between the sides, at which tracks are used."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Rows of a clip, and the permutation (J,) of its markers in them."""
+    """Stretch of a clip, and the permutation (J,) that exchanges the sides of its markers."""
 
     rows: slice
     permutation: Index

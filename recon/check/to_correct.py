@@ -147,10 +147,10 @@ def _inside(picture: Picture) -> Bools:
 def _by_gain(
     gain_m2: Array, distance_px: Array, is_gross: Bools, chosen: Bools, limit: int
 ) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (v, t, j): gross errors first, and both parts sorted by gain, the largest first.
+    """Return the chosen detections (view v, frame t, joint j): gross errors first, both parts sorted by falling gain.
 
-    Cells of equal or unknown gain are in order of distance. Distance alone is a poor order, because the robust loss
-    ignores very distant detections, whose correction changes the pose little.
+    Detections of equal or unknown gain are in order of distance. Distance alone is a poor order, because the robust
+    loss ignores very distant detections, whose correction changes the pose little.
     """
     keys = np.where(chosen, -distance_px, 0.0), -np.nan_to_num(gain_m2), ~is_gross, ~chosen
     order = np.lexsort([key.ravel() for key in keys])
@@ -158,7 +158,7 @@ def _by_gain(
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (v, t, j), sorted by the gain that remains after those before them."""
+    """Return the chosen detections (view v, frame t, joint j), always the one with the largest remaining gain next."""
     left_m2 = np.where(chosen, gain_m2, -np.inf)
     frames, cells = np.arange(gain_m2.shape[1]), []
     for _ in range(min(limit, int(chosen.sum()))):
@@ -182,9 +182,9 @@ def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
 
 
 def _ellipses(motion: Motion, cells: list[tuple[int, int, int]]) -> list[tuple[float, float, float]]:
-    """Return the ellipses of one standard deviation about expected keypoints, for cells (v, t, j).
+    """Return the ellipses of one standard deviation about expected keypoints, for cells (view v, frame t, joint j).
 
-    Each consists of the semi-major and the semi-minor axis in pixels, and the angle of the major axis in degrees.
+    An ellipse consists of the semi-major and the semi-minor axis in pixels, and the angle of the major axis in degrees.
     """
     solution = motion.solution
     ellipses = np.empty((len(cells), 3))

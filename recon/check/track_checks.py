@@ -36,9 +36,9 @@ STRAIGHT = 0.02
 MOVING = 0.0005
 """Smallest distance, relative to the animal's size, that the other points move while a point is frozen."""
 STANCE = 1.0
-"""Smallest distance of the other points while a foot is frozen, in coordinates coarser than `COARSE`.
+"""Value that replaces `MOVING` for feet in coordinates coarser than `COARSE`.
 
-Feet stand still, and such coordinates do not show small movements.
+Feet stand still, and coarse coordinates do not show small movements.
 """
 COARSE = 1e-4
 """Resolution, relative to the animal's size, above which coordinates are coarse.

@@ -71,7 +71,10 @@ SENTENCES = {
         "seems 2.5 frames late relative to its fore half (3.1 standard deviations): the points of its fore half may",
         {"late_frames": 2.5, "sigmas": 3.1, "foreign": "fore half"},
     ),
-    "focal_length": ("fit it better than the camera's, by 1.2 standard", {"factor": 0.67, "sigmas": 1.23}),
+    "focal_length": (
+        "fit that focal length better than the camera's, by 1.2 standard",
+        {"factor": 0.67, "sigmas": 1.23},
+    ),
     "picture_zooms": ("better if the picture zooms in: distance", {"way": "in"}),
     "path_jolts": ("as no animal does (judged by its heading)", {"of": "heading", "cost": 1.2}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
