@@ -24,7 +24,7 @@ from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
 from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, planar_chain, summed_chain, values_by_joint
 
 BASE_THETA_RAD = 0.9
-"""Limit on the pitch of the first link, three standard deviations of a running animal's."""
+"""Limit on the pitch of the first link: three standard deviations of the pitch of a running animal's trunk."""
 LIMIT_SIGMAS = 3.0
 """Limits on the angles of a whole animal, in standard deviations from the mean."""
 _TRAVEL_M = 0.1

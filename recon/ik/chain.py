@@ -29,10 +29,10 @@ from recon.geometry.kinematics import AXES, Marker, Moved, Segment, Tree, deriva
 
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
-"""The lower and the upper limit."""
+"""Lower and upper limits of a chain's joints, each one number or one for each joint."""
 FREE: Limits = (-np.inf, np.inf)
 MAX_RATE_RAD_S = 50.0
-"""Rate limit of a chain that defines none."""
+"""Rate limit of the joints of a chain that defines no limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +316,7 @@ def joint_chain(
 
 
 def values_by_joint(n: int, *numbers: ArrayLike) -> list[Array]:
-    """Return each argument, given as one number or as (n,), as an array (n,) with a value for each joint."""
+    """Expand each argument, one number or one for each joint, to an array (n,)."""
     return [np.array(np.broadcast_to(number, n), float) for number in numbers]
 
 

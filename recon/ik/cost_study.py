@@ -42,9 +42,9 @@ class CostOutcome:
     """Factor by which the distance between two close starts grows."""
     singular_steps: int
     worst_error_m: float
-    """Largest distance of the end effector from the path."""
+    """Largest distance of the end effector from the path, metres."""
     limits_hit: tuple[str, ...]
-    """Joints that reached a limit."""
+    """Names of the joints that reached a limit."""
 
 
 def cost_outcome(

@@ -28,25 +28,28 @@ class Cost:
 
 
 def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
-    """Return g = (q - about)' H (q - about) / 2 with a constant symmetric H (n, n), and about (n,) or 0 for all."""
+    """Return the cost (q - about)' H (q - about) / 2, with a constant symmetric H (n, n) and `about` (n,) or 0."""
     return Cost(
         lambda q: float((q - about) @ matrix @ (q - about)) / 2, lambda q: matrix @ (q - about), lambda _: matrix
     )
 
 
 def joint_differences(chain: SerialChain) -> Cost:
-    """Return sum (q_{k+1} - q_k)^2 over consecutive joints, thetas and phis separately, which favours an even bend."""
+    """Return the cost sum (q_{k+1} - q_k)^2 over consecutive joints, which favours an even bend.
+
+    Thetas and phis are summed separately.
+    """
     D = np.concatenate([np.diff(np.eye(chain.n)[[*group]], axis=0) for group in chain.groups])
     return quadratic(2 * D.T @ D)
 
 
 def rotational_energy(chain: SerialChain) -> Cost:
-    """Return sum (r_k q_k)^2, m^2, with the length r_k of each joint's link: long links rotate least."""
+    """Return the cost sum (r_k q_k)^2, m^2, with the length r_k of each joint's link: long links rotate least."""
     return quadratic(2 * np.diag(chain.joint_lengths_m**2))
 
 
 def pose_distance(pose: Array) -> Cost:
-    """Return sum (q_k - p_k)^2, the squared distance from a pose p (n,), such as the animal's."""
+    """Return the cost sum (q_k - p_k)^2, the squared distance from a pose p (n,), such as the animal's."""
     return quadratic(2 * np.eye(len(pose)), pose)
 
 
@@ -67,7 +70,7 @@ def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
 
 
 def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
-    """Return g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
+    """Return the cost q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
 
     `joints` are (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. The Hessian of the cost
     has rank 2, and its stationary points are saddles, at which the extended Jacobian can be singular.

@@ -61,7 +61,7 @@ class Run:
     solve_s: Array
     """Computing time of each step, shape (K - 1,), seconds."""
     limits: dict[str, str]
-    """First limit that stopped each joint and its step, as text by joint, in the order of the steps."""
+    """Texts by joint that name the first limit that stopped the joint, and the step, in the order of the steps."""
     closed: bool
     """Whether the path was closed."""
     note: str

@@ -27,7 +27,7 @@ _SINGLE = {
     "gradient-projection_k_1_s": "k, differences",
     "transpose_alpha_1_m2": "transpose",
 }
-"""Names of single parameters in the legend."""
+"""Legend labels of the parameters of methods with a single parameter."""
 
 
 def task_space(

@@ -46,9 +46,9 @@ The rate limits are those of the animal's joints, and would restrict a method th
 do not depend on the factor.
 """
 CONSTANT_VECTOR = "constant-vector"
-"""Name of gradient projection along a constant vector g in the parameter tables."""
+"""Name in the parameter tables of gradient projection along a constant vector g."""
 VECTORS = (CONSTANT_VECTOR, "gradient-projection")
-"""Methods with a vector g."""
+"""Names of the methods whose fitted parameter can be a vector g, with a component for each joint."""
 EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
 LAST = 3
 """Number of previous frames to which the parameters are refitted at each frame of the stride (online)."""
@@ -304,7 +304,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
 def _path_of(
     motion: Motion, limb: Limb, stride: Stride | None, duration_range_s: tuple[float, float] | None
 ) -> StridePath:
-    """Return the path of a limb's foot over a stride.
+    """Return the path that a limb's foot follows over a stride.
 
     If no stride is given, the foot's closest return in space with a duration in the given range is used, or the whole
     clip if the range is None. Raises InputError if the clip shows too little of a stride.

@@ -54,7 +54,7 @@ class JointRates(NamedTuple):
     dq: Array
     """Rates of the joints, rad/s, shape (n,)."""
     singular: bool = False
-    """Whether the rates are damped because motion in a direction is lost."""
+    """Whether the rates are damped because the end effector cannot move in some direction."""
     note: str = ""
     """Rates that were reduced or damped, in words; empty if none were."""
     along: Array | float = 0.0
@@ -69,7 +69,7 @@ class Method(ABC):
     """Factor on the rates; None for <dx, J dq> / |J dq|^2 at every step, for which J dq is nearest to dx."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL) -> JointRates:
-        """Return the rates for q (n,) and dx (dim,)."""
+        """Return the joint rates at q (n,) for an end-effector velocity dx (dim,)."""
         J, curvature = chain.derivatives(q)
         step = _within_limits(chain, free, self._solve(J[:, free], dx, q, free, curvature))
         if self.alpha == 1.0:
@@ -96,7 +96,7 @@ class Method(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LeastNorm(Method):
-    """Method of the smallest rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
+    """Method that computes the smallest joint rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
 
     The rates minimise dq' W dq + |J dq - dx|^2 / lambda^2. Without weights and damping, they are J+ dx.
     """
@@ -130,7 +130,7 @@ def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
 
 @dataclass(frozen=True, eq=False)
 class JacobianTranspose(Method):
-    """Method of the rates alpha J' dx, by default with the best alpha at every step."""
+    """Method that computes the joint rates alpha J' dx, by default with the best alpha at every step."""
 
     alpha: float | None = None
 
@@ -140,7 +140,7 @@ class JacobianTranspose(Method):
 
 @dataclass(frozen=True, eq=False)
 class GradientProjection(Method):
-    """Method of the rates J+ dx + k (I - J+ J) g."""
+    """Method that computes the joint rates J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
     """g (n,) as a function of q, or a cost with g as its gradient."""

@@ -51,7 +51,7 @@ PARAMETERS = {
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """T frames of a chain, or of several chains of one kind in a row."""
+    """Joint angles and velocities in T frames of a chain, or of several chains of one kind in a row."""
 
     q: Array
     """Joint angles, shape (T, n), rad."""

@@ -31,7 +31,7 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW
 
 @dataclass(frozen=True)
 class ChainPose:
-    """N states of D unknowns, with the positions of the J joints in the camera frame.
+    """Positions of the J joints in the camera frame for N states of D unknowns.
 
     The Jacobians are None unless they were requested.
     """
@@ -50,7 +50,7 @@ class ChainPose:
 
 @dataclass(frozen=True)
 class UnknownsChain(Chain):
-    """A chain with the unknowns of one frame, and with their kinematics."""
+    """A chain of links, with the D unknowns of one frame and the kinematics that they determine."""
 
     @property
     def n_state(self) -> int:
@@ -114,7 +114,7 @@ class UnknownsChain(Chain):
         return body_state, state[:, self.base_index] / self.nominal_base_length_m
 
     def _local_state(self, state: Array) -> Array:
-        """Return the body's states (N, D') with the root at the origin and aligned with the world."""
+        """Return the body's states (N, D') for states (N, D) of the chain, with the root's pose left at 0."""
         local_state = np.zeros((len(state), self.body.n_state))
         local_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return local_state
@@ -176,7 +176,7 @@ def load_chain(name_or_path: str | Path) -> UnknownsChain:
 
 
 def mean_pose(chain: UnknownsChain) -> Array:
-    """Return the state (D,) with expected angles and nominal size at the origin."""
+    """Return the state (D,) of a chain at the origin with its expected angles and nominal size."""
     state = np.zeros(chain.n_state)
     state[chain.theta_slice] = chain.theta.mean_rad
     state[chain.phi_slice] = chain.phi.mean_rad

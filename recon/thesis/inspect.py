@@ -42,7 +42,7 @@ PUBLISHED = {
     "f4": "theta rate",
     "f5": "phi rate",
 }
-"""Names of the terms, by the published names of the objectives."""
+"""Names of the terms in this project, by the published names of the objectives."""
 COUNTS = ("iterations", "function_evaluations", "first_evaluations", "starts", "optimizer_status")
 CAMERA_ANGLES = ("xi", "psi", "zeta")
 EXIT_FLAGS = {
@@ -112,7 +112,7 @@ class SolverRecord:
     motion: Motion
     solution: FrameSolution
     terms: dict[int, dict[str, tuple[Array, Array]]]
-    """Residuals (M,) and Jacobian (M, D) at the solution, by row of the clip and term.
+    """Residuals (M,) and Jacobian (M, D) at the solution, by the frame's index in the clip, then by name of the term.
 
     The previous frame's pose is held fixed.
     """
@@ -152,11 +152,11 @@ class SolverRecord:
         return self._by_frame({row: np.linalg.norm(self.jacobian(row), axis=0) for row in self.terms})
 
     def jacobian(self, row: int) -> Array:
-        """Return the Jacobian (M, D) of a row of the clip."""
+        """Return the Jacobian (M, D) of the frame with the index `row` in the clip."""
         return np.concatenate([J for _, J in self.terms[row].values()])
 
     def _by_frame(self, values: dict[int, Array]) -> Array:
-        """Return an array (T, D) with the given rows filled in and NaN in all others."""
+        """Return an array (T, D) with the given values (D,) by frame index, and NaN in all other frames."""
         table = np.full((len(self.motion.frames), len(self.unknowns)), np.nan)
         table[[*values]] = np.array([*values.values()])
         return table
@@ -168,7 +168,10 @@ class SolverRecord:
 
     @cached_property
     def sizes(self) -> dict[str, Array]:
-        """Return sizes of the residuals and of the Jacobian, and its fraction of zeros, (T,) each, by name."""
+        """Return the squared norm and mean magnitude of the residuals, and the Jacobian's mean magnitude and sparsity.
+
+        Each array has the shape (T,), and is stored by its name.
+        """
         table = np.full((4, len(self.motion.frames)), np.nan)
         for row, terms in self.terms.items():
             residual, jacobian = np.concatenate([r for r, _ in terms.values()]), self.jacobian(row)
@@ -184,12 +187,12 @@ class SolverRecord:
 
     @property
     def active(self) -> dict[str, Array]:
-        """Return how many angles exceed their expected ranges, and how many rates their limits, (T,) each, by name."""
+        """Return the numbers (T,) of angles beyond their expected "ranges", and of "rates" beyond their limits."""
         return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
 
     @property
     def _is_beyond(self) -> dict[str, Bools]:
-        """Return which angles exceed their expected ranges, and which rates their limits, (T, 2 A) each."""
+        """Return masks (T, 2 A) of angles beyond their expected "ranges", and of "rates" beyond their limits."""
         return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:

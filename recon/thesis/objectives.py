@@ -240,9 +240,10 @@ class DirectionPrior(Objective):
     components: Array
     """Rows (M, 3) onto which the difference is projected."""
     expected: Array | None
-    """Expected unit vectors (T, 3) in the camera frame, NaN for rows of zeros; None for the axis of the previous frame.
+    """Expected unit vectors (T, 3) in the camera frame, NaN where the residuals are 0.
 
-    In the latter case sigma is the standard deviation of a random walk, per square root of a second.
+    None stands for the axis of the previous frame; sigma is then the standard deviation of a random walk, per square
+    root of a second.
     """
     sigma: float
     euler: slice

@@ -55,13 +55,13 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class PathTie(Objective):
-    """Tie of the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
+    """Objective that ties the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
 
     The ratio of the base lengths leaves the scale free, because the pixels do not determine the scale either.
     """
 
     position_m: Array
-    """The path, shape (T, 3), metres; NaN for residuals of zero."""
+    """Positions of the path, shape (T, 3), metres; NaN where the residuals are 0."""
     nominal_base_length_m: float
     base_index: int
     sigma_m: float

@@ -63,7 +63,7 @@ class _FrameReport:
     """Status of scipy's least_squares."""
     squared_norm: float
     cost_shares: dict[str, float]
-    """Fraction of the squared norm that each term contributes."""
+    """Fraction of the residuals' squared norm that each term contributes, by name of the term."""
     step_norm: float
     """Length of the last step."""
     sigma_px: float
@@ -221,7 +221,7 @@ class FrameSolution(Solution):
     def beyond_rate_rad_s(self) -> Array:
         """Return the chord rate since the previous solved frame minus its limit, shape (T, 2 A), rad/s.
 
-        The result is NaN for the first frame and without a pose.
+        The first frame and frames without a pose have NaN.
         """
         angles = self._angles_rad
         rows = np.flatnonzero(np.isfinite(angles[:, 0]))
@@ -238,7 +238,7 @@ def frame_solution(motion: Motion) -> FrameSolution:
 
 
 def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array, **fields: Any) -> FrameSolution:
-    """Return the solution in the world.
+    """Convert the chain's states to a solution in the world frame.
 
     Parameters
     ----------
@@ -264,8 +264,8 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
     )
     path: Path | None = fields.get("path")
-    # The frames were solved with the path held fixed. The path's error moves all joints together, by the fraction that
-    # the tie passes on.
+    # The frames were solved with the path held fixed. The path's error is therefore added: it moves all joints
+    # together, by a fraction that depends on how tightly the root is tied to the path.
     if path is not None:
         R = T_world_camera[:3, :3]
         share = absolute[:, 0] / fields["path_sigma_m"] ** 2

@@ -161,7 +161,7 @@ class FrameProblem:
         return first
 
     def with_noise(self, sigma_px: float) -> FrameProblem:
-        """Return the same problem with another standard deviation of the detections."""
+        """Return the same problem with another standard deviation of the detections, pixels."""
         return replace(self, terms=(replace(self.pixels, sigma_px=sigma_px), *self.terms[1:]))
 
     def sigmas_off(self, x: Array) -> Array:

@@ -36,7 +36,7 @@ class Travel:
     """Direction of travel and speed of every frame."""
 
     heading: Array
-    """Horizontal unit vectors in which the animal faces, in the camera frame, shape (T, 3)."""
+    """Horizontal unit vectors along which the animal faces, in the camera frame, shape (T, 3)."""
     speed_m_s: Array
     """Speed along the path, shape (T,), m/s; 0 if the animal is too slow or too rarely seen."""
 
