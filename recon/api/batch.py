@@ -357,7 +357,10 @@ class Summary:
 def write_summary_page(out: Path) -> Path:
     """Write summary.html from the summary.csv in the same folder.
 
-    Raises InputError if summary.csv is not a batch's summary.
+    Raises
+    ------
+    InputError
+        If summary.csv is not the summary of a batch.
     """
     from recon.show.page.pages import batch_page  # imports matplotlib, which the fitting processes do not need
 
@@ -368,7 +371,10 @@ def write_summary_page(out: Path) -> Path:
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a summary.csv, undoing the escapes that `Summary.write` put before formulas.
 
-    Raises InputError if the file is not a summary.
+    Raises
+    ------
+    InputError
+        If the file is not the summary of a batch.
     """
     (_, header), *rows = [*text_rows(path)] or [(1, [])]
     texts = ([*map(unguarded, cells)] for _, cells in rows)

@@ -271,7 +271,12 @@ def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
     """Return the sessions of a project, each with its folder of keypoint files.
 
     The folder may be a project, one session, or a folder of 2D poses. Filtered 2D poses are preferred to unfiltered
-    ones. Raises InputError for a config.toml that cannot be read.
+    ones.
+
+    Raises
+    ------
+    InputError
+        If a config.toml cannot be read.
     """
     folder = folder.absolute()
     pipeline = _table(_anipose_config(folder)[0], "pipeline")
@@ -358,7 +363,10 @@ def _header(path: Path) -> list[str]:
 def _drafts_of_manifest(path: Path) -> list[_Draft]:
     """Return one draft per row.
 
-    Raises InputError with every fault of the table itself.
+    Raises
+    ------
+    InputError
+        If the table is faulty; the message lists every fault of the table itself.
     """
     header, known = _header(path), ("out", *EXPERIMENT, *SETTINGS)
     many = {name for name, info in SETTINGS.items() if info.is_many}
@@ -516,7 +524,10 @@ def _with_camera(
 def _compiled_from_file(text: str, file: Path) -> re.Pattern[str]:
     """Return the compiled pattern that a file contains.
 
-    Raises InputError for a pattern whose search could take forever.
+    Raises
+    ------
+    InputError
+        If a search with the pattern could take forever.
     """
     pattern = _compiled(text, file)
     if slow := slow_part(text):

@@ -108,7 +108,10 @@ class CameraAdviceSettings(Settings):
 def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
     """Find the best positions for one or two cameras, write the figure and the table, and return the report.
 
-    Raises InputError for settings that cannot be used.
+    Raises
+    ------
+    InputError
+        If settings cannot be used.
     """
     body = load_skeleton(settings.skeleton, settings.subject)
     targets = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}

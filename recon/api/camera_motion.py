@@ -92,7 +92,10 @@ def motion_files(track: Path) -> tuple[str, str, str]:
 def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> dict[str, Any]:
     """Estimate the rotation of a camera, write the files of `motion_files` to an output, and return the report.
 
-    Raises InputError if inputs cannot be used, or if the background does not show how the camera turned.
+    Raises
+    ------
+    InputError
+        If inputs cannot be used, or if the background does not show how the camera turned.
     """
     files = motion_files(settings.out)
     info, lens, animal, marks, *_ = collect_problems(

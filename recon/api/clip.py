@@ -57,8 +57,12 @@ Solve = Callable[[tuple[Source, ...], TrajectoryOptions], TrajectorySolution]
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     """Reconstruct one clip, either over all frames at once or frame by frame (method "frame").
 
-    Raises InputError with all problems of files and settings that cannot be used. Frames that cannot be solved stay in
-    the result, without a pose.
+    Frames that cannot be solved stay in the result, without a pose.
+
+    Raises
+    ------
+    InputError
+        If files or settings cannot be used; the message lists all problems.
     """
     if settings.method == "frame":
         from recon.thesis.clip import fit_clip as fit_frames

@@ -27,7 +27,10 @@ Cameras = tuple[ClipCamera, ...]
 def read_clip_cameras(settings: FitSettings) -> Cameras:
     """Return the camera of each keypoint file, and its track if it moves.
 
-    Raises InputError for files and settings that cannot be used.
+    Raises
+    ------
+    InputError
+        If files or settings cannot be used.
     """
     tracks: tuple[CameraTrack, ...] = ()
     if settings.camera_track:
@@ -108,7 +111,10 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cam
 def _lens_of_track(camera: Camera, settings: FitSettings, index: int) -> Camera:
     """Return the lens stored in a track, under the given name.
 
-    Raises InputError if the given picture size differs from the track's.
+    Raises
+    ------
+    InputError
+        If the given picture size differs from the track's.
     """
     size, given_size = camera.image_size_px, settings.image_size_px
     if given_size is not None and size != given_size:

@@ -186,7 +186,10 @@ def _spread(points_m: np.ndarray) -> float:
 def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
     """Return the body, the prior and the cameras.
 
-    Raises InputError with the problems of all three.
+    Raises
+    ------
+    InputError
+        If any of the three cannot be used; the message lists the problems of all.
     """
     model, cameras = collect_problems(lambda: read_model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras
@@ -206,7 +209,10 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
 def read_clips(settings: FitSettings) -> list[Keypoints]:
     """Return the keypoints of all files, with the given frame rate or that of the file.
 
-    Raises InputError with the problems of all files, including missing and differing frame rates.
+    Raises
+    ------
+    InputError
+        If files cannot be used, or if frame rates are missing or differ; the message lists the problems of all files.
     """
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
     files = collect_problems(
@@ -279,9 +285,13 @@ def cleaned_source(
 ) -> Source:
     """Return all keypoints of a file at the clip's frame rate.
 
-    `late_frames` is the delay of the file's frame 0 relative to the clip's, in frames of the clip.
-    Keypoints far outside the picture and those in frames without a camera pose are left out. Raises InputError if most
-    keypoints lie outside.
+    `late_frames` is the delay of the file's frame 0 relative to the clip's, in frames of the clip. Keypoints far
+    outside the picture and those in frames without a camera pose are left out.
+
+    Raises
+    ------
+    InputError
+        If most keypoints lie outside the picture.
     """
     camera, track = clip_camera
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)

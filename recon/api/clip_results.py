@@ -154,8 +154,11 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
 def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> dict[str, Any]:
     """Reconstruct a clip, replace an earlier fit's files in its folder, and return the report.
 
-    Raises InputError also if an input file changes during the fit, because it would be unclear which content was
-    fitted.
+    Raises
+    ------
+    InputError
+        If inputs cannot be used, or if an input file changes during the fit, because it would be unclear which content
+        was fitted.
     """
     start, sha256 = time.perf_counter(), input_digests(settings)
     motion = fit_clip(settings, lambda stage, share: progress(stage, WRITING_BEGINS * share))
@@ -441,7 +444,10 @@ def _with_json_limits(schema: dict[str, Any]) -> dict[str, Any]:
 def read_config(config: Path, options: Mapping[str, Any]) -> FitSettings:
     """Read settings from the config.toml of a result, as `read_settings` does.
 
-    Raises InputError also if files that it names are missing.
+    Raises
+    ------
+    InputError
+        If settings are wrong, or if files that they name are missing.
     """
     settings = read_settings(config, options)
     missing = {role: path for role, path in _named(options, settings).items() if not path.exists()}

@@ -147,7 +147,10 @@ class _Results:
 def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
     """Compare the strides and speeds of several clips, and write tables, a figure and a page.
 
-    Raises InputError if the folders, the table or the design cannot be used.
+    Raises
+    ------
+    InputError
+        If the folders, the table or the design cannot be used.
     """
     if settings.out is None:
         raise InputError(Problem("--out", "folder", "nothing", _OUT))
@@ -199,7 +202,10 @@ def _parquet(name: str) -> str:
 def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
     """Return the folders of results by name: the paths themselves, or those of batches.
 
-    Raises InputError for folders without results, and for several folders of the same name.
+    Raises
+    ------
+    InputError
+        If a folder has no results, or several folders have the same name.
     """
     folders = []
     for path in [path for path in paths if not path.is_file()] or paths:  # all/* also matches the batch's own files
@@ -227,7 +233,10 @@ def _design(settings: CompareSettings, names: Sequence[str]) -> pd.DataFrame | N
 def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
     """Load the results, and leave out copies and those that may not be used.
 
-    Raises InputError if none is left.
+    Raises
+    ------
+    InputError
+        If no result is left.
     """
     motions = collect_problems(*(lambda path=path: Motion.load(path) for path in folders.values()))
     loaded = dict(zip(folders, motions, strict=True))

@@ -41,8 +41,12 @@ def clips_of(
 ) -> tuple[list[FitSettings], list[str]]:
     """Return the settings of the clips in keypoint files, folders and manifests, as in a batch, and notes.
 
-    If `camera_name` is among the options, all files belong to one clip. Raises InputError for inputs that cannot be
-    used.
+    If `camera_name` is among the options, all files belong to one clip.
+
+    Raises
+    ------
+    InputError
+        If inputs cannot be used.
     """
     if options.get("camera_name") is not None:
         return [read_settings(None, {**options, "keypoints": inputs})], []

@@ -77,8 +77,12 @@ def with_poses(
 ) -> tuple[Keypoints, CleaningReport, FramePoses]:
     """Return keypoints and poses for the same frames.
 
-    Detections are left out in frames for which the track has no pose. Raises InputError if the track has no pose for
-    any frame.
+    Detections are left out in frames for which the track has no pose.
+
+    Raises
+    ------
+    InputError
+        If the track has no pose for any frame.
     """
     poses, filled = track.at(keypoints.frames, fps)
     if not (keypoints.present & poses.known[:, None]).any():
@@ -96,8 +100,12 @@ def with_poses(
 def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     """Return keypoints resampled to the frame rate of the clip.
 
-    The interpolation is linear and keeps frame 0; the confidence of a slower camera is reduced in proportion. Raises
-    InputError if there are too few frames to interpolate.
+    The interpolation is linear and keeps frame 0; the confidence of a slower camera is reduced in proportion.
+
+    Raises
+    ------
+    InputError
+        If there are too few frames to interpolate.
     """
     assert keypoints.fps is not None
     if keypoints.fps == fps:

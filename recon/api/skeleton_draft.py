@@ -133,7 +133,10 @@ class SkeletonDraftSettings(Settings):
 def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """Draft a skeleton for the keypoints of one file or of several cameras, and write it.
 
-    Raises InputError if no skeleton can be drafted.
+    Raises
+    ------
+    InputError
+        If no skeleton can be drafted.
     """
     out, source = settings.out, settings.keypoints[0]
     output = output_file(out, "skeleton from-keypoints", settings.overwrite, input_paths(settings))
@@ -353,7 +356,10 @@ def draft_from_points(
 def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Array, list[str]]:
     """Return the points that are seen in enough frames, and their names.
 
-    Raises InputError if there are too few of these points.
+    Raises
+    ------
+    InputError
+        If there are too few of these points.
     """
     seen = np.isfinite(points_m[..., 0])
     kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
@@ -368,7 +374,10 @@ def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Ar
 def _distances(points_m: Array, source: Path) -> _Distances:
     """Return the distances between points (T, K, 3).
 
-    Raises InputError if noise hides which distances are constant.
+    Raises
+    ------
+    InputError
+        If the keypoints are too noisy to show which distances are constant.
     """
     by_point = [np.linalg.norm(points_m - point[:, None], axis=2) for point in points_m.swapaxes(0, 1)]
     distances_m = np.stack(by_point, axis=1)
@@ -454,7 +463,10 @@ def _directions_ahead(
 ) -> Array:
     """Return level vectors (T, 2) that point ahead: along the path, or from tail to head if the animal stays in place.
 
-    Raises InputError if neither the path nor the names show the front, or if the animal has only one body.
+    Raises
+    ------
+    InputError
+        If neither the path nor the names show the front, or if the animal has only one body.
     """
     steps_m = np.gradient(centre_m[:, :2], axis=0)
     path_m = float(np.nansum(np.linalg.norm(steps_m, axis=1)))

@@ -185,7 +185,10 @@ def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> Clip
 def _known_states(problem: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
     """Return the states (T, D) whose markers are nearest to a given pose, NaN in frames without one.
 
-    Raises InputError if the pose shares no frame with the clip, or has too few of the markers.
+    Raises
+    ------
+    InputError
+        If the pose shares no frame with the clip, or has too few of the markers.
     """
     markers = problem.body.markers
     _, clip_rows, pose_rows = np.intersect1d(frames, pose.frames, return_indices=True)

@@ -60,7 +60,12 @@ def damage_as_input_error(source: str | Path, expected: str, field: str = "conte
 def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
     """Return the text of a UTF-8 file.
 
-    `expected` describes the file, for messages. Raises InputError if the file is anything else.
+    `expected` describes the file, for messages.
+
+    Raises
+    ------
+    InputError
+        If the path is not a readable file, or the file is empty, too large, or not in UTF-8.
     """
     return text_of(read_content(path, expected, most_bytes), path, expected)
 
@@ -75,7 +80,7 @@ def text_of(content: bytes, source: str | Path, expected: str) -> str:
 
 
 def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> bytes:
-    """Return the content of a file as bytes, with the same checks as `read_text`."""
+    """Return the content of a file as bytes, checked as in `read_text` except for its encoding."""
     content = read_head(path, expected, most_bytes + 1)
     if len(content) > most_bytes:
         raise InputError(Problem(path, "file", f"more than {most_bytes >> 20} MB", expected))
@@ -85,7 +90,10 @@ def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> byte
 def read_head(path: Path, expected: str = ANY_FILE, length: int = 64) -> bytes:
     """Return the first bytes of a file.
 
-    Raises InputError for an empty file, and for anything that is not a readable file.
+    Raises
+    ------
+    InputError
+        If the file is empty, or the path is not a readable file.
     """
     require_file(path, expected)
     with damage_as_input_error(path, expected, "file"), path.open("rb") as file:
@@ -153,7 +161,10 @@ _adapter = cache(TypeAdapter)  # kept because making an adapter takes longer tha
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
     """Return a table converted to a model, either pydantic's or a dataclass.
 
-    Raises InputError with everything that is wrong with the table.
+    Raises
+    ------
+    InputError
+        If the table does not fit the model; the message lists everything that is wrong.
     """
     adapter = _adapter(model)
     try:
@@ -243,8 +254,12 @@ def named_file(
     """Return the content of a built-in file or of a user's file, and its name for messages.
 
     `name` is the name of a file in the package's `folder`, or the path of any other file. `kind` describes the file,
-    and `names` are the allowed names if only some files of the folder are allowed. Raises InputError for an unknown
-    name.
+    and `names` are the allowed names if only some files of the folder are allowed.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it cannot be read.
     """
     known = builtin_names(folder, ending)
     if str(name) in known:

@@ -309,8 +309,11 @@ class Manifest:
 def read_manifest(folder: Path) -> Manifest:
     """Read the manifest of a folder.
 
-    Raises InputError if there is no manifest, for example after a run was interrupted while writing, or if the manifest
-    names files outside the folder.
+    Raises
+    ------
+    InputError
+        If there is no manifest, for example after a run was interrupted while writing, or if the manifest names files
+        outside the folder.
     """
     path = folder / MANIFEST
     try:
@@ -348,7 +351,10 @@ def _open_at_once(path: str, flags: int) -> int:
 def sha256_of(path: str | os.PathLike[str]) -> str:
     """Return the SHA-256 of a file's content in hexadecimal digits.
 
-    Raises OSError for a pipe or a device, which may have no end.
+    Raises
+    ------
+    OSError
+        If the path is a pipe or a device, which may have no end.
     """
     with open(path, "rb", opener=_open_at_once) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

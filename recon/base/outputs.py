@@ -70,7 +70,10 @@ _Written = dict[str, tuple[WrittenFile, ...]]
 def read_record(folder: Path) -> _Written:
     """Return the files that recon wrote into a folder, as its `RECORD` lists them; none if there is no record.
 
-    Raises InputError if a file of that name is not such a record.
+    Raises
+    ------
+    InputError
+        If a file of that name is not such a record.
     """
     path = folder / RECORD
     try:
@@ -138,7 +141,10 @@ class ReadResults:
     def unchanged(self) -> Iterator[None]:
         """Keep the results from being replaced during the block.
 
-        Raises InputError if they were replaced since they were read.
+        Raises
+        ------
+        InputError
+            If the results were replaced since they were read.
         """
         with ExitStack() as stack:
             if os.access(self.folder, os.W_OK | os.X_OK):
@@ -225,7 +231,11 @@ class Output:
         """Yield a staging folder, whose files move into the output folder at the end of the block, all or none.
 
         If `adds` is true, earlier files of the same kind are kept unless they are replaced; otherwise they are removed.
-        Raises InputError as `require` does, and if the results that the files were made from have been replaced.
+
+        Raises
+        ------
+        InputError
+            If `require` would raise it, or if the results that the files were made from have been replaced.
         """
         with staging_in(self.folder) as staging:
             try:

@@ -291,7 +291,12 @@ def run_tasks_on_cluster(
     """Run all tasks as futures of the Dask scheduler at an address, and report the end of each.
 
     No task is lost if a Dask worker dies, since other workers take over its tasks. After an exception the tasks under
-    way are stopped. Raises InputError if there is no scheduler, if it stops, or if Dask is not installed.
+    way are stopped.
+
+    Raises
+    ------
+    InputError
+        If there is no scheduler, if it stops, or if Dask is not installed.
     """
     client = _client(address)
     batch = uuid.uuid4().hex

@@ -45,8 +45,12 @@ _Class = TypeVar("_Class")
 def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
     """Write a dataclass, whole or not at all.
 
-    `schema` is the name and version of the format, which `load_record` expects. Raises TypeError for values whose type
-    such a file cannot hold.
+    `schema` is the name and version of the format, which `load_record` expects.
+
+    Raises
+    ------
+    TypeError
+        If a value has a type that such a file cannot hold.
     """
     arrays: dict[str, tuple[np.ndarray, _Layout | None]] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
@@ -79,8 +83,13 @@ def load_record(
     """Return an object of a class that `save_record` wrote.
 
     `expected` describes the file, for messages; `classes` are the subclasses that it may contain; `older_versions` are
-    further versions of the schema that can be read. Raises InputError for a damaged file, for anything else, and for a
-    file that would take too much memory: all sizes are checked before anything is unpacked.
+    further versions of the schema that can be read.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or of another kind, or would take too much memory; all sizes are checked before anything
+        is unpacked.
     """
     content = read_content(path, expected, MAX_UNPACKED)
     with damage_as_input_error(path, expected):

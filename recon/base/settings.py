@@ -205,7 +205,12 @@ class _ReadableSignature:
 class Settings:
     """Base class of a command's settings; a subclass is a frozen dataclass, with each field's help below the field.
 
-    Strings are accepted for numbers, sizes and files; None means not given. Raises InputError with all problems.
+    Strings are accepted for numbers, sizes and files; None means not given.
+
+    Raises
+    ------
+    InputError
+        If values cannot be used; the message lists all problems.
     """
 
     if not TYPE_CHECKING:  # type checkers know the fields

@@ -149,7 +149,10 @@ def help_of(function: Callable[..., Any]) -> str:
 def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:
     """Return the values of --set.
 
-    Raises InputError for malformed values.
+    Raises
+    ------
+    InputError
+        If values are malformed.
     """
     values: dict[str, Any] = {}
     problems = []

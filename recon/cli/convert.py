@@ -149,7 +149,10 @@ def _with_missing_points(keypoints: Keypoints) -> tuple[Keypoints, list[str]]:
 def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:
     """Return the 2D keypoints or 3D positions that a source holds, and the motion if it is a results folder.
 
-    Raises InputError for sources that cannot be read.
+    Raises
+    ------
+    InputError
+        If the source cannot be read.
     """
     motion = None
     if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("[!.]*.json"))):
@@ -202,7 +205,10 @@ def _robot_formats() -> tuple[Format, ...]:
 def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVERTED) -> Format:
     """Return the format to write, chosen by name if given, or by the file's extension.
 
-    Raises InputError for unknown names or extensions.
+    Raises
+    ------
+    InputError
+        If the name or the extension is unknown.
     """
     names = tuple(dict.fromkeys(f.name for f in formats))
     if name is not None and name not in names:

@@ -138,7 +138,10 @@ def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> A
 def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output | None]:
     """Return the outputs of labels and of a table.
 
-    Raises InputError before any work if they cannot be written.
+    Raises
+    ------
+    InputError
+        If the outputs cannot be written. The error is raised before any work is done.
     """
     folder, video, table = settings.export_labels, settings.video, settings.export_table
     inputs = [path, settings.folder, *([video] if video else [])]

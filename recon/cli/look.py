@@ -58,7 +58,12 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
     """Return a result, and the index of the chosen camera.
 
     The video, if there is one, has to come from that camera. `checks` are further checks, whose problems are reported
-    together with those of the result and the video. Raises InputError if the result or the video cannot be used.
+    together with those of the result and the video.
+
+    Raises
+    ------
+    InputError
+        If the result or the video cannot be used.
     """
     video = settings.video
 
@@ -89,7 +94,10 @@ def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
     """Return the index of the named camera; without a name, of the camera in the video's file name, or of the first.
 
-    Raises InputError for an unknown name.
+    Raises
+    ------
+    InputError
+        If no camera has the given name.
     """
     names = [camera_of_clip.name for camera_of_clip in motion.cameras]
     if camera is None and video is not None and len(names) > 1:
@@ -303,7 +311,12 @@ class PagePictures(NamedTuple):
 def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:
     """Return the overlay, the rows of up to `count` stills, and video pictures for the player and the stills.
 
-    The video is read once. Raises InputError if the video lacks a frame.
+    The video is read once.
+
+    Raises
+    ------
+    InputError
+        If the video lacks a frame.
     """
     drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
     rows = still_rows(motion, drawn, count, start if settings.video else None)

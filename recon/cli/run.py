@@ -206,8 +206,12 @@ def _model_file(path: Path) -> Path:
 def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     """Return the job of a video.
 
-    `options` holds settings of the fit by name; the frame rate is that of the video unless it is given. Raises
-    InputError with every problem.
+    `options` holds settings of the fit by name; the frame rate is that of the video unless it is given.
+
+    Raises
+    ------
+    InputError
+        If inputs cannot be used; the message lists every problem.
     """
     keypoints = run_settings.keypoints or run_settings.out / f"{run_settings.video.stem}_keypoints.csv"
     corrections = {} if run_settings.corrections is None else {"corrections": run_settings.corrections}
@@ -238,8 +242,12 @@ def run_video(
 ) -> tuple[list[_StageOutcome], dict[str, Any]]:
     """Run all stages of a video, and return their outcomes and the report of its fit.
 
-    `ended` is called with the outcome of each stage. Raises InputError if a stage cannot be done; the results of
-    earlier stages are kept.
+    `ended` is called with the outcome of each stage.
+
+    Raises
+    ------
+    InputError
+        If a stage cannot be done; the results of earlier stages are kept.
     """
     out, report_of_fit = job.run.out, {}
     with sole_writer(out):
@@ -400,7 +408,10 @@ def _record(settings: ViewSettings, progress: Progress) -> Answer:
 def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job]:
     """Return one job per video of a folder, each with its own output folder.
 
-    Raises InputError with all problems.
+    Raises
+    ------
+    InputError
+        If inputs cannot be used; the message lists all problems.
     """
     videos = sorted(
         p for p in run_settings.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")
@@ -421,8 +432,12 @@ def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job
 def keypoints_of(video: Path, folder: Path) -> Path:
     """Return the keypoint file of a video in a folder: it has the video's name, or the name that DeepLabCut gives it.
 
-    If the same keypoints exist in two formats, the last one is used. Raises InputError if no file or several files
-    match.
+    If the same keypoints exist in two formats, the last one is used.
+
+    Raises
+    ------
+    InputError
+        If no file matches, or several files match.
     """
     if not folder.is_dir():
         raise InputError(Problem("--keypoints", "folder", str(folder), "a folder with a file for each video"))
