@@ -19,7 +19,7 @@ settings = recon.read_settings(FILE)
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results)
 
-# Print how reliable the result is, with the reasons of flagged frames.
+# Print how reliable the result is, and the reason for each flagged frame.
 for frame, flags in zip(motion.frames, motion.flags, strict=True):
     if flags:
         print(f"frame {frame}: {', '.join(flags)}")

@@ -1,4 +1,4 @@
-"""Metric 3D motion of a running animal from one camera and DeepLabCut keypoints.
+"""Metric 3D motion of a running animal, from DeepLabCut keypoints of one or more cameras.
 
 import recon
 
@@ -13,4 +13,4 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-logging.getLogger(__name__).addHandler(logging.NullHandler())  # messages are for programs that listen to them
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # otherwise logging prints warnings on stderr

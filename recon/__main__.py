@@ -19,7 +19,7 @@ def main() -> None:
     _open_streams()
     _require_memory()
     collect_rarely()
-    # pydantic would read the list of all installed distributions, to look for plugins of its own
+    # otherwise pydantic reads the metadata of every installed distribution, to look for plugins
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     interrupts = Interrupts()
     interrupts.install()

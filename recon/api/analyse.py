@@ -37,7 +37,7 @@ SUMMARY = "analysis.json"
 FOLDER = "analysis"
 """Name of the analysis folder inside the results folder, by default."""
 FIGURES_BEGIN = 0.5
-"""Progress, as a fraction of the whole, at which the figures begin."""
+"""Fraction of an analysis that is reported as done when the first figure begins."""
 MOST_REASONS = 3
 """Largest number of excluded strides whose reasons are listed one by one."""
 
@@ -172,7 +172,7 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
 
 
 def notes(analysis: ClipAnalysis) -> Iterator[str]:
-    """Yield notes to read before using the numbers."""
+    """Yield notes on an analysis that its user needs before relying on its numbers."""
     motion, gait = analysis.motion, analysis.gait
     if motion.jitters:
         yield "Paths and angles are smoothed according to their frame-to-frame jitter."
@@ -226,10 +226,7 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
 
 
 def _stride_energy(dynamics: Dynamics, stride: Stride) -> dict[str, Any]:
-    """Return the energy gained over a stride, per kilogram and as a power.
-
-    The result also has the net acceleration and the exchange between kinetic and potential energy.
-    """
+    """Return the quantities of `OVER_STRIDE` for one stride, with their intervals and the stride's foot and times."""
     row = picked(stride, "foot", "start_s", "end_s")
     for name, value_and_interval in over_stride(dynamics, stride.start_s, stride.end_s).items():
         row |= _with_interval(name, OVER_STRIDE[name], value_and_interval)
@@ -237,7 +234,7 @@ def _stride_energy(dynamics: Dynamics, stride: Stride) -> dict[str, Any]:
 
 
 def _with_interval(name: str, unit: str, value_and_interval: tuple[float, float, float]) -> dict[str, Any]:
-    """Return a dict of a value and its interval, under names such as net_work_j_kg and net_work_interval_j_kg."""
+    """Return a value and the ends of its interval under names such as net_work_j_kg and net_work_interval_j_kg."""
     value, *interval = value_and_interval
     return {f"{name}{unit}": value, f"{name}_interval{unit}": interval}
 
@@ -276,7 +273,7 @@ def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_c
 
 
 def _stride_title(stride: Stride | None) -> str:
-    """Return the title of figures that show the stride, or the whole clip if there is none."""
+    """Return the title of figures that show one stride, or the whole clip if `stride` is None."""
     if stride is None:
         return STRIDE_WORDS[WHOLE_CLIP].title
     return STRIDE_WORDS[stride.at].title.format(foot=stride.foot)

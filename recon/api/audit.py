@@ -39,7 +39,7 @@ class Audit:
     points: AuditedPoints
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
-    """Choices that the reader made."""
+    """Notes on assumptions made while reading the file, and on a file that is too short."""
 
     def table(self) -> pd.DataFrame:
         """Return one row per finding: code, severity, points, frames, measure, limit, and sentence."""
@@ -139,7 +139,7 @@ def audit_points(
     up: str | None,
     likelihood_min: float,
 ) -> Audit:
-    """Return the audit of points as they were read; the parameters are those of `audit_file`."""
+    """Audit points that were read from a file; the other parameters are those of `audit_file`."""
     findings = []
     rate = fps or stored.fps
     if fps is not None and stored.fps is not None and abs(fps / stored.fps - 1) > 0.01:

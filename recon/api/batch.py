@@ -146,9 +146,9 @@ def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
 
 
 def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
-    """Return all the problems of each clip that its fit would raise before it solves.
+    """Return the input problems of each clip, all of which its fit would raise before solving.
 
-    If `shared_only` is true, only problems of cameras, skeletons, subjects and priors are returned.
+    If `shared_only` is true, only problems with cameras, skeletons, subjects and priors are returned.
     """
     model_of, cameras_of = cache(read_model), cache(read_clip_cameras)
 
@@ -166,7 +166,7 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 
 
 def distinct_problems(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
-    """Return each distinct problem once, ignoring file names, with the indices of the clips that have it."""
+    """Return each distinct problem once, with the indices of its clips; problems may differ in the file name."""
     indices_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
     for index, problems in enumerate(problems_by_clip):
         for problem in problems:
@@ -262,8 +262,12 @@ def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[EventCallback],
 def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     """Fit one clip and write its results, in a process that does nothing else at the same time.
 
-    Returns the clip's cells of the summary, the digest of its manifest, and its identity at the time of the fit: the
-    input files may have changed since the batch was planned.
+    Returns
+    -------
+    dict
+        The clip's cells of the summary; `files`, the digest of its manifest; and `identity` and `inputs_hash`, which
+        identify the inputs at the time of the fit, because they may have changed since the batch was planned. If the
+        worker has another version of recon, only the status "failed" and the error.
     """
     own_version, planned_version = version(), planned.identity["version"]
     if own_version != planned_version:
@@ -282,7 +286,7 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the columns `RESULTS` of a summary row, from a report.
+    """Return the cells of a summary row that come from the report of a fit (columns `RESULTS`).
 
     Speeds are those of the root, without the frame-to-frame jitter if that is known. `warnings` is the number of
     warnings. `size` is the factor on the skeleton's lengths, which only the trajectory method estimates.

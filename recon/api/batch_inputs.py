@@ -47,7 +47,7 @@ _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
 MAX_SQUARE_M = 1.0
-"""Side of a board's square at and above which a calibration cannot be in metres."""
+"""Side of a calibration board's square, metres, that no board has: from here on, the file is in another unit."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
 EXPERIMENT = "run", "animal", "group"
@@ -68,7 +68,7 @@ class Clip(Brief):
 
 @dataclass(frozen=True)
 class _Draft:
-    """A clip, or part of one, with its own settings."""
+    """Files of a clip or of one of its cameras, with the settings of their row in a manifest."""
 
     paths: tuple[Path, ...]
     row: Mapping[str, Any] = field(default_factory=dict)
@@ -242,7 +242,7 @@ def _why_left_out(path: Path) -> str:
             with suppress(InputError):
                 return "camera files (for --camera, or a manifest's column camera)" if read_cameras(path) else ""
             return "of no known format"
-        if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # the rows of a header
+        if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # a header has at most 4 rows
             return "3D positions"
     except OSError:  # a failing disk
         return "not readable"
@@ -268,7 +268,7 @@ def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
 
 
 def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
-    """Return the sessions of a project, each with its folder of keypoint files.
+    """Return the sessions of an Anipose project, each with its folder of keypoint files.
 
     The folder may be a project, one session, or a folder of 2D poses. Filtered 2D poses are preferred to unfiltered
     ones.
@@ -292,9 +292,10 @@ def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[str, Any]) -> Drafts:
-    """Return one draft per file of 2D poses, with the calibration of its session.
+    """Return one draft per file of 2D poses in Anipose sessions, and notes.
 
-    The calibration is that of the session, or the nearest one in a folder above, unless another camera file is given.
+    A draft has the calibration of its session, or the nearest one in a folder above. If the common settings give a
+    camera, the draft has no calibration of its own.
     """
     drafts, notes, problems = [], [], []
     for folder, poses in sessions:
@@ -329,7 +330,10 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
 
 
 def _anipose_config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
-    """Return the configuration of the project that a folder belongs to, and its file; empty if there is none."""
+    """Return the config.toml of the Anipose project that a folder belongs to, as a table and a path.
+
+    Without a project, the table is empty and the path is None.
+    """
     for parent in (folder, *folder.parents):
         path = parent / "config.toml"
         if path.is_file():
@@ -361,7 +365,7 @@ def _header(path: Path) -> list[str]:
 
 
 def _drafts_of_manifest(path: Path) -> list[_Draft]:
-    """Return one draft per row.
+    """Return one draft per row of a manifest.
 
     Raises
     ------
@@ -613,7 +617,7 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
         }
 
     def located(problem: Problem) -> Problem:
-        """Return a problem with the manifest's line in which its setting is, or with the advice to write a manifest."""
+        """Add to a problem the manifest line that contains the setting, or the advice to write a manifest."""
         in_row = problem.field in row or (problem.found == "nothing" and problem.field not in options)
         if draft.manifest_line is None and problem.field == "camera" and in_row:
             return replace(

@@ -42,7 +42,7 @@ DIRECTIONS = (
 )
 """Words for directions from the animal in steps of 45°, counterclockwise seen from above, from straight ahead."""
 HEIGHTS = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
-"""Words for the camera's elevation above the animal, each with the elevation (rad) up to which they hold."""
+"""Words for the camera's elevation above the animal, each after the elevation (rad) below which it is used."""
 ABOVE = "almost above it"
 
 
@@ -151,7 +151,7 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
-    """Return one row per camera position; the sigma is NaN where the animal is outside the picture."""
+    """Return the table of camera positions; the precision is NaN at positions that do not show the animal."""
     elevation, azimuth = (grid.ravel() for grid in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()

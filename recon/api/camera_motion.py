@@ -33,11 +33,11 @@ from recon.io.writing import write_table
 from recon.show.plain import picked, to_json
 
 MIN_LIKELIHOOD = 0.3
-"""Keypoints above this likelihood mark the animal, whose surroundings are not used as background."""
+"""Likelihood above which a keypoint marks the animal, whose surroundings are not used as background."""
 MAX_LOST = 0.5
-"""Largest fraction of frames with too little background to follow."""
+"""Largest accepted fraction of frames whose background is too small to follow."""
 MAX_FOCAL_OFF = 0.1
-"""Largest relative error of the focal length; the turns are wrong by the same fraction."""
+"""Largest accepted relative error of the focal length; the rotations are wrong by the same fraction."""
 NOTES = (
     "the camera is assumed to turn about its centre: it is at the world's origin in every frame",
     "a rolling shutter is not modelled: in a fast turn, the rows of a picture were exposed at different times",
@@ -77,7 +77,7 @@ class CameraMotionSettings(Settings):
 
 
 def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: Any) -> CameraMotionSettings:
-    """Return the settings for a clip's only camera, which has a calibration; other fields may be added."""
+    """Return the settings of `recon camera-motion` for a clip of one calibrated camera, with further fields."""
     assert settings.camera is not None
     clip_fields = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
     fields |= clip_fields | {"camera_name": next(iter(settings.camera_name or ()), None)}
@@ -185,7 +185,7 @@ def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], time
 
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
-    """Return pixels (K, 2) by video frame number for frames that have keypoints, NaN where the detector is unsure."""
+    """Return keypoints (K, 2), px, by frame number of the video, for frames that have any; NaN for unlikely ones."""
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
     shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))

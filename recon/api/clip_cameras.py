@@ -57,7 +57,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
 
 
 def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
-    """Return the other cameras of the camera file, apart from the clip's own; none without a camera file."""
+    """Return the cameras of the camera file except the clip's own; none without a camera file."""
     if settings.camera is None:
         return ()
     cameras = read_cameras(settings.camera, settings.image_size_px)
@@ -90,7 +90,7 @@ def _with_pose_in_metres(camera: Camera, track: CameraTrack | None, unit: Unit) 
 
 
 def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
-    """Return the camera of a clip with one keypoint file; a track belongs to that camera."""
+    """Return the camera of a clip with one keypoint file, and its track, if one is given."""
     track = tracks[0] if tracks else None
     camera_option = (
         "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
@@ -124,7 +124,7 @@ def _lens_of_track(camera: Camera, settings: FitSettings, index: int) -> Camera:
 
 
 def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
-    """Return the cameras of a clip with several keypoint files; a track belongs to the camera in its name."""
+    """Return the cameras of a clip with several keypoint files; a track's file name contains its camera's name."""
     from recon.api.rigs import problems_of_several
 
     cameras = _cameras_in_file(settings, tracks)

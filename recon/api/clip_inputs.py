@@ -42,18 +42,19 @@ At a lower rate a whole stride fits between two frames, and nothing connects the
 animal's acceleration between frames.
 """
 FEW_OF_SKELETON = 0.25
-"""Fraction of the skeleton's keypoints below which a file may have other keypoint names than the skeleton."""
+"""Smallest fraction of the skeleton's keypoints in a file whose names are taken to be the skeleton's."""
 FEW_OF_FILE = 0.5
-"""Fraction of the file's keypoints that are in the skeleton, below which it may have other names than the skeleton.
+"""Smallest fraction of a file's keypoints that are in the skeleton, if the file's names are taken to be the skeleton's.
 
-Both fractions have to be small: a file may have many further points, or only a few of a large skeleton.
+A file is refused only if it is below this fraction and below `FEW_OF_SKELETON`: a file may have many further points, or
+only a few points of a large skeleton.
 """
 KNOWN_FOR_UNIT = 0.5
-"""Fraction of the markers that several cameras have to see in a frame for the frame to show the calibration's unit."""
+"""Smallest fraction of the markers that several cameras see in a frame that is used to check the calibration's unit."""
 LOG_SIZE_OF_UNIT = math.log(2.0)
-"""Largest deviation of the logarithm of the animal's size in a unit that the calibration can have."""
+"""Largest |log(size / expected size)| of the animal at which a unit of the calibration is plausible."""
 LEAST_BETWEEN_UNITS = 50.0
-"""Factor between two units above which the animal's size distinguishes them.
+"""Smallest ratio of two units that the animal's size can distinguish.
 
 An animal may be a tenth as large as its skeleton, so centimetres and millimetres are not distinguished.
 """
@@ -150,7 +151,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
 
 
 def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
-    """Raise InputError if the rays of several cameras meet in an animal as large as in another unit of the calibration.
+    """Raise InputError if the size of the triangulated animal shows that the calibration has another unit.
 
     A fit cannot find the unit: it keeps the animal's size and moves the animal to one of the cameras.
     """
@@ -184,7 +185,7 @@ def _spread(points_m: np.ndarray) -> float:
 
 
 def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
-    """Return the body, the prior and the cameras.
+    """Return the body, the motion prior and the cameras of a fit.
 
     Raises
     ------
@@ -244,7 +245,7 @@ def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Ke
 
 
 def read_model(settings: FitSettings) -> tuple[Body, MotionPrior]:
-    """Return the body and the prior, which depend neither on the names of keypoint files nor on what is in them."""
+    """Return the body and the prior, which do not depend on the keypoint files."""
     if settings.method == "frame":
         from recon.thesis.clip import load_body
 

@@ -248,9 +248,9 @@ class _Identity:
 
 @dataclass(frozen=True)
 class _Line:
-    """One line of a record.
+    """One line of a `Record`, which describes one part of the work.
 
-    `files` are the digests of the files that the part wrote, known once it has ended. `notes` and `row` are free
+    `files` are the digests of the files that the part wrote, known once the part has ended. `notes` and `row` are free
     for the caller.
     """
 
@@ -270,14 +270,14 @@ class Record:
     """Record of what each part of the work was made from, and of how it ended.
 
     The file has one JSON object per line. The last line of a part counts, and only one process writes the file. A part
-    has a row before it begins and another row, with the files that it wrote, after it has ended, so that a killed run
-    does not look finished. Rows of other versions are ignored, and so is a last row that was cut off, for example by a
-    full disk.
+    gets a line before it begins and another line, with the files that it wrote, after it has ended, so that a killed
+    run does not look finished. Lines of other versions are ignored, and so is a last line that was cut off, for example
+    by a full disk.
 
     Raises
     ------
     InputError
-        If the file has any other invalid row or is a link, because it may then belong to the user.
+        If the file has any other invalid line or is a link, because it may then belong to the user.
     """
 
     def __init__(self, path: Path) -> None:
@@ -302,7 +302,7 @@ class Record:
                 self.rows[row["part"]] = row
 
     def tidy(self) -> None:
-        """Keep only the last row of each part, before new rows are added."""
+        """Keep only the last line of each part, before new lines are added."""
         write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows.values()))
 
     def note(self, part: str, made_from: Mapping[str, Any], **details: Any) -> None:

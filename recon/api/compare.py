@@ -134,11 +134,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Results:
-    """Results of a comparison by name, with those that are used and the reasons why others are left out."""
+    """Results given to a comparison, by name: those that are used, and the reasons why others are left out."""
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]
-    """Motions of the results that count."""
+    """Motions of the results that are used."""
     levels: Mapping[str, str]
     left_out: Sequence[str]
     notes: Sequence[str]
@@ -465,9 +465,10 @@ def _run_sigma(quantity: GaitQuantity, period: GaitQuantity | None) -> float:
 
 
 def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float, float]:
-    """Return the mean of clips, its standard deviation, and the spread between clips (one standard deviation).
+    """Return the mean of clips, its standard deviation, and the standard deviation between clips.
 
-    `shared` is the relative standard deviation of an error common to all clips.
+    `values` and `sigmas` (n,) are the clips' means and their standard deviations without shared errors. `shared` is
+    the relative standard deviation of an error common to all clips.
     """
     known = np.isfinite(values) & np.isfinite(sigmas)
     x, variance = values[known], np.maximum(sigmas[known], 1e-12) ** 2

@@ -201,7 +201,7 @@ class CorrectionSession:
         return Correction(frame, row["camera"], str(keypoint), was_px, now_px, reason)
 
     def _fit(self) -> None:
-        """Fit with the saved corrections until all have been fitted, the last time from the start."""
+        """Fit with the saved corrections until no new ones come; the last fit begins from the start."""
         while True:
             with self._change:
                 if not self._is_due and self.is_whole:
@@ -255,7 +255,7 @@ def _summary(motion: Motion) -> dict[str, object]:
 
 
 def _pairs(motion: Motion) -> list[list[int]]:
-    """Return the left and right keypoints that form pairs, as indices."""
+    """Return the pairs of left and right keypoints, as indices."""
     return [[i, int(j)] for i, j in enumerate(opposites(motion.joints)) if i < j]
 
 

@@ -11,9 +11,9 @@ from recon.base.arrays import Array
 from recon.fit.motion import Motion
 
 NEAREST = 0.1
-"""Smallest distance along a ray, relative to the animal's distance."""
+"""Distance from the camera at which a ray begins, relative to the animal's distance."""
 FARTHEST = 10.0
-"""Largest distance along a ray, relative to the animal's distance."""
+"""Distance from the camera at which a ray ends, relative to the animal's distance."""
 COUNT = 97
 """Number of points on a ray, evenly spaced in the logarithm of the distance."""
 
@@ -21,7 +21,7 @@ COUNT = 97
 def epipolar_lines_px(
     motion: Motion, camera: int, row: int, joint: int, marks_px: Mapping[int, tuple[float, float] | None]
 ) -> dict[str, Array]:
-    """Return, for each other camera, the epipolar line of its detection in one camera's picture.
+    """Return the epipolar lines of the other cameras' detections of a keypoint, in one camera's picture.
 
     The line is the picture of the ray through the other camera's detection, curved by the distortion of the lens.
 

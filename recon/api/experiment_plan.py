@@ -26,7 +26,7 @@ _SIGMAS = *LEVELS, "measurement"
 _WORDS = "effect", "quantity", "power", "animals", *COUNTS, "paired", *_SIGMAS, "mean"
 _EXAMPLE = "effect=0.3 animal=0.4 run=0.2 stride=0.2 measurement=0.15, in the unit of the quantity"
 _USUAL: Mapping[str, tuple[int, ...]] = {"runs": (1, 2), "strides": (3, 10), "cameras": (1, 2)}
-"""Numbers to try if the plan gives none."""
+"""Numbers of runs, strides and cameras to try if the plan gives none."""
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,12 @@ from recon.io.camera_files import write_cameras
 DISAGREEMENT = 16.0
 """Squared deviation of a camera's 6 pose parameters above which it probably moved; 1 in 70 exceeds it by chance."""
 MAX_TURN_SIGMA_DEG = 10.0
-"""Uncertainty of a camera's rotation, degrees, above which its clips do not determine its pose
-(benchmarks/cameras.py).
+"""Standard deviation of a camera's rotation, degrees, above which the clips do not determine its pose.
+
+The limit is measured by benchmarks/cameras.py.
 """
 LEAST_MOVED = 0.5
-"""Shortest path of an animal in the picture, in body lengths; an animal that only sways on its feet moves less."""
+"""Shortest accepted path of the animal in a picture, in body lengths; an animal that stands and sways moves less."""
 
 
 def clips_of(
@@ -75,7 +76,7 @@ def run_extrinsics(
     overwrite
         Whether an existing file may be replaced.
     level_rad
-        Expected angle of cameras from level, or from the given tilt; 0 means `LEVEL_RAD`.
+        Standard deviation, rad, of the cameras' angles from level, or from the given tilt; 0 means `LEVEL_RAD`.
     progress
         Called with the name of the stage and the fraction of it that is done.
 
@@ -183,7 +184,7 @@ def _camera_row(camera: Camera, sigma: Array, height_sigma_m: float) -> dict[str
 def _clip_row(
     clip: FitSettings, sources: Sequence[Source], cameras: Sequence[Camera], late_s: Array, disagreement: Array
 ) -> dict[str, Any]:
-    """Return a clip's row of the report: the start of each source relative to the first, and cameras' disagreements.
+    """Return a clip's row of the report: time offsets of its sources from the first, s, and disagreements of cameras.
 
     `late_s`, seconds, and `disagreement` (C,) have one value for each camera.
     """

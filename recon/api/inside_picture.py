@@ -38,7 +38,7 @@ def _contains(size_px: tuple[int, int], points: Array) -> bool:
 
 
 def _possible_causes(camera: Camera, points: Array, settings: FitSettings) -> str:
-    """Return errors that would explain points (n, 2) outside the picture, as the end of a sentence."""
+    """Return the input errors that would explain points (n, 2) outside the picture, as the end of a sentence."""
     causes = ["x and y are exchanged"] if _contains(camera.image_size_px, points[:, ::-1]) else []
     fitting = (
         camera_of_file

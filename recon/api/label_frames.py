@@ -190,7 +190,7 @@ class LabelSession:
         self._size_px, self._digits = info.size_px, max(4, len(str(info.stated_frames or 0)))
 
     def state(self) -> dict[str, object]:
-        """Return the content of the page in JSON types."""
+        """Return what the labelling page shows, in JSON types: names, frames, bones, labels and the folder."""
         return {
             "names": [*self.names],
             "frames": [*self.frames],

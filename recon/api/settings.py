@@ -268,7 +268,7 @@ class FitSettings(Settings):
         yield from self._camera_file_problems()
 
     def _camera_file_problems(self) -> Iterator[Problem]:
-        """Yield problems with keypoint files without a camera file or a track each."""
+        """Yield problems with the numbers of camera files and tracks, and with keypoint files given twice."""
         count = len(self.keypoints)
         named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
         if count > 1 and self.camera is None and not named_tracks:
@@ -283,7 +283,7 @@ class FitSettings(Settings):
 
     @property
     def camera_text(self) -> str:
-        """Return the camera files in one line, or "" without any."""
+        """Return the camera files in one line, or "" if there are none."""
         return ", ".join(str(path) for path in self.camera or ())
 
     @property

@@ -49,11 +49,11 @@ FRONT = ("neck_base", "withers", "l_shoulder", "nose")
 FEWEST_FRAMES = 20
 """Smallest number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID = 0.01
-"""Standard deviation of the distance between two keypoints, in lengths of the animal, up to which it is constant."""
+"""Standard deviation of the distance of two keypoints, in lengths of the animal, up to which it counts as constant."""
 NOISE = 2.0
-"""Factor on the variation between steady neighbours, which gives a larger limit if keypoints are noisy."""
+"""Factor on the noise of the keypoints; the product replaces `RIGID` as the limit if it is larger."""
 TOO_MUCH = 0.02
-"""Limit of a constant distance's variation, in lengths of the animal, above which keypoints are too noisy."""
+"""Largest accepted limit for constant distances, in lengths of the animal; keypoints that need more are too noisy."""
 TAIL = 0.05
 """Fraction of frames at either end of a distance's range that may be errors.
 
@@ -73,9 +73,9 @@ SIZE_SIGMA = 0.05
 """`size_sigma` of a draft whose animal was measured."""
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
 SWING_RAD = (0.3, 1.2)
-"""Limits of a segment's swing, in radians."""
+"""Smallest and largest standard deviation of a segment's angles in a draft, rad."""
 SWING_HZ = (0.5, 8.0)
-"""Limits of the swing's frequency, in hertz."""
+"""Smallest and largest frequency of a segment's swing in a draft, Hz."""
 WIDER = 1.5
 """Factor on the observed swing, to allow for other clips."""
 LOW = 0.3
@@ -89,10 +89,10 @@ _ROUGHLY = {"croup": "tail_base", "rump": "tail_base", "sacrum": "tail_base"}
 
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
 _REAR_WORDS = re.compile("tail|rump|croup|sacrum|hip|pelvis", re.IGNORECASE)
-"""Names of keypoints at the front and at the rear, which show the front of an animal that stays in place."""
+"""Names of keypoints at the rear; with `_FRONT_WORDS`, they show which way an animal that stays in place faces."""
 _FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
 _NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)
-"""Names of keypoints at feet, and of keypoints that reach the ground although they are not feet."""
+"""Names of keypoints that may be near the ground although they are not feet."""
 _FORE_WORDS = re.compile("front|fore|thoracic", re.IGNORECASE)
 _HIND_WORDS = re.compile("back|hind|rear|pelvic", re.IGNORECASE)
 _LEG_WORDS = re.compile("knee|ankle|elbow|wrist|stifle|hock|carp|tars|paw|foot|hand|hoof|toe", re.IGNORECASE)
@@ -289,9 +289,9 @@ class _Distances:
     same_m: float
     """Variation below which a distance counts as constant."""
     length_m: float
-    """Largest usual distance."""
+    """Largest entry of `usual_m`."""
     longest_m: float
-    """Largest distance while the animal is at its longest, taken as its length."""
+    """Largest distance between two keypoints, without `TAIL` of the frames; the length of the animal."""
 
 
 def draft_from_points(

@@ -39,7 +39,7 @@ class TriangulatedClip(Brief):
     names: tuple[str, ...]
     """Names of the J keypoints."""
     frames: Array
-    """(T,): frame numbers of the first camera."""
+    """Frame numbers of the first camera, (T,)."""
     fps: float
     cameras: tuple[str, ...]
     """Names of the V cameras."""
@@ -196,8 +196,11 @@ def run_triangulation(
 ) -> TriangulatedClip:
     """Triangulate the keypoint files of a clip, and write `POINTS`, `COVARIANCES` and `SUMMARY` into a folder.
 
-    Files in the folder that this command did not write, or that were changed afterwards, are kept: an InputError names
-    them.
+    Raises
+    ------
+    InputError
+        If files or settings cannot be used, no point can be triangulated, or a file to be written exists that this
+        command did not write or that was changed afterwards.
     """
     from recon.io.deeplabcut import write_csv
     from recon.io.writing import write_table

@@ -187,7 +187,12 @@ def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     """Return the arrays of a NumPy archive by name.
 
     `kinds` are NumPy's letters for the allowed types, never "O", which is a pickle. Sizes are checked before anything
-    is unpacked. Raises the errors of NumPy and zipfile, and ValueError for other types and arrays that are too large.
+    is unpacked.
+
+    Raises
+    ------
+    ValueError
+        If an array has another type or is too large. Errors of NumPy and zipfile are passed on.
     """
     arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as archive:

@@ -49,7 +49,7 @@ def existing_path(path: str) -> str:
     if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
         return path
     folder, name = os.path.split(path)
-    if not name:  # the root
+    if not name:  # the root has no name
         return path
     folder = existing_path(folder)
     if os.path.lexists(os.path.join(folder, name)):

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 EXIT_INTERRUPTED = 130
 MESSAGE = "Stopped."
 STUCK_S = 3.0
-"""Time to wait for a library that does not return, in seconds."""
+"""Seconds that a library has to return after Ctrl-C, before the process ends without it."""
 CLEAN_UP_S = 10.0
-"""Time for removing half-written files, and for a batch to stop its workers, in seconds."""
+"""Seconds that a command has, after Ctrl-C, to remove half-written files, and a batch to stop its workers."""
 TICK_S = 0.05
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Signals handled like Ctrl-C: clusters and systems send them before they end a process."""

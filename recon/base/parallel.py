@@ -300,7 +300,7 @@ def run_tasks_on_cluster(
     """
     client = _client(address)
     batch = uuid.uuid4().hex
-    underway: dict[str, tuple[str, Future]] = {}  # by key
+    underway: dict[str, tuple[str, Future]] = {}  # by the key of the future
     ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
     try:
         for name, task in tasks:

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 LEAST_SHARE = 0.03
-"""Fraction of the work after which the remaining time is shown."""
+"""Fraction of the work that is done before the remaining time is shown."""
 LEAST_S = 2.0
-"""Seconds after which the remaining time is shown."""
+"""Seconds that pass before the remaining time is shown."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ _RATES = ("framerate", "frame-rate")
 _METHOD = "recon frame, which is the published method, or --set method=VALUE"
 """Text that a message gives as the replacement for --method."""
 _SET = "set_"
-"""Name of the parameter of --set."""
+"""Name of the Python parameter that holds the values of --set."""
 
 
 @dataclass(frozen=True)

@@ -114,8 +114,9 @@ def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
 
 
 FEW_ANIMALS = 15
-"""Number of animals below which the variation between them is poorly known: 15 give its standard deviation to ±
-20 %.
+"""Number of animals below which the variation between them is poorly known.
+
+With 15 animals, its standard deviation is known to ±20 %.
 """
 _COUNTS = "animals", "runs", "strides"
 
@@ -139,7 +140,7 @@ def _cells(mean: float, low: float, high: float, spread: float) -> tuple[str, ..
 
 
 def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
-    """Return the variances of an earlier comparison if its folder is the only one."""
+    """Return the variances of an earlier comparison if --plan is given with its folder only; otherwise None."""
     if not settings.plan or len(settings.folders) != 1:
         return None
     (folder,) = settings.folders

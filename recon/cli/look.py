@@ -225,7 +225,7 @@ def rate_note(video: Path, fps: float | None) -> str | None:
 
 
 def bars_note(video: Path | None) -> str | None:
-    """Return a note if a video has black bars, which a camera that was calibrated without them does not have."""
+    """Return a note if a video has black bars: a calibration on videos without bars then has the wrong focal length."""
     if video is None:
         return None
     sides = zip(probe(video).bars_px, ("on the left and right", "at the top and bottom"), strict=True)
@@ -297,7 +297,7 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
 
 
 class PagePictures(NamedTuple):
-    """Pictures of a page."""
+    """Overlay and pictures that the page of a result shows."""
 
     drawn: Overlay
     rows: Index

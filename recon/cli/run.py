@@ -135,7 +135,7 @@ class _Job:
 
 
 class _Stage(NamedTuple):
-    """One stage of the work."""
+    """One stage of `recon run`, such as detect or fit."""
 
     work: Callable[[Progress], Answer]
     """Function that does the work, and returns the written files and notes on the video."""
@@ -469,7 +469,7 @@ def run_folder(
 
 
 def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:
-    """Run one video, and return the columns of its summary."""
+    """Run one video, and return the cells of its row in the summary."""
     stages, report_of_fit = run_video(job, progress)
     is_new = any(outcome.status == "done" for outcome in stages)
     return {
