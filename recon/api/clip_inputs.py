@@ -26,6 +26,7 @@ from recon.clip import (
     View,
     align_cameras,
     clean,
+    densest_window,
     fill_from_nearest,
     leave_out,
     parse_frame_range,
@@ -51,6 +52,8 @@ only a few points of a large skeleton.
 """
 KNOWN_FOR_UNIT = 0.5
 """Smallest fraction of the markers that several cameras see in a frame that is used to check the calibration's unit."""
+FRAMES_FOR_UNIT = 480
+"""Largest number of frames that are used to check the calibration's unit, which is the same throughout a clip."""
 LOG_SIZE_OF_UNIT = math.log(2.0)
 """Largest |log(size / expected size)| of the animal at which a unit of the calibration is plausible."""
 LEAST_BETWEEN_UNITS = 50.0
@@ -158,7 +161,9 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
     views = views_of(inputs.sources)
     if len(views) < 2 or not all(view.camera.has_extrinsics for view in views):
         return
-    points_m = triangulated_m(views, settings.trajectory_options().sigma_px, 0.0)
+    shows_unit = np.mean(np.sum([view.present for view in views], axis=0) > 1, axis=1) >= KNOWN_FOR_UNIT
+    rows = densest_window(shows_unit, FRAMES_FOR_UNIT)
+    points_m = triangulated_m([view.part(rows) for view in views], settings.trajectory_options().sigma_px, 0.0)
     expected_m = inputs.body.tree.pose(np.zeros((1, inputs.body.n_state))).points_m[0]
     known = np.asarray(np.isfinite(points_m).all(axis=2))
     times = [

@@ -93,6 +93,13 @@ def test_cameras_in_millimetres(runs):
         FitSettings(keypoints=(Path("a.csv"),), hfov_deg=60, image_size_px=(9, 9), camera_unit="mm")
 
 
+def test_a_wrong_unit_is_found_in_few_of_the_frames(runs, monkeypatch):
+    """The second camera's file begins at frame 10, so the first frames do not show the unit."""
+    monkeypatch.setattr("recon.api.clip_inputs.FRAMES_FOR_UNIT", 8)
+    with refusal(("--camera-unit", "camera_unit", ["mm", "times as large"], "probably m")):
+        prepare(settings(runs, 1, 2, camera_unit="mm"))
+
+
 def test_or_as_given(runs):
     given = prepare(settings(runs, 1, 2, camera_name=["cam2", "cam1"]))
     assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
