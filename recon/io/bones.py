@@ -35,20 +35,21 @@ from recon.io.common import Pose3D, StoredPoints
 from recon.io.markers import write_trc
 
 AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), "roll": (1, 0, 0)}
-"""Axis of each kind of angle."""
+"""Axis of rotation (x forwards, y up, z right) of each kind of angle."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoneAngle:
-    """One angle of a bone relative to its parent, (T,), about an axis turned by the bone's earlier angles."""
+    """One rotation of a bone relative to its parent, about an axis turned by the bone's earlier rotations."""
 
     name: str
     kind: str
     """Kind of angle: yaw, pitch or roll."""
     angle_rad: Array
+    """(T,): angles in the frames of the clip."""
     mean_rad: float
     range_rad: tuple[float, float]
-    """Expected range: three standard deviations about the mean, or any angle if the skeleton has none."""
+    """Lowest and highest expected angle, three standard deviations from the mean; -π and π if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ class Armature:
 
 
 def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
-    """Return rotations from a bone's frame to its parent's in each frame, (count, 3, 3)."""
+    """Return the rotations from a bone's axes to its parent's in `count` frames of the clip, (count, 3, 3)."""
     R = Rotation.identity(count)
     for turn in turns:
         R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
@@ -150,9 +151,9 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
-    """Return the joints in the order of their channels, parents first, from lines of words.
+    """Return the joints in the order of their channels, parents first, from the lines of a file, split into words.
 
-    A damaged file causes errors of various types.
+    If the file is damaged, errors of various types are raised.
     """
     joints: list[_Joint] = []
     open_: list[int] = []
@@ -185,9 +186,10 @@ def _value(words: Sequence[str], pattern: str) -> str:
 
 
 def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
-    """Return joint positions (T, J, 3).
+    """Return the joints' positions (T, J, 3) from the values of their channels, `motion` (T, channels).
 
-    p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels.
+    p = p_parent + R_parent t, where t is the joint's offset or its position channels, and R = R_parent R_1 R_2 R_3 in
+    the order of the rotation channels.
     """
     xyz = np.zeros((len(motion), len(joints), 3))
     rotations: list[Rotation] = []
@@ -209,9 +211,9 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
 def write_bvh(rig: Armature, path: Path) -> None:
     """Write rotating bones as BVH, in metres, y up.
 
-    The OFFSET of a bone is its origin in its parent's frame, and its channels are its angles in degrees; the root also
-    has its path. Joints are written as bones of length 0 without rotation. Raises InputError for names with blanks or
-    braces.
+    The OFFSET of a bone is its origin in its parent's frame, and its channels are its angles in degrees. The root also
+    has channels for its position. Joints are written as bones of length 0 without rotation. Raises InputError for names
+    with blanks or braces.
     """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
     lines, columns = ["HIERARCHY"], [rig.root_m]
@@ -250,11 +252,11 @@ def _numbers(values: Array | Sequence[float]) -> str:
 
 OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"
 ROOT_AXES = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
-"""Coordinates of the root's origin, and their axes."""
+"""Names of the coordinates of the root's origin, z up, and their axes in the model, y up."""
 
 
 def write_opensim(rig: Armature, path: Path) -> None:
-    """Write an OpenSim model, with its motion (.mot) and its markers' paths (.trc) under the same name.
+    """Write an OpenSim model, with its motion (.mot) and its markers' trajectories (.trc) under the same name.
 
     Times are those of the keypoint file. If the skeleton has no masses, the bodies have no mass, and the model can be
     used for kinematics only. Raises InputError for names with blanks or slashes.
@@ -282,7 +284,7 @@ def write_opensim(rig: Armature, path: Path) -> None:
 
 
 def _join(joints: Element, rig: Armature, bone: Bone) -> None:
-    """Add a bone's joint to its parent, or to the ground."""
+    """Add the OpenSim joint that links a bone to its parent, or the root to the ground."""
     frames = {"socket_parent_frame": "origin", "socket_child_frame": f"/bodyset/{bone.name}"}
     joint = _add(joints, "CustomJoint" if bone.turns else "WeldJoint", bone.name, **frames)
     above = "/ground" if bone.parent is None else f"/bodyset/{rig.bones[bone.parent].name}"
@@ -334,7 +336,7 @@ def _write_motion(rig: Armature, path: Path) -> None:
 
 
 def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
-    """Return a new child element with its name and text elements."""
+    """Add a child element that has a name, if `called` is given, and text elements; return the child."""
     element = SubElement(parent, kind, {} if called is None else {"name": called})
     for name, text in elements.items():
         SubElement(element, name).text = text
@@ -346,7 +348,7 @@ COLOURS: dict[Side | None, tuple[float, float, float]] = {
     "right": (0.79, 0.35, 0.0),
     None: (0.0, 0.34, 0.17),
 }
-"""Colours of the playback by side, linear RGB from 0 to 1."""
+"""Colour of the capsules on each side, as in the playback, linear RGB from 0 to 1."""
 _RINGS = 5
 """Number of rings at each end of a capsule."""
 _SECTORS = 16
@@ -375,7 +377,7 @@ class _Buffer:
 
 
 def write_gltf(rig: Armature, path: Path) -> None:
-    """Write binary glTF: capsules around the bones, skinned to them, and an animation that begins at 0 s."""
+    """Write a binary glTF file of capsules skinned to the bones, with an animation that begins at 0 s."""
     buffer = _Buffer()
     offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
     parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)
@@ -420,7 +422,7 @@ def write_gltf(rig: Armature, path: Path) -> None:
 
 
 def _positions_at_rest(offsets_m: Array, parents: Sequence[int | None]) -> Array:
-    """Return the positions (N, 3) of bones and joints with all angles 0, in which the mesh is bound."""
+    """Return the positions (N, 3) of bones and joints in the pose to which the mesh is bound, with all angles 0."""
     at_rest = np.zeros_like(offsets_m)
     for i, parent in enumerate(parents):
         at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
@@ -428,7 +430,7 @@ def _positions_at_rest(offsets_m: Array, parents: Sequence[int | None]) -> Array
 
 
 def _animation(buffer: _Buffer, rig: Armature, turns: Sequence[Array]) -> dict[str, Any]:
-    """Return the animation of the root's position and of the bones that turn, by each bone's quaternions `turns`."""
+    """Return the animation of the root's position and of the bones' rotations, given as quaternions (T, 4)."""
     time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
     moved = [(0, "translation", rig.root_m)]
     moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
@@ -442,7 +444,7 @@ def _animation(buffer: _Buffer, rig: Armature, turns: Sequence[Array]) -> dict[s
 
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
-    """Return the mesh of the capsules on one side, each moved by its bone."""
+    """Return the mesh of the capsules on one side, each of which moves with its bone."""
     capsules = [capsule for capsule in rig.capsules if capsule.side == side]
     points, normals = np.swapaxes([_surface(capsule) for capsule in capsules], 0, 1)  # (capsules, N, 3)
     bones = np.array([capsule.segment for capsule in capsules])
@@ -458,7 +460,7 @@ def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array
 
 
 def _triangles() -> Array:
-    """Return triangles (N, 3) between the points of neighbouring rings, from pole to pole."""
+    """Return the triangles (N, 3) of a capsule between points of neighbouring rings, from pole to pole."""
     ring, sector = np.divmod(np.arange((2 * _RINGS - 1) * _SECTORS), _SECTORS)
     a, b = ring * _SECTORS + sector, ring * _SECTORS + (sector + 1) % _SECTORS
     lower, upper = np.column_stack([a, b, b + _SECTORS]), np.column_stack([a, b + _SECTORS, a + _SECTORS])

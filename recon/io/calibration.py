@@ -24,7 +24,7 @@ from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
 CameraFiles = str | Path | Sequence[Path]
-"""One calibration file, or several."""
+"""Path of one calibration file, or paths of several."""
 FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 MAX_SIZE_PX = 1_000_000
@@ -43,7 +43,7 @@ class CameraRecord:
     values: Mapping[str, Any]
     """Unchecked values, by field of `Camera`."""
     called: Mapping[str, str]
-    """The file's key for each field, if the names differ."""
+    """Key in the file for each field of `Camera` that has another name there."""
     lenses: Iterable[str] = tuple(LENS_MODELS)
     """Names of lens models that the file format can have."""
     keys: tuple[str, ...] = ()
@@ -187,7 +187,7 @@ def read_camera(
 
 
 def read_calibration(path: Path) -> str:
-    """Return the text of a calibration file; raise InputError for anything else."""
+    """Return the text of a calibration file; raise InputError if it cannot be read as text."""
     return read_text(path, "a calibration", MAX_BYTES)
 
 
@@ -266,7 +266,7 @@ def _is_transposed(matrix: Array | None) -> bool:
 
 
 def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Reshape numbers to the shapes of a camera, and drop trailing coefficients that are 0."""
+    """Return the arguments of `Camera` with arrays in its shapes, without excess distortion coefficients that are 0."""
     matrix, distortion, rotation, translation = (arguments[field] for field in BLOCKS)
     if matrix is not None and matrix.size == 9:
         arguments["matrix"] = matrix.reshape(3, 3)
@@ -314,7 +314,7 @@ def _numbers(value: object) -> Array | None:
 
 
 def _rotation(array: Array) -> Array:
-    """Return the matrix of a Rodrigues vector, or a nearly orthonormal 3x3 matrix made exact."""
+    """Return a rotation matrix from a Rodrigues vector, or from a 3x3 matrix that is only nearly orthonormal."""
     if array.size == 3:
         from scipy.spatial.transform import Rotation  # imported here because few files need it
 

@@ -87,7 +87,7 @@ _PERSPECTIVE = ("pinhole", "perspective")
 """Values of a camera model that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
-"""Deepest nesting of a file that is read; OpenCV crashes at 20,000."""
+"""Largest number of nested levels in a file that is read; OpenCV crashes at 20,000."""
 
 
 def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
@@ -95,16 +95,16 @@ def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
 
 
 def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any]]:
-    """Return tables by name; raise InputError if there are none, or for anything else."""
+    """Return `value` unchanged if it holds tables by name; raise InputError if it is empty or anything else."""
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value
 
 
 def record_of(name: object, location: str, table: Mapping[str, Any], **changes: Any) -> CameraRecord:
-    """Return the record of a table with other programs' keys (`ALIASES`), and further values by field.
+    """Return the camera record of a table in which fields have other programs' keys (`ALIASES`).
 
-    The lens is the stated lens, otherwise radial-tangential.
+    The lens is the stated lens, otherwise radial-tangential. `changes` replace values of the table, by field.
     """
     called = {field: key_in(table, keys) or keys[0] for field, keys in ALIASES.items()}
     values = {field: table.get(key) for field, key in called.items()}
@@ -115,7 +115,7 @@ def record_of(name: object, location: str, table: Mapping[str, Any], **changes: 
     key, model = stated_lens(table)
     called["model"] = key
     values |= {"model": model or "radtan", "world_z_up": False} | changes
-    if called["matrix"] == "intrinsicMatrix":  # JARVIS has MATLAB's matrices, whose rows are points
+    if called["matrix"] == "intrinsicMatrix":  # JARVIS stores matrices transposed, as MATLAB does
         values |= {field: transposed(values[field]) for field in ("matrix", "rotation")}
     return CameraRecord(name, location, values, called, keys=tuple(map(str, table)))
 
@@ -163,7 +163,7 @@ def has_matrix(table: Mapping[str, Any]) -> bool:
 
 
 def _values_from_scalars(table: Mapping[str, Any], distortion: object) -> dict[str, Any]:
-    """Return the matrix of fx, fy, cx, cy, and the coefficients k1, k2, p1, p2, k3 unless a block has them."""
+    """Return the matrix of fx, fy, cx, cy, and, without a block `distortion`, the coefficients k1, k2, p1, p2, k3."""
     if not {*FOCAL_KEYS} <= table.keys():
         return {}
     fx, fy, cx, cy = (table[key] for key in FOCAL_KEYS)
@@ -305,7 +305,7 @@ def recognises_opensfm(path: Path) -> bool:
 def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the cameras of an OpenDroneMap or OpenSfM file, in pixels; raise InputError for an invalid file.
 
-    Lengths in the file are fractions of the picture's longer side, measured from its middle.
+    Lengths in the file are fractions of the picture's longer side, and centres are measured from the picture's middle.
     """
     document = parse_json(read_calibration(path), path)
     if isinstance(document, list) and document and isinstance(document[0], dict):  # reconstruction.json
@@ -351,7 +351,7 @@ def read_colmap(path: Path) -> list[CameraRecord]:
 
 
 def _record_values(model: str, n: dict[str, float]) -> dict[str, Any]:
-    """Return values of a record from w, h, fx, fy, cx, cy and the lens's coefficients, 0 where absent."""
+    """Return a camera record's values from w, h, fx, fy, cx, cy and the lens's coefficients, 0 where absent."""
     lens = LENS_MODELS[model]
     count = min(count for count in lens.counts if count >= sum(name in n for name in lens.coefficients))
     matrix = [[n["fx"], 0.0, n["cx"]], [0.0, n["fy"], n["cy"]], [0.0, 0.0, 1.0]]
@@ -400,7 +400,7 @@ def document_of(path: Path) -> dict[str, Any]:
 
 
 def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) -> None:
-    """Raise InputError for four coefficients without a stated lens, which may belong to either of two models."""
+    """Raise InputError for four coefficients without a stated lens, because they may belong to either of two models."""
     value = record.values["distortion"]
     coefficients = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
     ambiguous = coefficients.size == 4 and coefficients.dtype.kind in "iuf" and coefficients.any()
@@ -450,7 +450,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
     import cv2  # slow to import
 
     if path.suffix.lower() in (".yaml", ".yml"):
-        # OpenCV 4 and 5 write different headers, and ROS none; all versions read this one.
+        # OpenCV 4 and 5 write different headers, and ROS writes none; all versions of OpenCV read the header below.
         text = re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
         text = "%YAML:1.0\n---\n" + _with_indented_lists(text)
     if _nesting(text) > MAX_NESTING:
@@ -486,8 +486,8 @@ def _with_indented_lists(text: str) -> str:
 def _nesting(text: str) -> int:
     """Return an upper bound on how deeply OpenCV's parsers descend into a text.
 
-    OpenCV has no limit of its own. The bound counts brackets, elements, and for YAML the markers in a line times the
-    number of indents. Closing brackets do not count, because they may stand in comments.
+    OpenCV has no limit of its own. The bound counts brackets, elements, and for YAML the list markers in a line times
+    the number of indents. Closing brackets do not count, because they may stand in comments.
     """
     inline = max((len(re.findall(r"[-:?](?=\s)", line)) for line in text.splitlines()), default=0)
     indents = {len(spaces) for spaces in re.findall(r"(?m)^ *(?=\S)", text)}

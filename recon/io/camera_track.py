@@ -39,9 +39,9 @@ from recon.io.common import MAX_FRAME, first_problems, frame_number, number_rows
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
 Columns = dict[str, Array]
-"""Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` if known."""
+"""Columns (N,) of a table of N poses, by name: frame, `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
-"""Tolerance of a quaternion's length; quaternions written with three digits are within it."""
+"""Largest difference between a quaternion's length and 1, wide enough for quaternions written with three digits."""
 MAX_METRES = 1e7
 """Largest coordinate of a camera's position, in metres."""
 MAX_PX = 1e6
@@ -53,10 +53,14 @@ MAX_ROTATION_RAD = 100.0
 LEANING_MAX_RAD = np.radians(60)
 """Angle between a picture's upward direction and z, in radians, above which the camera leans too far.
 
-A track is refused if it leans in most frames without looking down, since z then does not point up in its world.
+A track is refused if its camera leans in most frames without looking down, since z then does not point up in the
+track's world.
 """
 LOOKING_DOWN_RAD = np.radians(45)
-"""Angle below the horizon, in radians, from which a camera looks down, as on a drone, and any edge may be the upper."""
+"""Angle below the horizon, in radians, from which a camera counts as looking down, as a drone's does.
+
+Any edge of such a camera's picture may be the upper one.
+"""
 POSITION_COLUMNS = ("x", "y", "z")
 """Columns that replace tx, ty, tz if poses are given from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
@@ -116,7 +120,7 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 
 
 def track_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that a track consists of."""
+    """Return the files of which a camera track consists, given the path that names the track."""
     images = path / IMAGES if path.is_dir() else path
     if images.suffix.lower() in (".csv", *SHOTS):
         return (images,)
@@ -132,7 +136,7 @@ def track_label(path: Path) -> str:
 
 
 def read_camera_track(path: Path) -> CameraTrack:
-    """Return the track of a file.
+    """Return the camera track in a file of any known format.
 
     Raises InputError with every problem, also if z does not point up in the track's world.
     """
@@ -158,9 +162,10 @@ def read_camera_track(path: Path) -> CameraTrack:
 def _checked_track(
     path: Path, locations: Sequence[str], columns: Columns, problems: Sequence[Problem], camera: Camera | None = None
 ) -> CameraTrack:
-    """Return the track of N rows, given their positions in the file.
+    """Return the camera track in the columns of a table, after checking every row.
 
-    Raises InputError with the known problems, or with those of the rows.
+    `locations` (N,) state where each row is in the file, for messages. Raises InputError with the given `problems`, or,
+    without any, with those found in the rows.
     """
     raise_problems(first_problems(problems, path))
     if not len(locations):
@@ -241,7 +246,10 @@ def _read_csv(path: Path) -> CameraTrack:
 
 
 def _read_shots(path: Path) -> CameraTrack:
-    """Return the poses of one video, without its lens; raise InputError for an invalid file."""
+    """Return the poses of one video in an OpenDroneMap or OpenSfM file, without the lens.
+
+    Raises InputError for an invalid file.
+    """
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
     whole = document[0] if isinstance(document, list) and len(document) == 1 else document
     features = whole.get("features") if isinstance(whole, dict) else None

@@ -64,15 +64,15 @@ BODYPART_LAST = re.compile(r"(?:([xyz])|(likelihood|confidence|score))[ _.:/-](.
 """Pattern of a column of one bodypart whose name begins with the coordinate, such as x_nose."""
 PART = "{bodypart}"
 VALUES_MAX = 4 * common.POINTS_MAX
-"""Largest number of cells of a table."""
+"""Largest number of cells of a table that is read."""
 COLUMNS_MAX = 10_000
-"""Largest number of columns of a table."""
+"""Largest number of columns of a table that is read."""
 METADATA = b"recon"
 """Key of recon's own metadata in Parquet: JSON with fps and up."""
 
 
 _Meaning = tuple[str, str, str | None]
-"""Bodypart of a column ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
+"""Meaning of a column: its bodypart ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ class _Layout:
     columns: Mapping[tuple[str, str], str]
     """Columns by bodypart ("" in a long table) and role."""
     unit: str | None
-    """Unit of the coordinates, or None if they state none, or several."""
+    """Unit of the coordinates; None if the columns state no unit, or several."""
     ignored: Sequence[str]
-    """Other columns."""
+    """Names of the columns whose meaning is not known."""
 
 
 def parse_map(text: str) -> dict[str, str]:
@@ -357,7 +357,7 @@ class _Cells:
         return values
 
     def require_unique(self, cell_of_row: np.ndarray) -> None:
-        """Add a problem if two rows have the same frame and point; `cell_of_row` (N,) numbers frames and points."""
+        """Add a problem if two rows have the same frame and point, identified by the numbers `cell_of_row` (N,)."""
         first = np.unique(cell_of_row, return_index=True)[1]
         if len(first) < len(self.rows):
             line = self.rows[np.setdiff1d(np.arange(len(self.rows)), first)[0]] + 2
@@ -372,7 +372,7 @@ class _Cells:
 def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.ndarray:
     """Return the frame number or the time in seconds of each row; raise InputError for rows without one.
 
-    `is_by_name` states whether columns were recognised by their names, which can state the unit of a time.
+    `is_by_name` states whether the columns were recognised by their names; a name can then state the unit of a time.
     """
     clock = role.get("frame", role.get("time", ""))
     ticks = cells.numbers(clock) if "frame" in role else _times_of(cells, clock, is_by_name)
@@ -403,7 +403,7 @@ def _times_of(cells: _Cells, clock: str, is_by_name: bool) -> np.ndarray:
 
 
 def _points_of_rows(cells: _Cells, column: str) -> tuple[dict[str, int], np.ndarray]:
-    """Return the index of each point by its name, and the point of each row, (N,)."""
+    """Return the index of each point by its name, and the index of each row's point, (N,)."""
     labels = cells.table[column]
     stripped = {label: str(label).strip() for label in {*labels}}
     points = [stripped[labels[row]] for row in cells.rows.tolist()]
@@ -425,7 +425,10 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
-    """Write one row per frame and joint: frame, joint, x_m, y_m, z_m (metres, z up), and a fit's sigmas and flags."""
+    """Write one row per frame and joint: frame, joint, x_m, y_m, z_m (metres, z up).
+
+    A fit's standard deviations and flags are further columns.
+    """
     with writing.formats_extra("Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -462,7 +465,7 @@ def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | Non
 
 
 def _points_of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> StoredPoints:
-    """Return points of a table with DeepLabCut's levels.
+    """Return the points of a pandas table whose columns have DeepLabCut's levels, such as bodyparts and coords.
 
     If the levels have no names, the last level has the coordinates and the level before it the bodyparts.
     """

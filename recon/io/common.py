@@ -39,9 +39,9 @@ class Pose3D(Brief):
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of linked joints, if known."""
     notes: tuple[str, ...] = ()
-    """Choices of a reader, or the verdict on a fit, in plain sentences."""
+    """Choices that the reader of a file made, or the verdict on a fit, in plain sentences."""
     sigma_m: np.ndarray | None = None
-    """(T, J, 3): standard deviations of a fit, metres."""
+    """(T, J, 3): standard deviations of the positions, metres, if they come from a fit."""
     flags: tuple[str, ...] | None = None
     """(T,): reasons not to trust a frame of a fit."""
 
@@ -88,11 +88,11 @@ class StoredPoints:
     images: tuple[str, ...] = ()
     """Names of the T pictures that were labelled."""
     notes: tuple[str, ...] = ()
-    """Choices of the reader, in plain sentences."""
+    """Choices that the reader of the file made, in plain sentences."""
     times_s: np.ndarray | None = None
     """(T,): times of the frames, seconds, if the file has uneven times instead of frame numbers."""
     time_problems: tuple[Problem, ...] = ()
-    """Problems with times that fit no frame rate, unless a rate is given for the file (`recon.io.times`)."""
+    """Problems to report if the times fit no frame rate and none is given for the file (`recon.io.times`)."""
 
     @property
     def in_space(self) -> bool:
@@ -105,7 +105,7 @@ UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
 """Scorer of recon's own files, followed by the frame rate if known: recon_90fps."""
 FMPOSE3D = "fmpose3d_"
-"""Part of the network's name in files and scorers of FMPose3D's poses."""
+"""Text in a scorer or network's name that identifies FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands of problems.
 PROBLEMS_SHOWN = 10
@@ -122,7 +122,7 @@ def starts_with(path: Path, signature: bytes) -> bool:
 
 
 def starts_with_text(path: Path, word: bytes) -> bool:
-    """Return whether the first text, after blanks and a byte order mark, is `word`."""
+    """Return whether a file's text, after blanks and a byte order mark, begins with `word`."""
     with path.open("rb") as file:
         return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
 
@@ -132,7 +132,7 @@ UNTRACKED = "untracked"
 
 
 class NoChoiceError(InputError):
-    """Error about a file of several animals with points, none of which was chosen."""
+    """Error for a file with points of several animals, none of which was chosen."""
 
     def __init__(self, path: Path, animals: Sequence[str], hint: str = "") -> None:
         detail = f"{len(animals)} animals and no --individual"
@@ -328,7 +328,7 @@ def _joined_times(tracks: Sequence[StoredPoints], frames: np.ndarray) -> np.ndar
 
 
 def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
-    """Return the first problems, and the number of the remaining ones."""
+    """Return the first `PROBLEMS_SHOWN` problems, and one that counts the remaining problems if there are more."""
     excess = len(problems) - PROBLEMS_SHOWN
     if excess <= 0:
         return list(problems)
@@ -336,7 +336,7 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
 
 
 def number(text: str) -> float:
-    """Return a cell as a number, NaN for an empty cell.
+    """Return the text of a table's cell as a number, NaN for an empty cell.
 
     Raises ValueError for numbers that only Python accepts, such as 1_000.
     """
@@ -368,13 +368,13 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
 
 
 def frame_number(text: str, least: int = 0) -> int | None:
-    """Return digits, with or without a minus sign, as a number from `least` to `MAX_FRAME`, or None."""
+    """Return a text of digits as a frame number, or None for other texts and numbers outside `least` to `MAX_FRAME`."""
     frame = int(text) if re.fullmatch(r"-?[0-9]{1,15}", text) else None
     return frame if frame is not None and least <= frame <= MAX_FRAME else None
 
 
 def rate(value: object) -> float | None:
-    """Return the frame rate that a file states, or None for anything else."""
+    """Return a value from a file as a frame rate, or None if it is not a positive finite number."""
     with suppress(TypeError, ValueError):
         if 0 < (fps := float(value)) < float("inf"):  # type: ignore[arg-type]
             return fps
@@ -413,10 +413,10 @@ def table_start(text: str) -> tuple[str, int]:
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a text table that are not blank, with their line numbers.
 
-    By default the separator is the one stated in a line such as sep=; or else the most frequent of `SEPARATORS` in the
-    first line. If the separator is not a comma, or a number such as "0,93" is in quotes, commas in numbers are decimal
-    commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8, and for text that is
-    not a table.
+    By default the separator is the one that a first line such as `sep=;` states, otherwise the most frequent of
+    `SEPARATORS` in the first line. If the separator is not a comma, or a number such as "0,93" is in quotes, commas in
+    numbers are decimal commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8,
+    and for text that is not a table.
     """
     expected = "a table of text in UTF-8"
     with damage_as_input_error(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:

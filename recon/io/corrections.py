@@ -24,12 +24,12 @@ from recon.io.writing import write_rows
 
 COLUMNS = ("frame", "camera", "keypoint", "was_x_px", "was_y_px", "now_x_px", "now_y_px", "why", "when")
 REQUIRED = ("frame", "keypoint", "now_x_px", "now_y_px")
-_EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and for several cameras camera"
+_EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and camera if there are several cameras"
 _Point = tuple[float, float]
 SAME_PX = 1.0
-"""Distance, in pixels, up to which a corrected detection counts as that of the keypoint file, since it is rounded."""
+"""Largest distance, in pixels, between a detection in the keypoint file and its rounded position in a correction."""
 MANY_CORRECTIONS = 5
-"""Smallest number of corrections that are compared with the keypoint file."""
+"""Smallest number of corrections of a file that are compared with its detections."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Correction:
     """Corrected position; None if the point is hidden or must not be used."""
     reason: str = ""
     date: str = ""
-    """Date and time, ISO 8601."""
+    """Date and time of the correction, ISO 8601."""
 
 
 def read_corrections(path: Path) -> list[Correction]:

@@ -7,8 +7,8 @@ unless the file has a `skeleton`. Frames are those of the first camera's video, 
 predictions.
 
 MATLAB's files of versions 5 to 7 are read here with checks of everything, because damaged files crash scipy. A file is
-a list of elements: a type, a size in bytes, and data; or one such element, compressed. A matrix holds its flags, sizes,
-name and data as elements. Every size is checked before memory is taken. Version 7.3 is HDF5.
+a list of elements, each with a type, a size in bytes, and data. A compressed element contains another element. A matrix
+holds its flags, sizes, name and data as elements. Every size is checked before memory is taken. Version 7.3 is HDF5.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ MAX_DEPTH = 12
 MAX_ITEMS = 100_000
 """Largest number of elements in a file."""
 _MATRIX, _COMPRESSED = 14, 15
-"""Types of elements in MATLAB's format: an array, and compressed elements."""
+"""Type numbers of an array and of a compressed element in MATLAB's format."""
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""NumPy type for each type of element."""
+"""NumPy type for each type number of an element that holds numbers."""
 _TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
-"""Classes of arrays in MATLAB's format."""
+"""Class numbers of cell arrays, structs and texts in MATLAB's format."""
 
 
 def recognises(path: Path) -> bool:
@@ -50,7 +50,7 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return 3D labels or predictions; raise InputError for an invalid file."""
+    """Return the 3D labels or predictions of a MATLAB file; raise InputError for an invalid file."""
     variables = _variables(path)
     label = variables.get("labelData", [None])
     label = label[0] if isinstance(label, list) else label
@@ -142,14 +142,14 @@ class _File:
                 yield self.matrix(body, 0)
 
     def elements(self, data: memoryview, packed: bool = False) -> Iterator[tuple[int, memoryview]]:
-        """Yield the type and the data of each element.
+        """Yield the type and the data of each element in a block of bytes.
 
         `packed` is for the top of a file, where compressed elements are not padded.
         """
         position = 0
         while position + 8 <= len(data):
             kind, size = struct.unpack_from("<II", data, position)
-            if kind >> 16:  # up to 4 bytes in the same word as the type
+            if kind >> 16:  # the size of an element of up to 4 bytes shares a word with the type
                 size, kind, begin, step = kind >> 16, kind & 0xFFFF, position + 4, 8
                 if size > 4:
                     raise ValueError("an element that is too large for the one that contains it")

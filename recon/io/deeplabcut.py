@@ -38,7 +38,7 @@ COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
 # Individual to which DeepLabCut assigns bodyparts that belong to no animal, such as the corners of the arena.
 UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
-"""x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
+"""Value of x, y and likelihood in frames in which DeepLabCut 3 did not see the animal."""
 TRIANGULATED = (
     "These positions were triangulated by DeepLabCut. They have the unit of its calibration board and, unless they "
     "were rotated, the axes of its first camera (y down, z ahead). They are read with z up: if they were not rotated, "
@@ -307,7 +307,7 @@ def _choose_animal(
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     columns_by_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
-    # DeepLabCut writes these values for animals that it never detected.
+    # DeepLabCut writes 0 or `PADDING` for animals that it never detected.
     coordinates = (values[:, [j for j in columns_by_animal[name] if columns[j][2] != "likelihood"]] for name in animals)
     seen = (not np.isin(np.nan_to_num(cells), (0.0, PADDING)).all() for cells in coordinates)
     animal = animals[common.choose(path, animals, individual, seen)]
@@ -368,7 +368,7 @@ def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[
 
 
 def _metadata_files(path: Path) -> Iterator[Path]:
-    """Yield the names of DeepLabCut's metadata for a table of predictions, which may be filtered or tracked."""
+    """Yield the possible paths of DeepLabCut's metadata for a table of (filtered or tracked) predictions."""
     stem = path.stem
     yield path.with_name(f"{stem}_meta.pickle")
     for end in ("_filtered", "_el", "_bx", "_sk", "_ctd"):
@@ -445,7 +445,7 @@ def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarr
 def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
     """Return the prefixes of bodypart names that stand for animals, such as B and W in B_nose, B_tail, W_nose, W_tail.
 
-    The result is empty if a prefix names a position on an animal, or if the animals have different bodyparts.
+    No prefix is returned if one of them names a position on an animal, or if the animals have different bodyparts.
     """
     of_prefix: dict[str, set[str]] = {}
     for name in bodyparts:
@@ -461,7 +461,7 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write keypoints as x, y and likelihood, or 3D points as x, y and z in metres with z up."""
+    """Write DeepLabCut's CSV of keypoints (x, y, likelihood), or of 3D points (x, y, z in metres with z up)."""
     from recon.io.writing import deeplabcut_layout, write_table
 
     header, frames, values = deeplabcut_layout(data)

@@ -46,7 +46,7 @@ class Project:
 
 
 def find_project(path: Path) -> Project | None:
-    """Return the project of a folder or of its `config.yaml`, or None for anything else.
+    """Return the DeepLabCut project of a folder or of its `config.yaml`, or None for any other path.
 
     Raises InputError for a file that cannot be read.
     """
@@ -77,7 +77,7 @@ def refuse_several(path: Path) -> None:
 
 
 def _entries(text: str) -> dict[str, list[str]]:
-    """Return the value, list items or mapping keys of each key of the document."""
+    """Return the values of each top-level key of a YAML document: its value, list items or mapping keys."""
     entries: dict[str, list[str]] = {}
     key, depth = "", 0
     for line in text.splitlines():
@@ -115,8 +115,8 @@ def bodyparts(project: Project) -> tuple[str, ...]:
 def label_files(folder: Path, scorer: str = "") -> list[Path]:
     """Return one label file from each folder with labels.
 
-    If several people labelled, the file of the scorer is taken, else the first in alphabetical order; CSV is preferred
-    to H5.
+    If several people labelled, the file of the scorer is returned, otherwise the first in alphabetical order. CSV is
+    preferred to H5.
     """
     for pattern in _LABELS:
         by_folder: dict[Path, list[Path]] = {}

@@ -24,7 +24,7 @@ from recon.io.common import NoChoiceError, StoredPoints, frames_seen, joined_tra
 from recon.io.times import with_rate
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
-"""2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which another package writes."""
+"""Content of a file: 2D or 3D points, bones (`recon.io.bones`), cameras, or a robot's motion by another package."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Functions:
 
     recognises: Callable[[Path], bool] | None = None
     read: Callable[..., Any] | None = None
-    """Function of a path and the name of an individual."""
+    """Reader, which takes a path and the name of an individual."""
     write: Callable[[Any, Path], None] | None = None
 
 
@@ -67,7 +67,7 @@ class Format:
     unit: str | None = None
     """Unit of 3D positions if the file does not state one; None if the user has to state it."""
     up: str = "z"
-    """Upward axis if the file does not state one."""
+    """Upward axis of 3D positions if the file does not state one."""
     companions: tuple[str, ...] = ()
     """Suffixes of additional files that are written under the same name."""
 

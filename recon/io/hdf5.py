@@ -49,7 +49,7 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading.
 
     If `names_only` is true, only names and types are read, which is safe without `_require_sound_heaps`. Raises
-    InputError for a damaged file, also for h5py's errors inside the block.
+    InputError for a damaged file, and for errors of h5py inside the block.
     """
     with damage_as_input_error(path, "a complete, undamaged HDF5 file"):
         if not names_only:
@@ -67,9 +67,9 @@ def _require_sound_heaps(path: Path) -> None:
     """Raise ValueError if an object in a global heap has an impossible size.
 
     A global heap holds texts of any length. After an object of size 0, the library would look for the next object for
-    ever. The header has the signature, the version, 3 bytes and the size (8). An object has its number (2), its number
-    of references (2), 4 bytes, its size (8), and data in steps of 8 bytes. Object 0 is the remaining free space, whose
-    size includes its header.
+    ever. The header has the signature, the version, 3 unused bytes and the size (8 bytes). An object has its number (2
+    bytes), its number of references (2 bytes), 4 unused bytes, its size (8 bytes), and data in steps of 8 bytes. Object
+    0 is the remaining free space, whose size includes its header.
     """
     with path.open("rb") as file:
         head = file.read(24)
@@ -287,7 +287,7 @@ def _require_readable(dataset: h5py.Dataset) -> None:
 
 
 def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
-    """Return whether a type is a number, a text, or a record of numbers, texts and arrays of them."""
+    """Return whether an HDF5 type is a number, a text, or a record of numbers, texts and arrays of them."""
     type_class = kind.get_class()
     if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
@@ -308,7 +308,7 @@ def _is_variable_length(kind: h5t.TypeID) -> bool:
 def _require_short_texts(dataset: h5py.Dataset) -> None:
     """Raise ValueError if a text claims to be longer than the file, for which the library would allocate memory.
 
-    Each text is stored as its length (4), the address of its heap (8), and its number there (4).
+    Each text is stored as its length (4 bytes), the address of its heap (8 bytes), and its number there (4 bytes).
     """
     start = dataset.id.get_offset()
     if start is None:

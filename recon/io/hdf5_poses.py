@@ -196,7 +196,7 @@ SLEAP_AXES = {
     "point_scores": ("track", "node", "frame"),
     "track_occupancy": ("frame", "track"),
 }
-"""Orders of axes in files without `dims`."""
+"""Order of the axes of each of SLEAP's datasets in files without `dims`."""
 WANTED = ("frame", "track", "node", "xy")
 
 
@@ -206,7 +206,7 @@ def recognises_sleap(path: Path) -> bool:
 
 
 def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one track.
+    """Return the keypoints of one track in a SLEAP analysis file.
 
     Scores are unknown if the file has none; every track is in every frame if it has no occupancy. Raises InputError for
     a file that is damaged or whose arrays disagree.
@@ -223,7 +223,7 @@ def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _sleap_array(path: Path, dataset: h5py.Dataset, name: str) -> np.ndarray:
-    """Return one array with its axes in the order of `WANTED`."""
+    """Return one array of a SLEAP file with its axes in the order of `WANTED`."""
     dims = attribute(dataset, "dims")
     order = SLEAP_AXES[name] if dims is None else tuple(str(axis) for axis in json.loads(dims))
     if dims is None and name == "tracks" and attribute(dataset.file, "transpose") in (False, 0):
@@ -269,7 +269,7 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """First words of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
 Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
-"""Names of each variable's axes, and its values, by its name in movement 0.17."""
+"""Names of the axes, and values, of each variable, by its name in movement 0.17."""
 
 
 def recognises_movement(path: Path) -> bool:
@@ -281,7 +281,7 @@ def recognises_movement(path: Path) -> bool:
 
 
 def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal; raise InputError for an invalid file."""
+    """Return the points of one animal in movement's netCDF file; raise InputError for an invalid file."""
     variables = {}
     with opened(path) as file:
         scales = {name: item for name in names(file) if hdf5.is_scale(item := child(file, name))}
@@ -372,7 +372,7 @@ def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
     """Write keypoints as x and y in pixels, or 3D points as x, y and z in metres with z up.
 
-    The format requires a confidence; it is NaN for 3D.
+    The format requires a confidence, which is NaN for 3D points.
     """
     with writing.formats_extra("movement netCDF"):
         import h5netcdf  # noqa: F401  xarray writes with it
@@ -380,7 +380,7 @@ def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
 
 
 def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
-    """Return the data as an `xarray.Dataset`; raise InputError if xarray is not installed."""
+    """Return keypoints or 3D positions as movement's `xarray.Dataset`; raise InputError if xarray is not installed."""
     with writing.formats_extra("movement netCDF"):
         import xarray
     points = writing.points_of(data)
@@ -403,9 +403,9 @@ def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
 NWB = "ndx-pose NWB"
 IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
-"""Comment in recon's own series, whose times may be irregular."""
+"""Comment that recon writes into NWB series, from which the rate of irregular times is read."""
 UP_TEXT = "z up"
-"""Last words of the description of the axes in recon's own 3D series."""
+"""Last words of the description of the axes that recon writes into 3D NWB series."""
 
 
 def recognises_nwb(path: Path) -> bool:
@@ -414,7 +414,7 @@ def recognises_nwb(path: Path) -> bool:
 
 
 def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal, named after its container if the file has several.
+    """Return the points of one animal in an NWB file; if there are several, containers state their names.
 
     Raises InputError for an invalid file.
     """
@@ -468,7 +468,7 @@ def _last(group: h5py.Group) -> str:
 
 
 class _Series(NamedTuple):
-    """One point in T frames."""
+    """Positions of one point of an NWB file in T frames."""
 
     positions: np.ndarray
     """(T, 2) or (T, 3): positions in pixels, or in 3D in the file's unit."""
@@ -504,7 +504,7 @@ def _series(path: Path, group: h5py.Group) -> _Series:
 
 
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write points in pixels or in metres with z up, and pairs of linked joints as the skeleton's edges.
+    """Write NWB of points in pixels or in metres with z up, with pairs of linked joints as the skeleton's edges.
 
     Raises InputError without a frame rate, or for names that NWB cannot hold.
     """

@@ -37,7 +37,7 @@ Table = dict[str, Any]
 
 
 class _Seen(NamedTuple):
-    """One animal in one picture."""
+    """Keypoints of one animal in one picture."""
 
     location: str
     """Location in the file, for messages."""
@@ -65,7 +65,7 @@ def _points(
     named: bool = False,
     **extra: Any,
 ) -> StoredPoints:
-    """Return the points of one animal in all frames, for any of these formats.
+    """Return the points of one animal in all frames from its detections in a JSON file of any format.
 
     `named` states whether the only animal of a file has a name. Raises InputError if detections do not
     match the names, or if an animal appears twice in a frame.
@@ -133,7 +133,7 @@ def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[st
 
 
 def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tuple[str, ...]]:
-    """Return frame numbers by image id: as stated, else from the digits at the end of file names, else the id."""
+    """Return frame numbers by image id: as stated, otherwise the last digits of file names, otherwise the id."""
     ids = [image["id"] for image in images]
     stated = ("frame_id", "frame_index", "frame_number")
     key = next((k for k in stated if images and all(isinstance(image.get(k), int) for image in images)), None)
@@ -303,7 +303,7 @@ ANIMAL3D = (
     "right_front_knee left_back_knee right_back_knee neck tail_end left_ear right_ear left_mouth right_mouth nose "
     "tail_mid"
 )
-"""Correct names (Animal3D's), as in FMPose3D's conversion from SuperAnimal's points."""
+"""Correct names of FMPose3D's points, which are Animal3D's, as in its conversion from SuperAnimal's points."""
 LENGTHS = (
     "FMPose3D's lengths have no unit and its axes are arbitrary: compare poses only after scaling and rotation (PA)."
 )
@@ -331,7 +331,7 @@ def recognises_fmpose3d(path: Path) -> bool:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the poses of the only animal; raise InputError for an invalid file."""
+    """Return the poses of the only animal in FMPose3D's JSON; raise InputError for an invalid file."""
     content = read_json(path, _EXPECTED)
     written = tuple(map(str, content["bodyparts"]))
     missing = np.full((len(written), 3), np.nan)

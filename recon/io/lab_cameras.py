@@ -1,7 +1,7 @@
 """Read calibration files of other layouts: tables in JSON or YAML, EasyMocap, JARVIS and OpenCV's stereo files.
 
-- JSON or YAML with a table for each camera, in a list or by name, such as CMU Panoptic's: keys as
-  `recon.io.camera_files` knows them, a lens that is stated or radial-tangential, world to camera.
+- JSON or YAML with a table for each camera, in a list or by name, such as CMU Panoptic's. Keys are those
+  that `recon.io.camera_files` knows, the lens is stated or radial-tangential, and poses are from world to camera.
 - EasyMocap: `intri.yml` with `K_01`, `dist_01` of each name in `names`, and `extri.yml` in the same folder with
   `Rot_01` or `R_01` and `T_01`.
 - JARVIS: `intrinsicMatrix`, `distortionCoefficients`, `R`, `T` of one camera. Matrices are MATLAB's, whose rows are
@@ -38,7 +38,7 @@ from recon.io.camera_files import (
 
 EXTRINSICS = "extri.yml"
 _STEREO_ENDS = (("1", "2"), ("0", "1"), ("left", "right"), ("Left", "Right"), ("L", "R"), ("l", "r"))
-"""Ends of the keys of the first camera and of the second."""
+"""Ends of the keys of the first and of the second camera in OpenCV's stereo files."""
 _STEREO_MATRIX = r"(?:K|M|cameraMatrix|camera_matrix|intrinsic_matrix|mtx)_?"
 _STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficients", "distortion")
 

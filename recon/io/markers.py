@@ -4,9 +4,9 @@ TRC is text, separated by tabs or commas, with the unit in the header and y up b
 
 C3D (c3d.org, user guide) has blocks of 512 bytes: a header, a section of parameters in groups, and for each frame four
 numbers of every point, x, y, z and a word with the residual, -1 for a missing point, followed by the analog samples.
-The unit and the screen's axes are in the header. Numbers are those of Intel's or MIPS' processors; DEC's floats are not
-read. C3D counts frames from 1: its frame 1 is frame 0 here. Recon's own files list their frame numbers, which may have
-gaps, in which all points are missing. Files are read without ezc3d, which crashes on damaged ones.
+The unit and the screen's axes are in the header. Numbers are stored as on Intel's or MIPS' processors; files with DEC's
+floats are not read. C3D counts frames from 1: its frame 1 is frame 0 here. Recon's own files list their frame numbers,
+which may have gaps, in which all points are missing. Files are read without ezc3d, which crashes on damaged ones.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from recon.io.common import Pose3D, StoredPoints
 from recon.io.positions import PER_METRE, UNIT_NAMES
 
 UP_TEXT = "y up: x forwards, y up, z right"
-"""End of the first line of recon's own files."""
+"""End of the first line of the TRC files that recon writes."""
 HEADER_LINES = 5
 
 
@@ -86,7 +86,7 @@ def write_trc(pose: Pose3D, path: Path) -> None:
 
 
 UNIT = "mm"
-"""Unit of recon's own files."""
+"""Unit of lengths in the C3D files that recon writes."""
 OWN_GROUP = "RECON"
 WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
@@ -97,7 +97,7 @@ MIPS = 86
 """Kind of processor with big-endian numbers, as in the file's header."""
 
 Parameters = dict[str, dict[str, Any]]
-"""Lists of texts, or arrays of numbers, by group and name."""
+"""Parameters of a C3D file, as lists of texts or arrays of numbers, by group and name."""
 
 
 def recognises_c3d(path: Path) -> bool:
@@ -120,7 +120,7 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     fps = common.rate(str(np.float32(point["RATE"].ravel()[0])))
     frames = np.arange(len(xyz)) + first - 1
     listed = writing.frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
-    # another program that cuts the file keeps the list of frames before the cut
+    # a program that cuts the file may leave the list of frames as it was before, which is then ignored
     if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
@@ -167,8 +167,8 @@ def _number_of_words(value: object, otherwise: int) -> int:
 def _parameters(section: bytes, order: str) -> Parameters:
     """Return the parameters of a section.
 
-    A record is the length of the name (negative: locked), the number of the group (negative: the group itself), the
-    name, the distance to the next record from here, and for a parameter its type, dimensions and data.
+    A record has the length of the name (negative if locked), the number of the group (negative for the group itself),
+    the name, the distance from there to the next record, and for a parameter its type, dimensions and data.
     """
     groups: dict[int, str] = {}
     by_group: dict[int, dict[str, Any]] = {}

@@ -1,6 +1,6 @@
 """Read and write NumPy archives of 3D positions: recon's own, and those of FMPose3D's animal demo.
 
-Recon's archives have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's archives are
+Recon's archives have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, with z up. FMPose3D's archives are
 `pose3D/0000_3D.npz` with the points of a picture as `pose3d`.
 """
 
@@ -80,7 +80,7 @@ def _pose_of(path: Path, points: int) -> np.ndarray:
 
 
 def write(pose: Pose3D, path: Path) -> None:
-    """Write positions as a new archive."""
+    """Write 3D positions as a new NumPy archive."""
     made = BytesIO()
     arrays: dict[str, Any] = {"names": np.array(pose.names), "xyz_m": pose.xyz_m, "frames": pose.frames}
     arrays |= {"fps": np.array(pose.fps, dtype=float), "edges": writing.index_edges(pose.names, pose.edges)}

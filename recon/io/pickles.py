@@ -65,7 +65,7 @@ class Unread:
     def __init__(self, *arguments: object, **named: object) -> None: ...
 
     def __call__(self, *arguments: object, **named: object) -> Unread:
-        """Return itself."""
+        """Return this placeholder as the result of a call."""
         return self
 
     def __repr__(self) -> str:

@@ -44,8 +44,8 @@ def read_pose3d(
     individual : str, optional
         Name of the animal, needed if there are several.
     unit, up : str, optional
-        Unit (m, cm, mm) and upward axis (y, z, x, -y, -z, -x), if the file does not state them. If neither states an
-        axis, y is assumed to point up in TRC and BVH, and z in all other formats.
+        Unit (m, cm, mm) and upward axis (y, z, x, -y, -z, -x), if the file does not state them. If neither the file nor
+        `up` states an axis, y is assumed to point up in TRC and BVH, and z in all other formats.
 
     Raises
     ------

@@ -14,24 +14,24 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.io.common import MAX_FRAME, StoredPoints
 
 IRREGULAR = 0.25
-"""Largest distance of a regular time from its frame, in frames."""
+"""Largest difference of a step between times from whole frames, in frames, at which the times count as regular."""
 EVEN_MIN = 10
 """Smallest number of times that can show a rate in spite of rounding or jitter."""
 EVEN_STEP = 1.75
-"""Smallest step between two times, in frames, that counts as a gap of missing frames."""
+"""Smallest step between two times, in frames, that may be a gap of missing frames instead of jitter."""
 EVEN_OFF = 0.75
-"""Largest distance of a time from evenly spaced times, in frames."""
+"""Largest deviation of a time from evenly spaced times, in frames, at which no frame counts as missing."""
 JITTER_RMS = 0.2
 """Largest root mean square distance from the nearest frame, in frames, if frames may be missing.
 
 Random times have 0.29.
 """
 ROUNDED_GAPS = 3
-"""Smallest number of gaps of more than 1.5 units in times that are rounded to a unit near the period."""
+"""Smallest number of steps longer than 1.5 units that shows times rounded to a unit almost as long as the period."""
 ROUNDED_OFF = 0.6
 """Largest distance of rounded times from evenly spaced times, in units of the rounding, which alone gives 0.5."""
 PHASE_SHARED = 0.5
-"""Length of the mean unit vector of the times' phases, 0 to 1, above which the times share a phase."""
+"""Length of the mean unit vector of the times' phases within a frame, 0 to 1, above which they share an offset."""
 _WINDOW = 16
 """Number of times from which the rate is first estimated."""
 PER_SECOND = {"ns": 1e9, "us": 1e6, "µs": 1e6, "ms": 1e3}
@@ -163,8 +163,8 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
     """Return the times of texts such as 30/11/2026 10:15:00.5, in seconds after the first.
 
-    The result is None unless every text has a date and a time, all with the same date and the same half of the day (AM
-    or PM). The date's format does not matter.
+    Returns None unless every text has a date and a time, all with the same date and the same half of the day (AM or
+    PM). The date's format does not matter.
     """
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
     dated = [match for match in matches if match is not None]

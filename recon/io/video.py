@@ -36,7 +36,7 @@ of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
 UNEVEN = 0.3
 """Largest deviation of the time between frames from a multiple of the usual time, as a fraction of the usual time."""
 STAMP_S = 1e-3
-"""Time, in seconds, added to the allowed deviation, as Matroska's time stamps are whole milliseconds."""
+"""Time, in seconds, added to the allowed deviation, because Matroska's time stamps are whole milliseconds."""
 DRIFT = 0.05
 """Largest relative deviation from the usual rate; phones film more slowly in the dark."""
 DRIFT_FRAMES = 30
@@ -44,7 +44,7 @@ DRIFT_FRAMES = 30
 MOST_GAPS = 5
 
 BLACK = 24
-"""Largest brightness in a black bar, 0 to 255, as compressed black is not quite 0."""
+"""Largest brightness in a black bar, 0 to 255, because compressed black is not quite 0."""
 LIT = 80
 """Smallest mean brightness of the lines between two black bars, each line by its brightest pixel, 0 to 255."""
 BAR_SHARE = 0.02
@@ -123,7 +123,7 @@ def read_picture(path: Path, flags: int) -> Image | None:
 def missing_frames(times_s: Array) -> dict[int, int] | None:
     """Return the number of frames missing before each frame, from gaps in time stamps (T,) that are otherwise even.
 
-    The result is empty if there are no time stamps, and None if they are too uneven to tell.
+    Returns an empty dictionary if there are no time stamps, and None if they are too uneven to tell.
     """
     steps = np.diff(times_s)
     if not steps.any():

@@ -193,7 +193,7 @@ def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], n
 
 
 def _with_fps(scorer: str | None, fps: float | None) -> str:
-    """Return the scorer followed by the frame rate; the scorer of another program comes first."""
+    """Return the scorer to write, which ends with the frame rate and begins with another program's scorer, if any."""
     ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
     if scorer in (None, SCORER):
         return ours
