@@ -1,7 +1,7 @@
 """Solve the normal equations of a clip, in which each frame is coupled with the W frames before and after it.
 
 Each of T frames has D unknowns. H (TD, TD) is symmetric and positive definite; its block (t + k, t), D x D, is zero for
-k > W. Time and memory are linear in T. H = L L', and L has the band of H.
+k > W. Time and memory are linear in T. The Cholesky factor L of H = L L' has the same band.
 
 The inverse of H, a covariance, is full; only its blocks near the diagonal are needed. If z is white noise, block row t
 of L' x = z gives frame t from the W frames after it:
@@ -85,7 +85,7 @@ class Window:
     rows: slice
     piece: Normal
     factor: _Factor
-    """Columns of L of the n frames, with the rows of the W frames after them."""
+    """Columns of L for the n frames, including the rows of the W frames that follow."""
     whitened: Array
     """(n, D, 1 + P): L^-1 of the gradient and the border."""
     following: Window | None = None
@@ -93,7 +93,7 @@ class Window:
 
     @property
     def rows_with_following(self) -> slice:
-        """Return the rows of these frames and of those of the next piece."""
+        """Return the clip's rows of the n frames of this window and the m frames of the next piece."""
         last = self if self.following is None else self.following
         return slice(self.rows.start, last.rows.stop)
 
@@ -108,24 +108,24 @@ class Window:
         return replace(self, piece=_NO_PIECE, following=following)
 
     def solved(self) -> Array:
-        """Return H^-1 of the gradient and the border, (n, D, 1 + P)."""
+        """Return the solutions of H x = b for the gradient and each column of the border, (n, D, 1 + P)."""
         later = None if self.following is None else self.following.whitened
         return self._unwhiten(self.whitened, later)
 
     def solved_for(self, shared: Array) -> Array:
-        """Return H^-1 of the gradient plus the border times values (P,) of the shared unknowns, (n, D)."""
+        """Return the solution (n, D) of H x = gradient + border s, for values s (P,) of the shared unknowns."""
         windows = [self] if self.following is None else [self, self.following]
         whites = [window.whitened[..., 0] + window.whitened[..., 1:] @ shared for window in windows]
         return self._unwhiten(whites[0], None if self.following is None else whites[1])
 
     def unwhiten(self, white: Array) -> Array:
-        """Return L^-T of whitened values (n + m, D, ...) of these frames and those of the next piece, (n, D, ...).
+        """Return L^-T z in the frames of this window, (n, D, ...), as `_Factor.unwhiten` describes.
 
-        See `_Factor.unwhiten`.
+        `white` holds z (n + m, D, ...) for the frames of this window and of the next piece.
         """
         if len(white) != self.rows_with_following.stop - self.rows.start:
             raise ValueError(
-                f"white has {len(white)} frames, which are not those of the rows {self.rows_with_following}"
+                f"white has {len(white)} frames, but rows {self.rows_with_following} of the clip are needed"
             )
         n = len(self.whitened)
         return self._unwhiten(white[:n], white[n:])
@@ -141,12 +141,15 @@ class Window:
         return self.factor.unwhiten(white, overwrite=True)
 
     def marginal_blocks(self) -> Array:
-        """Return the blocks of the inverse, (n, W+1, D, D): see `_Factor.marginal_blocks`."""
+        """Return the blocks of H^-1 near the diagonal, (n, W+1, D, D), in the order of `_Factor.marginal_blocks`."""
         later = None if self.following is None else self.following.factor.first_marginals()
         return self.factor.marginal_blocks(later)
 
     def reduced(self) -> Array:
-        """Return the window's contribution to [S, c - Y' b], (P, P + 1); the sum over all windows gives both."""
+        """Return the window's contribution to the equations of the shared unknowns, [S, c - Y' b], (P, P + 1).
+
+        The contributions of all windows add up to both matrices, as the module's docstring defines them.
+        """
         flat = self.whitened.reshape(-1, self.whitened.shape[-1])
         by_frames = flat.T @ flat
         corner, gradient = self.piece.corner - by_frames[1:, 1:], self.piece.shared_gradient - by_frames[1:, 0]
@@ -154,7 +157,7 @@ class Window:
 
 
 def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float]:
-    """Return the damped step towards the minimum, (T, D) and (P,), and the slope of the cost along it.
+    """Return the damped step of the frames (T, D) and of the shared unknowns (P,), and the cost's slope along it.
 
     Raises
     ------
@@ -257,7 +260,7 @@ def add_normal(
 
 @dataclass(frozen=True)
 class _Factor:
-    """Cholesky factor of the system of T frames, or its first T frames; `factored` creates it."""
+    """Cholesky factor L of H, for all or the first T frames of a piece; `factored` creates it."""
 
     band: Array
     """((W+1)D, TD): L in LAPACK's lower band storage."""
@@ -265,11 +268,11 @@ class _Factor:
 
     @property
     def width(self) -> int:
-        """Return the number of rows in one block of L, in which no row extends beyond the preceding block."""
+        """Return the number of rows of a block of L so large that only neighbouring blocks are coupled."""
         return max(len(self.band) - self.D, self.D)
 
     def first_frames(self, n: int) -> _Factor:
-        """Return the columns of the first n frames, with the rows of the W frames after them."""
+        """Return the columns of the first n frames, including the rows of the W frames that follow."""
         return _Factor(self.band[:, : n * self.D], self.D)
 
     def whiten(self, right: Array, *, overwrite: bool = False) -> Array:
@@ -291,8 +294,7 @@ class _Factor:
     def _solve_in_blocks(self, solution: Array, transposed: Literal["N", "T"]) -> None:
         """Solve for right-hand sides (TD, K) in place, in block rows that are as wide as the band.
 
-        Each column of the band begins at the diagonal. Read with a stride that is shorter by one, the band is a
-        triangle of L.
+        Entry (i, j) of L is `band[i - j, j]`, so a triangle of L is a view of the band with a shorter column stride.
         """
         size, count = self.band.shape
         starts = [*range(0, count, size)]
@@ -388,7 +390,7 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
 
 
 def _factored_of(parts: Sequence[Array], damping: Array, bounded: bool) -> _Factor:
-    """Return `factored` of blocks in several parts, one after the other in time, with a damping (T, D)."""
+    """Return the Cholesky factor of H, whose blocks come in several parts in the order of time; damping is (T, D)."""
     band = lower_band(*parts)
     band[0] += damping.ravel()
     try:
@@ -406,11 +408,11 @@ def _factored_of(parts: Sequence[Array], damping: Array, bounded: bool) -> _Fact
 def lower_band(*parts: Array) -> Array:
     """Return LAPACK's lower band storage, ((W+1)D, TD) in Fortran order: band[i - j, j] = H[i, j] for i >= j.
 
-    The blocks of H may come in several parts, one after the other in time.
+    The blocks of H may come in several parts, in the order of time.
     """
     _, n_blocks, D, _ = parts[0].shape
     T, P, first = sum(map(len, parts)), n_blocks * D, 0
-    columns = np.empty((T, D, P))  # one column of H each, from its diagonal down
+    columns = np.empty((T, D, P))  # columns of H, each from its diagonal down
     for blocks in parts:
         for start in range(0, len(blocks), _FRAMES_AT_ONCE):
             flat = blocks[start : start + _FRAMES_AT_ONCE].reshape(-1, P, D)

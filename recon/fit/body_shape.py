@@ -17,12 +17,12 @@ from recon.base.arrays import Array
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
 
 LENGTH_SIGMA = 0.05
-"""Relative standard deviation of each length of an animal about the skeleton's length times the animal's size."""
+"""Relative standard deviation of a single length of an animal about the skeleton's length times the animal's size."""
 OFFSET_SIGMA_M = 0.01
 """Standard deviation of a keypoint's offset from its marker along each axis, m.
 
-Real offsets are larger, but the body's lengths are fitted as well and absorb a part of them. In runs that were left
-out, single cameras estimate the published poses best with this value (docs/benchmarks.md).
+Real offsets are larger, but the body's lengths are fitted as well and absorb a part of them. In runs that were
+left out of the choice, single cameras estimate the published poses best with this value (docs/benchmarks.md).
 """
 
 
@@ -32,12 +32,12 @@ class Shape:
 
     body: Body
     lengths: tuple[str, ...] = ()
-    """Segments and markers whose distance from their origin is unknown.
+    """Names of the segments and markers with an unknown distance from the origin of the segment that carries them.
 
     Lengths on the right equal those on the left.
     """
     offsets: tuple[str, ...] = ()
-    """Markers with unknown keypoint offsets along x, y and z.
+    """Names of the markers with unknown keypoint offsets along x, y and z.
 
     Offsets on the right mirror those on the left.
     """
@@ -60,14 +60,17 @@ class Shape:
         return (*self.lengths, *(f"{name}_{axis}" for name in self.offsets for axis in "xyz"))
 
     def expected_precision(self, size_sigma: float) -> Array:
-        """Return the prior precision (K, K): lengths share the animal's size, with small individual deviations."""
+        """Return the prior precision (K, K) of the unknowns.
+
+        Lengths share the animal's size, about which each of them deviates slightly.
+        """
         n = len(self.lengths)
         covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
         covariance[:n, :n] += size_sigma**2
         return np.linalg.inv(covariance)
 
     def applied(self, body: Body, values: Array) -> Body:
-        """Return a body whose shape is changed by the values (K,)."""
+        """Return a body with the lengths and keypoint offsets that values (K,) of the unknowns give it."""
         factors = dict(zip(self.lengths, np.exp(values[: len(self.lengths)]), strict=True))
         shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
 
@@ -149,8 +152,9 @@ def follows(name: str, body: Body) -> bool:
 class FreeShape:
     """Lengths and keypoint offsets of a body as unknowns that all frames share.
 
-    The L values `LENGTHS` are logarithms of factors on the lengths of segments and markers, the same on both sides. The
-    3J values `COMMON_KEYPOINT_BIAS` are distances of keypoints from their markers in the markers' segments, metres.
+    The shared unknowns `LENGTHS` (L,) are logarithms of factors on the lengths of segments and markers, the same on
+    both sides. `COMMON_KEYPOINT_BIAS` (3J,) are the keypoints' offsets from their markers in the frames of the markers'
+    segments, metres.
     """
 
     body: Body
@@ -161,7 +165,7 @@ class FreeShape:
 
     @classmethod
     def of_body(cls, body: Body) -> FreeShape:
-        """Return the unknown shape of a body."""
+        """Return the shape of a body with all its lengths and offsets as unknowns."""
         return cls(body, Shape.of_body(body))
 
     def applied(self, shared: Mapping[str, Array]) -> Body:

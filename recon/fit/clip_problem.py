@@ -94,7 +94,7 @@ class ClipProblem:
     time_offset_frames: float
     """Standard deviation of the pictures' time offset, in frames, if the offset is not estimated."""
     prior_weight: float = 1.0
-    """Weight of the prior, as in `MotionSegment.prior_weight`."""
+    """Fraction of its weight that the prior keeps, as in `MotionSegment.prior_weight`."""
     known_states: Array | None = None
     """States (T, D) with known heading and angles, NaN in other frames; None if none are known."""
     shape: FreeShape | None = None
@@ -121,7 +121,7 @@ class ClipProblem:
         options: TrajectoryOptions,
         ground_near_zero: bool | None = None,
     ) -> ClipProblem:
-        """Return the problem of a whole clip: see `recon.fit.trajectory.solve_trajectory`."""
+        """Return the problem of a whole clip from the arguments of `recon.fit.trajectory.solve_trajectory`."""
         if ground_near_zero is None:
             ground_near_zero = all(view.camera.knows_up for view in views)
         views = tuple(view.mask_outside_image() for view in views)
@@ -239,27 +239,30 @@ class ClipProblem:
         return np.any([view.present for view in self.views], axis=0)
 
     def nominal(self, states: Array, size: float) -> Array:
-        """Return states (T, D) at nominal size about the origin, as `markers` expects them.
+        """Convert states (T, D) of an animal of a given size in the world to the states that `markers` expects.
 
-        The given `states` (T, D) have the root in the world and belong to an animal of size `size`.
+        The result belongs to a body of nominal size, and its root is relative to `origin_m` in a scene of that size.
         """
         nominal = states.copy()
         nominal[:, ROOT] = (states[:, ROOT] - self.origin_m) / size
         return nominal
 
     def markers(self, states: Array) -> Array:
-        """Return the positions at which the detector sees the markers, (T, J, 3), at nominal size about the origin."""
+        """Return the positions (T, J, 3) at which the detector sees the markers, for states of a body of nominal size.
+
+        Positions are relative to `origin_m`, as the states are (`nominal`).
+        """
         return self.body.detected.pose(states).points_m
 
     def in_world(self, points_m: Array, size: float = 1.0) -> Array:
-        """Transform points (..., 3) of the nominal body, relative to the origin, to the world."""
+        """Transform points (..., 3) of a body of nominal size, relative to `origin_m`, to the world."""
         return self.origin_m + size * points_m
 
-    # The problem
+    # Noise and the least-squares problem
 
     @property
     def correlation_frames(self) -> float:
-        """Return the correlation length of errors in frames; frames within this length count once."""
+        """Return the correlation length of errors in frames; all frames within this length count as one."""
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
@@ -330,19 +333,19 @@ class ClipProblem:
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
-        """Return unknowns of mean 0 whose errors persist, so that they count once for any number of frames."""
+        """Return shared unknowns of mean 0 whose errors persist, and therefore count once for any number of frames."""
         sigmas = np.asarray(np.atleast_1d(sigma) / np.sqrt(self.correlation_frames), dtype=float)
         return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
 
     def _time_offset_unknowns(self) -> list[SharedUnknown]:
-        """Return the cameras' time offsets; if they are estimated, the first camera's is 0 by definition."""
+        """Return the cameras' time offsets as shared unknowns; if they are estimated, the first is 0 by definition."""
         first_view, sigma_frames = 0, self.time_offset_frames
         if self.options.find_offsets:
             first_view, sigma_frames = 1, constants.SOUGHT_OFFSET_FRAMES
         return [self._lasting(terms.time_offset(i), sigma_frames) for i in range(first_view, len(self.views))]
 
     def _focal_unknowns(self) -> list[SharedUnknown]:
-        """Return the factors on the cameras' focal lengths, if these are not exact."""
+        """Return the factors on the cameras' focal lengths as shared unknowns, or none if focal lengths are exact."""
         sigma = self.options.focal_sigma
         return [] if sigma is None else [self._lasting(terms.focal_scale(i), sigma) for i in range(len(self.views))]
 
@@ -353,13 +356,13 @@ class ClipProblem:
         return np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
 
     def _bias_unknowns(self) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
-        """Return the keypoint bias of each view, and the bias that the views share; none if it is exactly 0."""
+        """Return each view's own keypoint bias and the common bias as shared unknowns; a bias of exactly 0 has none."""
         own_m, common_m = self._bias_sigmas_m()
         biases = [self._lasting(terms.keypoint_bias(i), own_m) for i in range(len(self.views))] if own_m.all() else []
         return biases, [self._lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
 
     def _shape_unknowns(self) -> list[SharedUnknown]:
-        """Return the lengths, and the keypoint offsets if there are any, of a body of unknown shape."""
+        """Return the lengths and any keypoint offsets of a body of unknown shape as shared unknowns."""
         if self.shape is None:
             return []
         length_scale, offset_scale = self.shape_scale
@@ -389,13 +392,13 @@ class ClipProblem:
 
     @property
     def _single_length_sigmas(self) -> Array:
-        """Return the relative standard deviations of lengths, (L,), that one camera cannot correct."""
+        """Return the relative standard deviations (L,) of single lengths, which one camera cannot estimate."""
         assert self.shape is not None
         share = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
         return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return the expected errors of the cameras' positions, (V,), m; a small rig is measured more accurately."""
+        """Return the standard deviations (V,), m, of the cameras' positions, smaller if the animal is close."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
@@ -481,7 +484,7 @@ def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -
 
 
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
-    """Return contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms of both.
+    """Return contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the cost terms of both.
 
     The ground is a plane through the standing feet, fitted by reweighted least squares. The ground is None if too few
     feet stand.

@@ -37,7 +37,7 @@ benchmarks/uncertainty.py --only views`).
 CALIBRATED_FOCAL = 0.02
 """Relative standard deviation of a single camera's focal length from a calibration file."""
 STATED_FOCAL = 0.1
-"""Relative standard deviation of a single camera's focal length from a field of view.
+"""Relative standard deviation of a single camera's focal length that is computed from a field of view.
 
 The value is the usual error of a camera's data sheet for a video, which uses only a part of the sensor.
 """
@@ -47,47 +47,49 @@ TIME_OFFSET_FRAMES = 12**-0.5
 SOUGHT_OFFSET_FRAMES = 2.0
 """Standard deviation of the time offset, in frames, of a camera whose offset is estimated."""
 CAMERA_ROTATION_RAD = 0.03490658503988659
-"""Error of the rotation of a camera pose that is to be refined, about each axis (2 degrees)."""
+"""Standard deviation of the rotation of a camera pose that is to be refined, about each axis (2 degrees)."""
 CAMERA_SHIFT_M = 0.05
-"""Shift along each axis of a camera pose that is to be refined, m, unless the animal is close.
+"""Standard deviation of the position of a camera whose pose is to be refined, along each axis, m.
 
-`CAMERA_SHIFT_SHARE` gives the shift for a close animal.
+`CAMERA_SHIFT_SHARE` gives the standard deviation if the animal is close.
 """
 CAMERA_SHIFT_SHARE = 0.02
-"""Largest shift of a camera pose that is to be refined, as a fraction of the distance from the animal."""
+"""Largest standard deviation of a camera's position, as a fraction of the distance from the animal."""
 CALIBRATED_RAD = 0.008726646259971648
-"""Usual error of the rotation between two calibrated cameras, about each axis (half a degree)."""
+"""Standard deviation of the rotation between two calibrated cameras, about each axis (half a degree)."""
 SHARE_OF_PAIR = 2**-0.5
-"""Error of each of two cameras, relative to the error between them; the two variances add up."""
+"""Standard deviation of the pose of each of two cameras, relative to that between them; the two variances add up."""
 WELL_CALIBRATED = 0.2
-"""Errors of the poses of two well calibrated cameras, relative to usual errors.
+"""Standard deviations of the poses of two well calibrated cameras, relative to the usual ones.
 
-Together with the larger errors below, 97 % instead of 99 % of the coordinates of the benchmark's untouched pairs are
-inside 90 % intervals, and pairs with a turned camera have smaller errors (`benchmarks/cameras.py --only pairs`).
+Together with the larger errors `MISPLACED_RAD` and `MOVED`, 97 % instead of 99 % of the coordinates of the benchmark's
+untouched pairs are inside 90 % intervals, and pairs with a turned camera have smaller errors (`benchmarks/cameras.py
+--only pairs`).
 """
 MISPLACED_RAD = 0.05235987755982988
-"""Rotation about an axis of one of two cameras that is roughly calibrated, or was turned after its calibration.
+"""Standard deviation of the rotation of a camera that is roughly calibrated, or was turned after its calibration.
 
-The rotation is 3 degrees. With 2 degrees, errors in the benchmark's real runs are larger if the second camera is turned
-by 3 or 6 degrees.
+The value is 3 degrees about an axis of one of two cameras. With 2 degrees, errors in the benchmark's real runs are
+larger if the second camera is turned by 3 or 6 degrees.
 """
 TURNED_SHARE = 0.3
-"""Prior probability that the rotation of one of two cameras about one of its axes is as large as `MISPLACED_RAD`.
+"""Prior probability that the rotation of one of two cameras about an axis has the standard deviation `MISPLACED_RAD`.
 
-If the second camera is turned by 3 degrees, 96 % of the coordinates are inside 90 % intervals, and 5 of 45 pairs are
-"use" (`python benchmarks/cameras.py --only pairs`). With 0.1 these are 89 % and 8 of 45 (`--only turned-share`).
+If the second camera is turned by 3 degrees, 96 % of the coordinates are inside 90 % intervals, and 5 of 45 pairs have
+the verdict "use" (`python benchmarks/cameras.py --only pairs`). With a probability of 0.1 these figures are 89 % and 8
+of 45 (`--only turned-share`).
 """
 MOVED = 8.5
-"""Shift of one of two cameras that was moved after its calibration, relative to its usual shift.
+"""Standard deviation of the position of a camera that was moved after its calibration, relative to the usual one.
 
-The shift is then 0.3 m, as for a tripod that was pushed, or 12 % of the distance if the animal is close.
+The standard deviation is then 0.3 m, as for a tripod that was pushed, or 12 % of the distance if the animal is close.
 """
 MOVED_SHARE = 0.1
 """Prior probability that the first of two cameras was moved; the second has the same probability."""
 MISPLACED = 12.0
-"""Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
+"""Factor on the usual standard deviations for a camera that was moved after calibration, or whose clock is wrong.
 
-The errors are then 6 degrees, 0.6 m and 3.5 frames. The factor is a round number.
+The standard deviations are then 6 degrees, 0.6 m and 3.5 frames. The factor is a round number.
 """
 SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of a size measured by two cameras."""
@@ -128,12 +130,12 @@ The expected spread counts as much as this number of lengths, or of coordinates 
 # The animal's motion
 
 POSE_WEIGHT = 1.0
-"""Weight of the prior's poses per 1/90 s.
+"""Weight of the prior's distribution of poses in the cost, for each 1/90 s of a clip.
 
 Results hardly change without these poses (`benchmarks/accuracy.py --only ablation`).
 """
 MOTION_WEIGHT = 1.0
-"""Weight of the prior's motion per 1/90 s.
+"""Weight of the prior's distribution of accelerations in the cost, for each 1/90 s of a clip.
 
 Results hardly change without this motion (`benchmarks/accuracy.py --only ablation`).
 """

@@ -80,7 +80,7 @@ def correction_gain_m2(
 def problems_at(
     clip: ClipProblem, solution: TrajectorySolution
 ) -> Iterator[tuple[slice, ClipProblem, LeastSquares, Estimate]]:
-    """Yield the rows, the problem and the minimum of each segment, set up again at the solution.
+    """Yield the rows, the clip, the least-squares problem and the minimum of each segment of a solution.
 
     The views have the estimated time offsets and corrections of the cameras.
     """
@@ -132,7 +132,7 @@ def _segment_gain(
 
 
 def _of_points(by_state: Array, of_states: Array) -> Array:
-    """Return the blocks (N, J, 3, 3) of points from their derivatives (N, J, 3, D) and the states' blocks (N, D, D)."""
+    """Return covariances (N, J, 3, 3) of points from their derivatives (N, J, 3, D) and the states' (N, D, D)."""
     N, J, _, D = by_state.shape
     moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(N, J, 3, D)
     return moved @ by_state.swapaxes(2, 3)
@@ -147,7 +147,7 @@ def _gain_of_frames(
 ) -> Array:
     """Return the gain (N, J) of N frames of a view.
 
-    The blocks of Z and Q are those of the markers, (N, J, 3, 3); `points_m` (N, J, 3) are the markers' positions.
+    `covariance_and_derivative` are the blocks of Z and Q for the markers at `points_m` (N, J, 3), (N, J, 3, 3) each.
     """
     projected, by_point, valid = view.project_with_jacobian(points_m)
     A_Z_A, A_Q_A = (by_point @ of_points @ by_point.swapaxes(-1, -2) for of_points in covariance_and_derivative)
@@ -171,10 +171,10 @@ def _covariance_and_derivative(
     curvature: Callable[[slice], Array],
     of_states: Callable[[slice, Array], Array],
 ) -> tuple[Array, Array]:
-    """Return linear functions of the blocks of Z and of Q within each frame, (T, ...).
+    """Return a linear function `of_states` of the blocks of Z, and the same function of those of Q, (T, ...) each.
 
-    `curvature` returns the curvature G of some frames (N, D, D). `of_states` returns the function (N, ...) of the
-    blocks (N, D, D) of some frames; only its values are kept, because Z, Q and G of a long clip need much memory.
+    `curvature` returns the curvature G of some frames (N, D, D). `of_states` returns an array (N, ...) from the blocks
+    (N, D, D) of some frames. Only these values are kept, because Z, Q and G of a long clip need much memory.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
     values, largest = list[Array](), 1e-12
@@ -188,7 +188,7 @@ def _covariance_and_derivative(
 
 
 def _covariances(pieces: Iterable[Normal], ahead: int | None) -> Iterator[tuple[slice, Array]]:
-    """Yield some frames and the covariance of the states of each of them, (N, D, D); see `eliminated`."""
+    """Yield groups of N frames with the covariance of each frame's states, (N, D, D); `ahead` is as in `eliminated`."""
     for window in eliminated(pieces, bounded=True, ahead=ahead):
         covariance, start = window.marginal_blocks()[:, 0], window.rows.start
         for first in range(0, len(covariance), _FRAMES_AT_ONCE):

@@ -82,9 +82,9 @@ class Rig:
     height_sigma_m: Array
     """Standard deviations of the cameras' heights above the ground, shape (V,); NaN without a ground."""
     disagreement: Array
-    """Squared deviation of each camera's pose in each of C clips from its pose in all clips, in sigmas, shape (C, V).
+    """Squared deviation of each camera's pose in each of C clips from its pose in all clips, shape (C, V).
 
-    Its expectation is at most 6 if the errors are as large as stated.
+    The deviation is relative to its covariance. Its expectation is at most 6 if the errors are as large as stated.
     """
     time_offset_frames: tuple[Array, ...]
     """Delay in frames of each camera's pictures beyond the stated offset, (V,) for each clip.
@@ -98,7 +98,7 @@ class Rig:
 def solve_extrinsics(
     clips: Sequence[ClipProblem], posed: bool = False, level_rad: float = LEVEL_RAD, progress: Progress = silent
 ) -> Rig:
-    """Return the poses of the cameras that filmed some clips.
+    """Estimate the poses of cameras from the animal in the clips that they filmed.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
 
 
 def _time_offsets(segments: Sequence[SegmentFit], clip: ClipProblem) -> Array:
-    """Return the time offsets (V,) of the longest segment."""
+    """Return the cameras' time offsets (V,), in frames, that the longest segment gives."""
     V = range(len(clip.views))
     if not segments:
         return np.zeros(len(V))

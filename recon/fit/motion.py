@@ -52,7 +52,7 @@ class Picture(Brief):
 
     @property
     def camera(self) -> Camera:
-        """Return the camera."""
+        """Return the camera that took the pictures."""
         return self.source.camera
 
     @property
@@ -104,7 +104,7 @@ class Motion:
     """Side whose limbs were fitted, for a chain; None means both."""
     side_reason: str
     solution: Solution
-    """Result of the method: a `TrajectorySolution`, or that of another method."""
+    """Result of the method of fitting, such as a `TrajectorySolution`."""
     findings: tuple[Finding, ...] = ()
     """Findings on the input and the fit (`recon.check`), the most serious first."""
     verdict: Verdict | None = None
@@ -124,15 +124,15 @@ class Motion:
     The array is None if the method cannot compute the decrease (`recon.fit.correction_gain`).
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
-    """Seconds that parts of the fit took, by name; the solution has those of its own stages."""
+    """Seconds that each part of the fit took, by name; `solution` has the times of its own stages."""
 
     def __repr__(self) -> str:
-        """Return one line: the clip, the animal, and the verdict."""
+        """Return a line of text with the clip, the animal and the verdict."""
         posed, level = int(self.solved.sum()), "not judged" if self.verdict is None else self.verdict.level
         return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {self.clip_frames} frames, {level}>"
 
     def _repr_html_(self) -> str:
-        """Return the notebook's view of the motion."""
+        """Return the HTML with which a notebook shows the motion."""
         from recon.fit.motion_forms import html_of
 
         return html_of(self)
@@ -161,7 +161,7 @@ class Motion:
         Returns
         -------
         pandas.DataFrame
-            NaN without a pose.
+            Positions and standard deviations; NaN in frames without a pose.
         """
         from recon.fit.motion_forms import table_of
 
@@ -221,9 +221,9 @@ class Motion:
     # Saving and loading
 
     def save(self, folder: str | Path) -> Path:
-        """Write motion.npz into a folder, whole or not at all, and return its path.
+        """Write motion.npz into a folder and return its path.
 
-        `load` restores it bit for bit.
+        The file is written completely or not at all. `load` restores the motion bit for bit.
         """
         from recon.base.records import save_record
         from recon.fit.motion_forms import MOTION, SCHEMA
@@ -381,7 +381,7 @@ class Motion:
 
     @property
     def fps(self) -> float:
-        """Return the frames per second."""
+        """Return the frame rate of the clip, Hz."""
         assert self.keypoints.fps is not None
         return self.keypoints.fps
 
@@ -434,7 +434,7 @@ class Motion:
 
     @property
     def states(self) -> Array:
-        """Return the states, (T, D), NaN in frames without a pose."""
+        """Return the D unknowns of each frame, (T, D), NaN in frames without a pose."""
         return self.solution.states
 
     @property
@@ -467,12 +467,12 @@ class Motion:
 
     @property
     def posture_data_share(self) -> Array:
-        """Return the information fraction of the posture: the part of its precision due to pixels, (T, P), 0 to 1."""
+        """Return the information fraction of the posture angles, the part of their precision due to pixels, (T, P)."""
         return self.solution.angle_data_share[:, PITCH - YAW :]
 
     @cached_property
     def data_shares(self) -> dict[str, float]:
-        """Return the median information fraction over the frames by name; NaN if unknown."""
+        """Return the median information fraction of each posture angle over the frames, by name; NaN if unknown."""
         return dict(zip(self.posture_names, map(median, self.posture_data_share.T), strict=True))
 
     # The world in which the motion was solved, with z up
@@ -563,7 +563,7 @@ class Motion:
 
     @cached_property
     def pictures(self) -> tuple[Picture, ...]:
-        """Return each camera's picture, in the order of the sources."""
+        """Return the motion as each camera pictures it, in the order of the sources."""
         solution = self.solution
         pictures = []
         for source, view, *rest in zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True):
@@ -584,7 +584,10 @@ class Motion:
 
     @property
     def alternative_m(self) -> Array:
-        """Return the mean distance between the joints of the two best solutions, (T,), m, both centred, or NaN."""
+        """Return the mean distance (T,), m, between the joints of the two best solutions, both centred.
+
+        The distance is NaN in frames without a second solution.
+        """
         return self.solution.alternative_m
 
     @property
@@ -627,5 +630,5 @@ class Motion:
 
 
 def _sigmas(covariance: Array) -> Array:
-    """Return the standard deviations (..., 3) along the axes."""
+    """Return the standard deviations (..., 3) along the axes from covariances (..., 3, 3)."""
     return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))

@@ -55,7 +55,7 @@ def _frame_solution() -> type:
 
 
 CLASSES = {"chain": _chain, "trajectory": _trajectory_solution, "frame": _frame_solution}
-"""Subclasses in the file of a motion, by their `record_tag`."""
+"""Functions that return the subclasses in the file of a motion, by the subclass's `record_tag`."""
 _CLASSES_BY_PATH = {
     "recon.animal.chain:Chain": _chain,
     "recon.thesis.chain:UnknownsChain": _chain,
@@ -71,11 +71,17 @@ Motion: TypeAlias = Any
 
 
 def load(motion_class: type[Motion], folder: Path) -> Motion:
-    """Return the motion in a folder as an instance of the given class; raise InputError as `Motion.load` describes."""
+    """Return the motion in a folder as an instance of the given class, which `Motion.load` passes.
+
+    Raises
+    ------
+    InputError
+        In the cases that `Motion.load` lists.
+    """
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
-    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # otherwise the motion was saved on its own
+    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # else saved by `Motion.save`
         read_manifest(folder).require(MOTION)
     hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
@@ -131,7 +137,7 @@ def _no_motion(folder: Path) -> Problem:
 
 
 def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
-    """Return the table that `Motion.to_dataframe` gives."""
+    """Return the joints of a motion as a table, see `Motion.to_dataframe`."""
     import pandas as pd
 
     T, J = len(motion.frames), len(motion.names)
@@ -146,7 +152,7 @@ def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
 
 
 def dataset_of(motion: Motion) -> xr.Dataset:
-    """Return the data set that `Motion.to_xarray` gives."""
+    """Return the joints of a motion as a dataset of poses, see `Motion.to_xarray`."""
     from recon.io import hdf5_poses
 
     dataset = hdf5_poses.dataset_of(motion.upright)
@@ -171,9 +177,9 @@ def html_of(motion: Motion) -> str:
 
 
 def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
-    """Return a picture of eight poses from (T, J, 3), z up, evenly spaced in time, seen from the side.
+    """Return an SVG picture of eight poses from the side, evenly spaced in time, from joints (T, J, 3) with z up.
 
-    The picture is empty if there are fewer than two poses.
+    The text is empty if there are fewer than two poses.
     """
     posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
     if len(posed) < 2:
