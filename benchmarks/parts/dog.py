@@ -69,7 +69,7 @@ class Clip:
     parents: tuple[int, ...]
     fps: float
     points_m: np.ndarray
-    """(T, J, 3): joints in a world with z up, metres."""
+    """Joints in a world with z up, shape (T, J, 3), metres."""
 
     def markers(self, body: Body) -> np.ndarray:
         return self.points_m[:, [self.names.index(marker) for marker in body.markers]]
@@ -138,9 +138,9 @@ class SegmentFit:
 
     clip: Clip
     states: np.ndarray
-    """(T, D): states of the skeleton."""
+    """States of the skeleton, shape (T, D)."""
     rms_m: np.ndarray
-    """(T,): root mean square distance of the skeleton's markers from the recorded ones."""
+    """Root mean square distance of the skeleton's markers from the recorded ones, shape (T,)."""
 
 
 def solve(clips: Sequence[Clip]) -> list[SegmentFit]:

@@ -418,9 +418,7 @@ class Evaluate2DSettings(Settings):
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
-    """Compare a file of predictions with a label file.
-
-    The result is that of `evaluate_2d`.
+    """Compare a file of predictions with a label file, and return the scores of `evaluate_2d`.
 
     `options` are the other fields of `Evaluate2DSettings`. Raises InputError if a file cannot be read, or if the files
     have no frames or keypoints in common.

@@ -95,7 +95,7 @@ class Augmentation:
     colour: float = 0.12
     """Largest logarithm of the factor by which each colour changes."""
     light_patch: float = 0.3
-    """Probability that a part of the picture gets another light."""
+    """Probability that a part of the picture gets different lighting."""
     cutout: float = 0.5
     """Probability that rectangles cover parts of the animal."""
     blur: float = 0.25
@@ -169,7 +169,7 @@ def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
 def _affine(
     example: Example, size_px: tuple[int, int], options: Augmentation, mirrored: bool, rng: np.random.Generator
 ) -> Array:
-    """Return a map (2, 3) that moves the animal's middle, or one of its points, to a random point of the picture."""
+    """Return an affine map (2, 3) that moves the animal's middle, or one of its points, to a random pixel."""
     points = example.xy_px[known_points(example.xy_px)]
     height, width = example.picture.shape[:2]
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) if len(points) else rng.uniform(0, [width, height])
@@ -193,7 +193,7 @@ def _warp(picture: Image, transform: Array, size_px: tuple[int, int], constant: 
 
 
 def _other_background(background: Image, size_px: tuple[int, int], rng: np.random.Generator) -> Image:
-    """Return another part of the clip's background, mirrored at random."""
+    """Scale a random part of the clip's background to `size_px`, and mirror it at random."""
     height, width = background.shape[:2]
     scale = math.exp(rng.uniform(-0.4, 0.5)) * max(1.0, 0.7 * size_px[0] / width, 0.7 * size_px[1] / height)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
@@ -205,7 +205,7 @@ def _other_background(background: Image, size_px: tuple[int, int], rng: np.rando
 def _random_light(
     size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
-    """Return new levels (256, 3) for each colour, and a factor (H, W, 1) per pixel if a patch has another light."""
+    """Return new levels (256, 3) for each colour, and a factor (H, W, 1) per pixel if a patch is lit differently."""
     levels = np.arange(256)[:, None] / 255.0
     gamma = math.exp(rng.uniform(-options.gamma, options.gamma))
     contrast = math.exp(rng.uniform(-options.contrast, options.contrast))

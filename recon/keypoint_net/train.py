@@ -150,7 +150,7 @@ class State:
 
 
 def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
-    """Prepare the inputs of a run, which are split, network scales, pictures and backgrounds."""
+    """Prepare the inputs of a run: split the labels, choose the network's scales, and make pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
     learned = np.concatenate([split["train"], split["validation"]])
     scale, first = pictures.network_scales(labels.xy_px[learned])
@@ -356,7 +356,7 @@ def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
-    """Return the state stored in a checkpoint.
+    """Return the state of the training stored in a folder's checkpoint.
 
     Raises InputError if keypoints, settings or pictures differ from those of the run.
     """
@@ -515,7 +515,7 @@ def _errors_of_part(
 
 
 def _write_suspicious(suspects: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the table of labels that are probably wrong."""
+    """Write a table of the labels that are probably wrong, with the reasons."""
     digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
     table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
     for name, decimals in digits.items():

@@ -302,7 +302,7 @@ def _pose_answer(transform: RigidTransform) -> dict[str, Any]:
 
 
 def _in_limits(chain: SerialChain, q: Array) -> Array:
-    """Return joint angles, shifted by whole turns to be nearest to the middle of the limits of joints that have any."""
+    """Shift joint angles by whole turns to be nearest to the middle of their limits, if a joint has limits."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
     middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
     return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
@@ -341,7 +341,10 @@ def all_solutions(
     turns = ~np.asarray(chain.sliding, bool)
 
     def equations(q: Array) -> tuple[Array, Array]:
-        """Return residuals (12 + n,) and their derivatives; the last n are 0, because MINPACK needs n or more."""
+        """Return residuals (12 + n,) and their derivatives.
+
+        The last n residuals are 0, because MINPACK needs at least as many residuals as unknowns.
+        """
         R, p = chain.pose(q)
         J = chain.geometric_jacobian(q)
         error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))

@@ -76,17 +76,17 @@ class Leg:
     thigh_m: PositiveLength
     shin_m: PositiveLength
     knee_offset_m: Length = 0.0
-    """Forward offset, perpendicular to the thigh."""
+    """Forward offset of the knee, perpendicular to the thigh, metres."""
     foot_offset_m: Length = 0.0
-    """Forward offset, perpendicular to the shin."""
+    """Forward offset of the foot, perpendicular to the shin, metres."""
     lateral_m: Length = 0.0
-    """Outward distance from the flap joint to the swing joint, if the flap joint comes first."""
+    """Outward distance from the flap joint to the swing joint, metres, if the flap joint comes first."""
     mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factor 1 or -1 for each leg axis: 1 as in the right front leg, -1 mirrored."""
 
     @property
     def order(self) -> list[int]:
-        """Return the indices into (swing, flap, knee) in the order of the joints from the hip down."""
+        """Return the indices of the joints in (swing, flap, knee), in their order from the hip down."""
         return [0, 1, 2] if self.first == "swing" else [1, 0, 2]
 
     @cached_property

@@ -22,8 +22,9 @@ from recon.base.package import install_command
 from recon.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 
 MjModel: TypeAlias = Any
+"""Type of MuJoCo's model; the package mujoco has no type hints."""
 MjSpec: TypeAlias = Any
-"""MuJoCo's model and specification. The package mujoco has no types."""
+"""Type of MuJoCo's editable description of a model."""
 LARGEST = 1e6
 """Largest plausible length or angle; larger numbers indicate a damaged file."""
 LEAST_MASS_KG = 1e-6
@@ -78,9 +79,9 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
 
 
 def rates_of(path: Path) -> dict[str, float]:
-    """Read the joints' maximum rates from a URDF file, because MuJoCo does not keep them.
+    """Read the maximum rates by joint, rad/s or m/s, from a URDF file, because MuJoCo does not keep them.
 
-    The result has rad/s or m/s by joint, and is empty for MJCF, which has no rates. Raises InputError for limits that
+    An MJCF file has no rates, so the table is empty. Raises InputError for limits that
     are not numbers.
     """
     try:
@@ -129,7 +130,7 @@ def foot_of(model: MjModel, leaf: int) -> Array:
 
 
 def bodies_to(model: MjModel, tip: int) -> list[int]:
-    """Return the bodies from the root (not included) to `tip`; none if `tip` is not a descendant of the root."""
+    """Return the bodies from the root (not included) to `tip`; the list is empty if no chain leads there."""
     bodies, root = [], root_of(model)
     while tip not in (root, 0):
         bodies.append(tip)
@@ -166,7 +167,7 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     steps = np.diff([data.xpos[start], *data.xanchor[joints], end], axis=0) @ root_axes
     axes, turns = data.xaxis[joints] @ root_axes, model.body_quat[way]
     if not np.isfinite([*steps, *axes]).all() or not (axes.any(axis=1).all() and turns.any(axis=1).all()):
-        # numbers in the file that overflow to infinity or NaN
+        # Numbers in the file can overflow to infinity or NaN.
         lost = f"a joint between the root and {tip} without an axis or a position"
         raise InputError(Problem(path, "chain", lost, "axes of joints, and positions in metres"))
     rates = rates_of(path)

@@ -154,9 +154,9 @@ class _Demand(NamedTuple):
     """
 
     needed: Array
-    """(N, 6 + J): required forces (N), moments and torques (N m), without the forces from the ground."""
+    """Required forces, newtons, and moments and torques, N m, without the forces from the ground, shape (N, 6 + J)."""
     moves: Array
-    """(N, 4, 3, 6 + J): derivatives of the feet's positions."""
+    """Derivatives of the feet's positions with respect to the columns, shape (N, 4, 3, 6 + J)."""
 
 
 def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, second_rates: Array) -> _Demand:
@@ -444,7 +444,7 @@ class _Carrying:
         return forces
 
     def values(self, motion: RobotMotion, demand: _Demand, moved: Array, pushes: Array) -> Array:
-        """Return the values of all rows for a motion and the forces that it requires."""
+        """Return the values of all rows of the least-squares problem for a motion and the forces that it requires."""
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (demand.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), demand.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
@@ -476,7 +476,7 @@ class _Carrying:
             return ((nudged.needed - by_feet).reshape(K, 6, -1) - unmet[:, None]).swapaxes(1, 2) / STEP
 
         def rows(*parts: Array) -> Array:
-            """Return derivatives with respect to the spline's coefficients, from those with respect to the pose."""
+            """Convert derivatives by the base's pose to derivatives by the spline's coefficients."""
             by = (np.einsum("kij,kn->kinj", part, way) for part, way in zip(parts, self.ways, strict=False))
             return np.sum([*by], axis=0).reshape(K, parts[0].shape[1], -1)
 
@@ -555,7 +555,10 @@ class _Carrying:
 
 
 def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
-    """Return the foot of each stance, and the polynomials (K, .) of that foot's forces at times (K,)."""
+    """Return the foot of each stance, and the Bernstein polynomials of the foot's force at times (K,).
+
+    The polynomials of a stance have the shape (K, n), with up to `DEGREE` + 1 columns.
+    """
     lasts, loops, stance_pushes = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
     for foot in range(len(LEGS)):
         spans = [(motion.time_s[a], motion.time_s[b]) for a, b in stances(motion.standing[:, foot])]

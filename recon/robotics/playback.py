@@ -168,7 +168,7 @@ def _angles(motion: RobotMotion, label: str) -> scene.TimePlot:
 
 
 def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Sequence[str]) -> rrb.Spatial3DView:
-    """Return a view from the right and ahead that follows an entity."""
+    """Return a 3D view that follows an entity, from the right and ahead."""
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=middle_m + half_m * np.array([0.5, -2.0, 0.9]),

@@ -46,16 +46,16 @@ class RobotLeg:
     chain: SerialChain
     """Chain of the joints in body axes, with names and limits. Its end effector is the foot."""
     neutral_m: Array
-    """(3,): foot of the standing leg, metres."""
+    """Foot of the standing leg, shape (3,), metres."""
     home_rad: Array | None = None
-    """(n,): angles of the standing leg, rad, or None if the leg cannot stand.
+    """Angles of the standing leg, shape (n,), rad, or None if the leg cannot stand.
 
     A leg without a closed form is solved from these angles.
     """
     closed: Leg | None = None
     """Closed form of the leg, in leg axes."""
     signs: Array | None = None
-    """(n,): signs of the joints' own angles relative to those of the closed form."""
+    """Signs of the joints' own angles relative to those of the closed form, shape (n,)."""
 
     @property
     def joints(self) -> tuple[str, ...]:

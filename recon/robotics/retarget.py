@@ -64,19 +64,19 @@ class Reference:
     """Motion that a robot follows, at N evenly spaced times."""
 
     time_s: Array
-    """(N,): times, seconds."""
+    """Times, shape (N,), seconds."""
     base_m: Array
-    """(N, 3): x and y in the world, and the height's deviation from its mean, metres."""
+    """Positions of the base: x and y in the world, and the height's deviation from its mean, shape (N, 3), metres."""
     roll_pitch_yaw_rad: Array
-    """(N, 3): roll, pitch and yaw of the trunk, rad."""
+    """Roll, pitch and yaw of the trunk, shape (N, 3), rad."""
     feet_m: Array
-    """(N, 4, 3): feet in heading axes, metres, in the order of `LEGS`."""
+    """Feet in heading axes, shape (N, 4, 3), metres, in the order of `LEGS`."""
     standing: Bools
-    """(N, 4): whether each foot stands."""
+    """Whether each foot stands, shape (N, 4)."""
     leg_m: float
     """Length of the animal's legs, metres."""
     advance_m: Array | None = None
-    """(2,): displacement from the first to the last sample of a closed stride, metres; None for a clip.
+    """Displacement from the first to the last sample of a closed stride, shape (2,), metres; None for a clip.
 
     The two samples are equal otherwise.
     """
@@ -108,7 +108,7 @@ class Animal:
     """Rotation from the upright frame to the reference's world, about origin_m."""
     origin_m: Array
     rows: Index
-    """(N,): samples of the analysis's fine grid from which the reference is made."""
+    """Indices of the samples in the analysis's fine time grid from which the reference is made, shape (N,)."""
 
 
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
@@ -328,21 +328,21 @@ class KeptMotion:
     scale: float
     slower: float
     time_s: Array
-    """(N,): times of the robot, seconds."""
+    """Times of the robot, shape (N,), seconds."""
     angles_rad: Array
-    """(N, joints): joint angles, rad."""
+    """Joint angles, shape (N, joints), rad."""
     position_m: Array
-    """(N, 3): position of the body in the world, metres."""
+    """Position of the body in the world, shape (N, 3), metres."""
     quaternion_xyzw: Array
-    """(N, 4): rotation of the body in the world."""
+    """Rotation of the body in the world as quaternions, shape (N, 4)."""
     feet_m: Array
-    """(N, 4, 3): intended positions of the feet in the world, metres."""
+    """Intended positions of the feet in the world, shape (N, 4, 3), metres."""
     standing: Bools
-    """(N, 4): whether each foot stands."""
+    """Whether each foot stands, shape (N, 4)."""
     short: Bools
-    """(N, 4): whether each foot was out of reach."""
+    """Whether each foot was out of reach, shape (N, 4)."""
     advance_m: Array | None = None
-    """(2,): displacement over a repeating stride, metres, as in `Reference`."""
+    """Displacement over a repeating stride, shape (2,), metres, as in `Reference`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,7 +206,10 @@ def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[
 
 
 def checked(done: Retargeting, model: MjModel, folder: Path | None = None) -> dict[str, Any]:
-    """Check clip and stride with MuJoCo for the report, and write tables and figures if a folder is given."""
+    """Check clip and stride with MuJoCo, and return the section of the report.
+
+    If a folder is given, tables and figures are written into it.
+    """
     answers = {}
     for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
         time, margins = physics.check(motion, model)
@@ -219,7 +222,7 @@ def checked(done: Retargeting, model: MjModel, folder: Path | None = None) -> di
 
 
 def report_of(done: Retargeting) -> dict[str, Any]:
-    """Return the report of a retargeting."""
+    """Return the content of report.json: robot, animal, clip, repeating stride and notes."""
     animal, window, robot = done.animal, done.window, done.clip.robot
     fitted, time = animal.analysis.motion, animal.reference.time_s
     limits = zip(robot.joints, *(numbers.tolist() for numbers in robot.limits()), strict=True)
@@ -597,7 +600,7 @@ class _Kept:
 
 
 def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str, Any], path: Path) -> None:
-    """Write both motions unchanged, so that `convert` can later write files in any of `FORMATS` at any rate."""
+    """Write clip and repeating stride unchanged, so that `convert` can later write any of `FORMATS` at any rate."""
     names = [field.name for field in fields(KeptMotion)]
     save_record(
         _Kept(robot, origin, *(KeptMotion(**picked(motion, *names)) for motion in (clip, stride))), path, SCHEMA

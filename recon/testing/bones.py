@@ -32,7 +32,7 @@ def read_mot(path: Path) -> dict[str, list[float]]:
 
 
 def read_osim_as_xml(path: Path) -> Joints:
-    """Return a model's markers during the motion in the file next to it, computed from the XML alone."""
+    """Compute the positions of a model's markers, in the motion of the .mot file next to it, from the XML alone."""
     model = ElementTree.parse(path).getroot().find("Model")
     assert model is not None
     motion = read_mot(path.with_suffix(".mot"))
@@ -70,7 +70,7 @@ def _numbers(element: ElementTree.Element, name: str) -> Array:
 
 
 def read_osim_with_opensim(path: Path) -> Joints:
-    """Return a model's markers during the motion in the file next to it, computed by OpenSim."""
+    """Return the positions of a model's markers, in the motion of the .mot file next to it, computed by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     opensim.Logger.setLevelString("error")
@@ -90,7 +90,7 @@ def read_osim_with_opensim(path: Path) -> Joints:
 
 
 def read_trc_with_opensim(path: Path) -> Joints:
-    """Return the markers of the .trc file next to a model, read by OpenSim."""
+    """Return the positions of the markers in the .trc file next to a model, read by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     table = opensim.TimeSeriesTableVec3(str(path.with_suffix(".trc")))
@@ -102,7 +102,7 @@ def read_trc_with_opensim(path: Path) -> Joints:
 
 
 def read_gltf_as_json(path: Path) -> Joints:
-    """Return the nodes of a skin during the animation, computed from the JSON alone."""
+    """Compute the positions of a glTF file's nodes during its animation, from the JSON and the binary data alone."""
     content = path.read_bytes()
     magic, version, size, length, kind = struct.unpack_from("<4sIII4s", content)
     assert (magic, version, size, kind) == (b"glTF", 2, len(content), b"JSON")
@@ -141,7 +141,7 @@ def read_gltf_as_json(path: Path) -> Joints:
 
 
 def read_gltf_with_trimesh(path: Path) -> Joints:
-    """Return the nodes in frame 0, the only frame that trimesh reads."""
+    """Return the positions of the nodes of a glTF file in frame 0, the only frame that trimesh reads."""
     import trimesh
 
     graph = trimesh.load_scene(path).graph
@@ -149,12 +149,12 @@ def read_gltf_with_trimesh(path: Path) -> Joints:
 
 
 def read_gltf_with_blender(path: Path) -> Joints:
-    """Return the heads of the bones, read by Blender."""
+    """Return the positions of the bones' heads in a glTF file, read by Blender."""
     return _read_with_blender(path, lambda blender: blender.ops.import_scene.gltf(filepath=str(path)), first_frame=0)
 
 
 def read_bvh_with_bvhio(path: Path) -> Joints:
-    """Return the joints, read by bvhio."""
+    """Return the positions of the joints in a BVH file, read by bvhio."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warnings of bvhio's dependencies
         import bvhio
@@ -169,14 +169,17 @@ def read_bvh_with_bvhio(path: Path) -> Joints:
 
 
 def read_bvh_with_blender(path: Path) -> Joints:
-    """Return the heads of the bones, read by Blender."""
+    """Return the positions of the bones' heads in a BVH file, read by Blender."""
     return _read_with_blender(
         path, lambda blender: blender.ops.import_anim.bvh(filepath=str(path), frame_start=1), first_frame=1
     )
 
 
 def _read_with_blender(path: Path, read: Callable[..., object], first_frame: int) -> Joints:
-    """Return the heads of the bones; Blender has z up and samples a file at the scene's frame rate."""
+    """Return the positions of the bones' heads, y up, in all frames of a file that `read` imports into Blender.
+
+    Blender has z up, and samples a file at the scene's frame rate.
+    """
     import bpy  # pyright: ignore[reportMissingImports]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)

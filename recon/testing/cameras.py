@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from recon.testing.gallop import SyntheticClip
 
 SHAKE_DEG = 0.3
-"""Standard deviation of a handheld camera's shake about each axis."""
+"""Standard deviation of a handheld camera's shake about each axis, degrees."""
 SHAKE_S = 0.033
 """Time over which the shake is smooth."""
 FOLLOW_S = 0.05

@@ -87,7 +87,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
 
 
 def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: str, padding: float) -> None:
-    """Write a table of three animals as DeepLabCut 3 does, first the sample's, then two filled with `padding`."""
+    """Write a table of three animals as DeepLabCut 3 does: the sample's animal, then two filled with `padding`."""
     import pandas as pd
 
     levels = [[scorer], ["animal0", "animal1", "animal2"], list(names), ["x", "y", "likelihood"]]
@@ -102,19 +102,19 @@ def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: st
 
 
 def write_superanimal(path: Path, sample: Keypoints) -> None:
-    """Write a file of DeepLabCut 3's SuperAnimal-Quadruped."""
+    """Write the sample in the layout and names of DeepLabCut 3's SuperAnimal-Quadruped."""
     values = detect(sample, SUPERANIMAL, "superanimal-quadruped")
     scorer = "superanimal_quadruped_hrnet_w32_fasterrcnn_resnet50_fpn_v2"
     write_deeplabcut(path, SUPERANIMAL, values, scorer, padding=-1.0)
 
 
 def write_fmpose3d(path: Path, sample: Keypoints) -> None:
-    """Write a 2D file of FMPose3D."""
+    """Write the sample in the layout and names of FMPose3D's 2D file."""
     write_deeplabcut(path, ANIMAL3D, detect(sample, ANIMAL3D, "animal3d"), "DLC_fmpose3d_animals", padding=0.0)
 
 
 def write_acinoset(path: Path, sample: Keypoints) -> None:
-    """Write a file of one animal as DeepLabCut 2 does."""
+    """Write the sample as DeepLabCut 2 does for a project of one animal."""
     import pandas as pd
 
     values = detect(sample, ACINOSET, None)
@@ -125,7 +125,7 @@ def write_acinoset(path: Path, sample: Keypoints) -> None:
 
 
 def write_ap_10k(path: Path, sample: Keypoints) -> None:
-    """Write AP-10K annotations of a video's frames; all species have the same keypoints."""
+    """Write the sample as AP-10K annotations of a video's frames; all species have the same keypoints."""
     values = detect(sample, AP_10K, "ap-10k")
     species = [{"id": i, "name": name, "supercategory": "Felidae", "keypoints": AP_10K, "skeleton": [[1, 2], [1, 3]]}
                for i, name in enumerate(("cheetah", "lion"), start=19)]  # fmt: skip
@@ -143,7 +143,7 @@ def write_ap_10k(path: Path, sample: Keypoints) -> None:
 
 
 def write_mmpose(path: Path, sample: Keypoints) -> None:
-    """Write a file as `topdown_demo_with_mmdet.py --save-predictions` does for a video."""
+    """Write the sample as MMPose's `topdown_demo_with_mmdet.py --save-predictions` does for a video."""
     values = detect(sample, MMPOSE_AP_10K, "ap-10k")
     values = np.where(np.isnan(values), 0.0, values)
     meta = {"dataset_name": "ap10k", "num_keypoints": 17, "keypoint_id2name": dict(enumerate(MMPOSE_AP_10K))}

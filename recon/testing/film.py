@@ -55,7 +55,7 @@ LABELLED = 40
 """Number of frames with labels."""
 SIZE_PX = (640, 360)
 FOCAL_PX = 640.0
-"""Focal length of the film's camera."""
+"""Focal length of the film's camera, pixels."""
 DISTANCE_M = 11.5
 """Distance of the camera from the animal's path."""
 HEIGHT_M = 1.7
@@ -101,7 +101,7 @@ def render_frames(
 
 
 def _parts() -> list[tuple[str, str, float, float, float]]:
-    """Return all parts of the body, including those of the legs."""
+    """Return all parts of the body in the form of `PARTS`, including those of the legs."""
     parts = list(PARTS)
     for side in "lr":
         for leg, root in (("front", "shoulder"), ("back", "hip")):

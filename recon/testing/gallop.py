@@ -208,7 +208,7 @@ def _rising(t: Array, start: float, top: float) -> tuple[Array, Array]:
 
 
 def _series(name: str, phase: Array, swing: Array) -> Array:
-    """Return one of `_SERIES` at phases (T,), with its deviations from the mean scaled by `swing` (T,)."""
+    """Return the values of one of `_SERIES` at phases (T,), with deviations from the mean scaled by `swing` (T,)."""
     mean, *terms = _SERIES[name]
     angle = 2 * np.pi * phase
     return mean + swing * sum(
@@ -242,7 +242,7 @@ class _Run(NamedTuple):
 
 
 def _run(chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]) -> _Run:
-    """Return the animal at times t (T,), seconds."""
+    """Return the states and joints of the animal at times t (T,), seconds."""
     speed, distance = _rising(t, START_SPEED_M_S, TOP_SPEED_M_S)
     _, strides = _rising(t, START_STRIDES_HZ, TOP_STRIDES_HZ)
     phase, swing = START_PHASE + strides, (speed / _SWING_SPEED_M_S) ** _SWING_POWER

@@ -26,11 +26,11 @@ FINE = 4096
 """Number of instants per stride at which the forces are integrated."""
 LEGS = {"H": ("hind_thigh", "hind_shin", "hind_foot"), "F": ("fore_upper", "fore_lower", "fore_foot")}
 CENTRE_M = 0.46
-"""Mean height of the centre of mass."""
+"""Mean height of the centre of mass above the ground, metres."""
 PAW_M = 0.02
-"""Height of a standing paw's marker."""
+"""Height of a standing paw's marker above the ground, metres."""
 LIFT_M = 0.1
-"""Height by which a paw is lifted."""
+"""Height by which a paw is lifted in the swing, metres."""
 
 
 @dataclass(frozen=True)

@@ -110,13 +110,13 @@ class _Well(FileTable):
     """
 
     gain: _PositiveLegs
-    """Slope per unit of q."""
+    """Slope of the well per unit of q, for each leg."""
     natural: _Legs
-    """q of the lowest energy."""
+    """Coordinate q at the lowest energy, for each leg."""
     least: _Legs
-    """q of the lower wall."""
+    """Coordinate q of the lower wall, for each leg."""
     most: _Legs
-    """q of the upper wall."""
+    """Coordinate q of the upper wall, for each leg."""
     low: _PositiveLegs
     """Sharpness of the lower wall, per unit of q."""
     high: _PositiveLegs
@@ -285,13 +285,13 @@ class Climb:
     recipe: Recipe
     motion: RobotMotion
     lifted: Integers
-    """(T,): index of the lifted leg, or `NONE`."""
+    """Index of the lifted leg in each frame, or `NONE`, shape (T,)."""
     footfall: Integers
-    """(T,): index of the footfall within the recipe; the final shift has the index of the last footfall."""
+    """Index of each frame's footfall in the recipe, shape (T,); the final shift has the index of the last footfall."""
     evaluations: Integers
-    """(T,): number of evaluations of the fields."""
+    """Number of evaluations of the fields in each frame, shape (T,)."""
     settled: Bools
-    """(T,): whether the search for the equilibrium converged."""
+    """Whether the search for the torso's equilibrium converged in each frame, shape (T,)."""
 
     @property
     def pitch_rad(self) -> Array:
