@@ -26,7 +26,7 @@ from recon.base.numbers import quantity
 from recon.io.video import Image, probe, timed_frames
 
 Colour = tuple[int, int, int]
-"""Blue, green, red."""
+"""Blue, green and red of a colour, 0 to 255, in OpenCV's order."""
 
 # Okabe and Ito's palette, which colour-blind readers can distinguish, as in the playback.
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": (233, 180, 86), "right": (0, 159, 230), None: (115, 158, 0)}
@@ -43,7 +43,7 @@ TILE_PX = (480, 300)
 TILE_UNIT = 0.55
 """Scale of lines and marks on a still picture."""
 DARKENED = 0.35
-"""Fraction of the picture's brightness that remains behind a text."""
+"""Fraction of the picture's brightness that remains behind text."""
 _FILLED = 0.8
 """Fraction of a tile that the largest animal fills."""
 CLOSE_UP = 0.36
@@ -51,7 +51,7 @@ CLOSE_UP = 0.36
 WORTH = 1.6
 """Smallest enlargement at which the close-up is shown."""
 HEADING_S = 0.25
-"""Time over which the trunk's direction is averaged, so that the views do not shake."""
+"""Time, in seconds, over which the trunk's direction is averaged, so that the views do not shake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +113,16 @@ class Overlay:
 
     @cached_property
     def _sides_px(self) -> Array:
-        """Return the sides (N, 2) of the box around the joints in each complete frame, infinite without any."""
+        """Return width and height (N, 2), px, of the box around the joints in each of N frames with all joints.
+
+        If no frame has all joints, the result is one infinite box.
+        """
         complete_px = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
         return np.ptp(complete_px, axis=1) if len(complete_px) else np.full((1, 2), np.inf)
 
     @cached_property
     def extent_px(self) -> float:
-        """Return the animal's length in the picture, px, the median diagonal of the box around its joints."""
+        """Return the animal's length in the picture, px, as the median diagonal of the box around its joints."""
         return float(np.median(np.linalg.norm(self._sides_px, axis=1)))
 
     @cached_property
@@ -129,7 +132,7 @@ class Overlay:
 
     @cached_property
     def box_px(self) -> Array:
-        """Return the sides (2,), px, of the largest box around the joints of a frame, without stray poses."""
+        """Return width and height (2,), px, of the largest box around the joints of a frame, ignoring stray poses."""
         return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property
@@ -141,7 +144,7 @@ class Overlay:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """Return the lowest and highest coordinates (2,) of each view over the clip, metres, without stray poses."""
+        """Return the lowest and highest coordinates (2,) of each view over the clip, metres, ignoring stray poses."""
         points_of_view = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
         unit_box = -np.ones(2), np.ones(2)
         return {
@@ -253,7 +256,7 @@ class _Cut:
     scale: float
 
     def place(self, points_px: Array) -> Array:
-        """Return points (N, 2) of the picture in pixels of the cut-out part."""
+        """Convert points (N, 2) from pixels of the whole picture to pixels of the cut-out part."""
         return self.scale * (points_px - self.corner_px)
 
     def crop(self, picture: Image, size_px: tuple[int, int]) -> Image:

@@ -24,7 +24,7 @@ def write_report(report: Mapping[str, Any], path: Path) -> None:
 
 
 def to_json(value: object) -> str:
-    """Return JSON text for a file or for `--json`."""
+    """Return a value as JSON text, for a file or for `--json`."""
     return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
@@ -34,17 +34,17 @@ def file_name(path: str | None) -> str | None:
 
 
 def picked(source: object, *names: str) -> dict[str, Any]:
-    """Return the named attributes of an object, by name."""
+    """Return some attributes of an object, given by name, as a dictionary."""
     return {name: getattr(source, name) for name in names}
 
 
 def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
-    """Return a dict of values by name."""
+    """Return a dictionary of values by name, from names and values in the same order."""
     return dict(zip(names, values, strict=True))
 
 
 def spread(values: Array) -> dict[str, float]:
-    """Return the mean, minimum and maximum of the known values, by name."""
+    """Return the mean, minimum and maximum of the known values as `mean`, `min` and `max`."""
     known_values = finite(values)
     low, high = (float(known_values.min()), float(known_values.max())) if len(known_values) else (np.nan, np.nan)
     return {"mean": mean(values), "min": low, "max": high}
@@ -56,5 +56,5 @@ def number(value: float | None, spec: str) -> str:
 
 
 def frame_count(n: int) -> str:
-    """Return "1 frame" or "7 frames"."""
+    """Return a number of frames with its noun, "1 frame" or "7 frames"."""
     return "1 frame" if n == 1 else f"{n} frames"

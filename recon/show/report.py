@@ -79,11 +79,11 @@ def build_report(motion: Motion) -> dict[str, Any]:
 
 
 def warnings(report: Mapping[str, Any]) -> list[str]:
-    """Return the texts of the findings, notes excluded."""
+    """Return the texts of a report's findings, without those of severity note."""
     return [finding["text"] for finding in report["findings"] if finding["severity"] != "note"]
 
 
 def is_unsolved(report: Mapping[str, Any]) -> bool:
-    """Return whether no frame has a pose."""
+    """Return whether no frame has a pose according to a report."""
     summary = report["summary"]
     return summary.get("frames_converged", summary["frames_with_pose"]) == 0

@@ -79,7 +79,7 @@ def pose3d_sigma(motion: Motion, path: Path) -> None:
 
 
 def angles(motion: Motion, path: Path) -> None:
-    """Write the state of each frame in its own order, with angles in rad and positions in metres."""
+    """Write the fitted state of each frame, a column for each component, with angles in rad and positions in metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
     is_angle = np.array([not name.endswith("_m") for name in motion.state_names])
     angles_rad, positions_m = _rounded(motion.states, ANGLE), _rounded(motion.states, metre_decimals(motion))
@@ -252,7 +252,7 @@ WITHOUT_UNIT = 5
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
-"""Columns and rows of a table."""
+"""Names of a table's columns, and its rows."""
 Columns = dict[str, np.ndarray]
 """Columns by name, of a table with a row for each frame or sample."""
 
@@ -270,7 +270,7 @@ def joints(analysis: ClipAnalysis) -> Table:
 
 
 def reference(analysis: ClipAnalysis) -> Columns:
-    """Return the reference joint's motion on the fine grid."""
+    """Return the reference joint's motion on the fine grid of times, ten per frame."""
     motion = analysis.joints[analysis.reference]
     series = motion.series
     columns = {"time_s": series.time_s, "frame": series.time_s * analysis.motion.fps} | _axes("{}_m", series.value)
@@ -496,7 +496,7 @@ def closures(analysis: ClipAnalysis) -> Table:
 
 
 def centre_of_mass(analysis: ClipAnalysis) -> Columns:
-    """Return the centre of mass, and energies per kilogram, on the fine grid."""
+    """Return the centre of mass, and energies per kilogram, on the fine grid of times, ten per frame."""
     if (dynamics := analysis.dynamics) is None:
         return {}
     series = dynamics.centre.series
@@ -531,7 +531,7 @@ def forces(analysis: ClipAnalysis) -> Table:
 
 
 def force_over_time(analysis: ClipAnalysis) -> Columns:
-    """Return the vertical force of every foot on the fine grid, body weights.
+    """Return the vertical force of every foot, in body weights, on the fine grid of times, ten per frame.
 
     Cells are empty during stances that the clip cuts.
     """
@@ -558,7 +558,7 @@ def unit_of(column: str) -> str:
 
 
 def table_content(analysis: ClipAnalysis, name: str) -> Table | Columns:
-    """Return a table by its file name, with the decimals of each column's unit."""
+    """Return a table by its file name, with numbers rounded to the decimals of each column's unit."""
     content, metres = TABLES[name](analysis), metre_decimals(analysis.motion)
 
     def decimals(column: str) -> int:
@@ -576,7 +576,7 @@ def table_content(analysis: ClipAnalysis, name: str) -> Table | Columns:
 
 
 def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
-    """Write every table into an existing folder."""
+    """Write every table of an analysis into an existing folder."""
     for name in TABLES:
         content = table_content(analysis, name)
         if isinstance(content, dict):
@@ -591,7 +591,7 @@ def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:
-    """Return columns of the components of vectors (N, 3)."""
+    """Return the components x, y and z of vectors (N, 3) as columns, named by the format `name`."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
 
 

@@ -15,7 +15,7 @@ from recon.show.page.pages import rendered
 def audit_page(
     source: Path, content: str, points: AuditedPoints, findings: Sequence[Finding], notes: Sequence[str]
 ) -> str:
-    """Return the HTML page of the findings on a file of points."""
+    """Return the HTML page with the findings on a file of points and the checks that were made."""
     first, last = (int(points.frames[0]), int(points.frames[-1])) if len(points.frames) else (0, 0)
     values: dict[str, float] = {}
     for measure in measures_of(points):
@@ -44,7 +44,7 @@ NEEDS_NOTHING = (
     *("points_identical", "detections_frozen", "detections_repeated", "point_frozen", "points_interpolated"),
     "frames_dropped",
 )
-"""Checks of all points that have no measure if nothing is suspicious."""
+"""Codes of the checks that run on all points, but give a measured value only if something is suspicious."""
 
 
 def _row(item: Finding, first: int, last: int) -> Mapping[str, object]:

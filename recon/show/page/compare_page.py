@@ -269,6 +269,6 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def _label(group: str) -> list[str]:
-    """Return a group's name in a few short lines."""
+    """Return a group's name split into a few short lines, for the label of a plot."""
     lines = wrap(group, LABEL_CHARACTERS) or [""]
     return lines if len(lines) <= LABEL_LINES else [*lines[: LABEL_LINES - 1], lines[LABEL_LINES - 1][:-1] + "…"]

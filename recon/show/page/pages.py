@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
 UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Control characters and marks of text direction, which may occur in file names."""
+"""Pattern of control characters and marks of text direction, which may occur in file names."""
 
 
 def rendered(template: str, **content: Any) -> str:
@@ -99,9 +99,9 @@ SPEED_MM = 100.0
 LENGTHS = 2.5
 """Number of body lengths that an animal runs in one figure of poses."""
 POSES = 5
-"""Number of poses in a figure."""
+"""Number of poses in one figure of poses."""
 STRETCHES = 3
-"""Largest number of figures of poses."""
+"""Largest number of figures of poses on a page."""
 
 
 @dataclass(frozen=True)
@@ -137,9 +137,9 @@ def clip_page(
     files
         Names of the files in the page's folder, with forward slashes, for links.
     number
-        Camera whose stills these are.
+        Index of the camera that the stills show.
     pictures
-        Pictures of this camera's video, for the player.
+        Pictures of the same camera's video, for the player.
     batch
         Links to the pages of the clip's batch.
     """
@@ -334,13 +334,13 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
-    """Return the content of one row of the table.
+    """Return the content of a clip's row in the table of a batch, from the clip's row of summary.csv.
 
-    `cells` are those of the clip's row of summary.csv, `reason` is that of the verdict, if there is one. `numbers` have
-    90 % intervals, and include the mean keypoint error if it is far above the median. `page` is the address of the
-    clip's page relative to the summary, with forward slashes. `flagged` is the number of flagged frames (None without a
-    result), `share` their fraction. `state` is the verdict, or the reason why there is none. `rank` puts the clips to
-    look at first.
+    The content has these fields: `cells`, the row of summary.csv; `reason`, the reason of the verdict, if there is one;
+    `numbers`, texts with 90 % intervals, and with the mean keypoint error if it is far above the median; `page`, the
+    address of the clip's page relative to the summary, with forward slashes; `flagged`, the number of flagged frames
+    (None without a result), and `share`, their fraction; `state`, the verdict or the reason why there is none; and
+    `rank`, which sorts the clips to look at to the top.
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:

@@ -59,7 +59,7 @@ class PictureStrip:
     """Frame number, in the clip, of the video's first frame."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the data for the player."""
+        """Return the pictures and their positions in the video as JSON types, for the player of a page."""
         return {
             "mime": MIME,
             "every": self.every,
@@ -73,7 +73,7 @@ class PictureStrip:
 
 
 def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
-    """Return the part of each picture to keep.
+    """Return the part of each picture of a video that a page keeps around the animal.
 
     Parameters
     ----------

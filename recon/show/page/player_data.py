@@ -25,9 +25,9 @@ from recon.show.page.pictures import PictureStrip
 from recon.show.page.quality import keypoint_notes
 
 LARGEST = 32_000
-"""Largest packed number."""
+"""Largest absolute value of a number packed into 16 bits."""
 NOTHING = -32_768
-"""Packed number that stands for NaN."""
+"""Number of 16 bits that stands for NaN."""
 LARGEST_BYTE = 254
 """Largest number that is packed into a byte."""
 NO_BYTE = 255
@@ -186,7 +186,7 @@ def _number(value: float) -> float | None:
 
 
 def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
-    """Yield the detections and reprojections of each camera, or of fewer cameras if the page would become too large."""
+    """Yield an entry for each camera, without its detections if they would make the page too large."""
     frames, joints = motion.keypoints.present.shape
     size, per_camera = 0, 11 * frames * joints
     order = [number, *(v for v in range(len(motion.cameras)) if v != number)]
@@ -237,7 +237,10 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bool]]]:
-    """Return panels of the model's angles with values and sigmas, degrees, by side, and whether pixels measure them."""
+    """Return panels of the model's angles by title, each with curves by side.
+
+    A curve consists of values and standard deviations (T,), degrees, and whether the pixels measure the angle.
+    """
     shares, panels = motion.data_shares, dict[str, dict[Any, tuple[Array, Array, bool]]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
         title = both_sides(name).replace("_rad", "").replace("_", " ")
@@ -253,7 +256,7 @@ def _panel(
     curves: Mapping[Any, tuple[Array, Array, bool]],
     least: float | None = None,
 ) -> dict[str, Any]:
-    """Return one panel; `measured` is False for an angle that comes mostly from the prior."""
+    """Return one panel of curves; `measured` is False for an angle that comes mostly from the prior."""
     return {
         "title": title,
         "unit": unit,
@@ -282,7 +285,7 @@ def _at(time_s: Array, sample_s: Array, values: Array) -> Array:
 
 
 def _stances(motion: Motion, analysis: ClipAnalysis) -> list[dict[str, Any]]:
-    """Return the stances of each foot as fractional rows."""
+    """Return the start and end of each foot's stances as fractional rows, and whether the clip cuts them."""
     assert analysis.gait is not None
     return [
         {"foot": stance.foot, "rows": [round(stance.start_row, 3), round(stance.end_row, 3)]}

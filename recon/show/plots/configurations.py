@@ -48,9 +48,9 @@ _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM = 160.0
-"""Largest width of the side and top view together."""
+"""Largest width of the side and top views together, mm."""
 _HEIGHT_MM = 120.0
-"""Largest height of the side and top view together."""
+"""Largest height of the side and top views together, mm."""
 _LEAST_MM = 18.0
 """Smallest height of the side view."""
 _FRONT_MM = 45.0
@@ -60,7 +60,7 @@ _LABELS_MM = 46.0
 _NUMBERS_MM = 10.0
 """Width of the numbers of a vertical axis."""
 _WIDE_FRONT = 0.3
-"""Fraction of the width for the front view."""
+"""Fraction of the figure's width that the front view takes."""
 
 
 def composites(
@@ -235,7 +235,7 @@ def body_fixed(
     sides: Mapping[str, Side | None] = NO_SIDES,
     title: str = "",
 ) -> Figure:
-    """Draw up to ten configurations in one place, from the side, from above and from the front, at one scale.
+    """Draw up to ten configurations over each other, from the side, from above and from the front, at one scale.
 
     `joints_m` (T, J, 3) is the result of `in_body`, `limbs` has the joints along each limb by name, `time_s` has the
     shape (T,). The first configuration is pale; the last has the full colour of each side.
@@ -279,19 +279,20 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
-"""Coordinates to the right and upwards in each view, with x forwards, y left, z up. The animal faces right, and in the
-front view the reader.
+"""Coordinates to the right and upwards in each view, with x forwards, y left, z up.
+
+The animal faces right in the side and top views, and faces the reader in the front view.
 """
 _NAME_MM = 3.4
-"""Height of a name."""
+"""Height of a marker's name, mm."""
 _LONG_MM = 0.42 * style.WIDTH_MM
-"""Length of the animal."""
+"""Length at which the animal is drawn, mm."""
 _SAME = 0.01
-"""Distance, as a fraction of the picture, below which points share a name."""
+"""Distance between markers, as a fraction of the animal's extent in a view, below which they share a label."""
 
 
 def views(body: Body, title: str = "") -> Figure:
-    """Draw the expected pose from the side, from above and from the front, with names in columns."""
+    """Draw a skeleton's expected pose from the side, from above and from the front, with its markers' names."""
     points = body.expected_points_m()
     length_m = np.ptp(points[:, 0])
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
@@ -312,7 +313,7 @@ def views(body: Body, title: str = "") -> Figure:
 
 
 def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
-    """Draw the pose with each angle in turn `reach_sigmas` standard deviations to either side of its mean.
+    """Draw a skeleton with each angle in turn `reach_sigmas` standard deviations to either side of its mean.
 
     All other angles have their mean values. A left angle also represents the right one.
     """
@@ -365,7 +366,7 @@ def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, s
 
 
 def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]], length_m: float) -> None:
-    """Write names in a column on each side, with lines to their points."""
+    """Write markers' names in a column on each side of a pose, with lines to their points."""
     (low_x, low_y), (high_x, high_y) = points.min(axis=0), points.max(axis=0)
     centre, half = (low_x + high_x) / 2, len(labels) // 2
     for column, sign, align in ((labels[:half], -1, "right"), (labels[half:], 1, "left")):

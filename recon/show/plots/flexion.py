@@ -17,9 +17,9 @@ from recon.gait.stances import interval_of
 from recon.show.plots import style
 
 COLUMNS = 3
-"""Number of panels in a row at the width of a page."""
+"""Number of panels in a row of a figure as wide as a page."""
 NARROW_COLUMNS = 2
-"""Number of panels in a row at the width of a column."""
+"""Number of panels in a row of a figure as wide as a column."""
 NARROW_MM = 120.0
 """Largest width at which a figure counts as one column wide."""
 _PANEL_MM = 42.0

@@ -35,10 +35,10 @@ from recon.gait.stances import Stance, interval_of
 from recon.show.plots import style
 
 ROWS = ("LH", "RH", "RF", "LF")
-"""Order of the feet's rows from the top."""
+"""Feet in the order of their rows in a figure, from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""Height of the bars in a row, over all gaits."""
+"""Height of a foot's bars for all gaits together, as a fraction of its row."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
@@ -254,7 +254,7 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
 SHADES = 60
 """Number of colours into which a path is divided."""
 _LEAST = (0.05, 0.5)
-"""Half of the smallest range of each axis, degrees and degrees per second."""
+"""Half of the smallest range of each axis of a phase portrait, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND = "#E6E6E6"
 """Colour of a band around a path."""
@@ -265,7 +265,7 @@ _ALONG = 0.25
 
 
 CLEAREST = 6
-"""Largest number of portraits in a figure for a paper."""
+"""Largest number of phase portraits in a figure for a paper."""
 _EXACT_RAD = 1e-6
 """Smallest standard deviation with which the clarity of portraits is computed, rad."""
 

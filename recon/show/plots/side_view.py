@@ -18,9 +18,9 @@ from recon.show.plots import style
 from recon.show.plots.configurations import SIDE_COLOURS, run_frame
 
 POSES = 6
-"""Number of poses in a row at the width of a page."""
+"""Number of poses in a row of a figure as wide as a page."""
 NARROW_POSES = 3
-"""Number of poses in a row at the width of a column."""
+"""Number of poses in a row of a figure as wide as a column."""
 NARROW_MM = 120.0
 _APART = 1.1
 """Distance between the poses in a row, relative to the longest pose."""

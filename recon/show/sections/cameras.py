@@ -18,7 +18,7 @@ from recon.show.sections.section import Line
 
 
 def cameras_data(motion: Motion) -> list[dict[str, Any]]:
-    """Return an entry for each camera, in the order of the keypoint files."""
+    """Return the report's entry for each camera, in the order of the keypoint files."""
     return [_camera_data(motion, index) for index in range(len(motion.pictures))]
 
 

@@ -85,7 +85,7 @@ def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_text(angle_rad: float | None) -> str:
-    """Return an angle out of the image plane, rad, in words."""
+    """Return the angle between the animal's direction and the image plane, given in rad, in words."""
     if angle_rad is None:
         return "unknown"
     if (degrees := round(math.degrees(angle_rad))) == 0:

@@ -117,7 +117,7 @@ def write(
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
-    """Return the layout of the views.
+    """Return the layout of the views in which the viewer shows a motion.
 
     `plots` without a tab are in the front row, and all angles share a group of tabs. `rows` are the entities of states.
     """
@@ -213,7 +213,7 @@ def time_view(series: TimePlot) -> rrb.TimeSeriesView:
 
 
 def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
-    """Return the view of states over time."""
+    """Return a view of the times at which states hold, such as flags and stances."""
     return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
 
 

@@ -44,7 +44,7 @@ LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200
 BACKGROUND = (18, 21, 27)
 
 CAMERAS, PICTURE = "world/camera", "picture"
-"""Entities of a camera, or the parents of several (`by_camera`)."""
+"""Entities of a camera in the world and of its picture; with several cameras, the parents of one entity for each."""
 ANIMAL, EDGE_OF_PICTURE, VIDEO = "animal", "frame", "video"
 """Children of a picture, which are the animal's middle (centre of the close view), the picture's edge, and the video.
 """
@@ -52,7 +52,7 @@ _FRAMES_AT_ONCE = 4000
 """Number of frames that are written at once, for data that need much memory."""
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
-"""Size of the close view relative to the animal's extent."""
+"""Size of the close view of a picture relative to the animal's extent."""
 HIDDEN_LINK = 0.01
 """Length of a link, relative to the close view's width, below which the dots at its ends hide it."""
 MAX_SHAPES_HZ = 25.0
@@ -84,7 +84,7 @@ class Log:
     frames: Integers
     """Frame numbers, shape (T,)."""
     time_s: Array
-    """Times of the frames, shape (T,)."""
+    """Times of the frames, seconds, shape (T,)."""
 
     def send(
         self, entity: str, columns: rr.ComponentColumnList, rows: Index | Sequence[int] | slice = slice(None)
@@ -151,7 +151,7 @@ class Scene:
     high_m: Array
     """Upper bounds of the animal over the clip along `axes`, shape (3,)."""
     size_m: float
-    """Diagonal of the animal."""
+    """Median diagonal of the box around the animal in a frame, metres."""
     camera_m: Array
     """Centre of projection of the first camera, shape (3,); its mean if the camera moves."""
 

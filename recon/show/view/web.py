@@ -46,9 +46,9 @@ RECORDING = "recording.rrd"
 LOOK = "theme=dark&persist=0"
 """Options of the viewer, which is dark, like the views, and stores nothing in the browser."""
 START_S = 30.0
-"""Longest time for rerun to start."""
+"""Longest time, in seconds, for rerun to start."""
 TICK_S = 0.05
-"""Time between two checks of whether rerun has started."""
+"""Time, in seconds, between two checks of whether rerun has started."""
 
 
 @contextmanager
