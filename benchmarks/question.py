@@ -20,7 +20,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
 """Pattern of the headings of time columns."""
 TIMED = ("speed", "peers")
-"""Questions whose results keep times."""
+"""Questions whose results keep their time columns."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Part:
 
 
 def main(description: str, question: str, parts: Mapping[str, Part]) -> None:
-    """Run the parts that the command line asks for, print their tables, and write results/QUESTION.json."""
+    """Run the parts that the command line selects, print their tables, and write results/QUESTION.json."""
     names = "\n".join(
         f"  {name}: {part.data}; {part.script} {' '.join(part.arguments)}" for name, part in parts.items()
     )

@@ -25,7 +25,7 @@ MARKER = re.compile(r"<!-- results: (?P<question>\w+)/(?P<name>[\w-]+) -->\n\n(?
 
 @cache
 def results_of(question: str) -> dict[str, Any]:
-    """Return the results of one question."""
+    """Return the content of results/QUESTION.json for one question."""
     return json.loads((RESULTS / f"{question}.json").read_text(encoding="utf-8"))
 
 
@@ -70,7 +70,7 @@ def differences() -> list[str]:
 
 
 def main() -> None:
-    """Write the pages' tables, or check them."""
+    """Write the measured tables into the pages of the docs, or only check them with --check."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page does not agree")
     options = parser.parse_args()

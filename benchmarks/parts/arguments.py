@@ -12,7 +12,7 @@ from recordings import recordings
 COMMON: dict[str, dict[str, Any]] = {
     "--csv": {"type": Path, "help": "write all rows here"},
     "--jobs": {"type": int, "default": 1, "help": "processes"},
-    "--quick": {"action": "store_true", "help": "the named camera of each run only"},
+    "--quick": {"action": "store_true", "help": "use only the named camera of each run"},
     "--set": {"action": "append", "default": [], "metavar": "NAME=VALUE", "help": "a setting of every fit"},
 }
 

@@ -44,7 +44,7 @@ def true_lengths_m(subject: str) -> dict[str, float]:
 
 
 def measured() -> dict[str, Rows]:
-    """Return the rows of each run."""
+    """Fit each run alone, and return the errors of its bone lengths by run."""
     runs: dict[str, Rows] = {}
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
         meta = json.loads((folder / "meta.json").read_text())

@@ -60,7 +60,10 @@ class Film:
 
 
 def film(video: Path, pan: Pan, seed: int = 0) -> Film:
-    """Cut a pan along the longer side out of a still video, which plays to and fro if it has too few frames."""
+    """Cut a pan along the longer side out of a still video.
+
+    If the video has too few frames, it is played forwards and backwards in turn.
+    """
     stills = [picture for _, picture in read_frames(video)]
     if stills[0].shape[0] > stills[0].shape[1]:
         stills = [np.ascontiguousarray(np.rot90(picture)) for picture in stills]

@@ -57,7 +57,7 @@ AT_ONCE = 256
 LEAST_PRECISION = 1e-6
 
 Cell = tuple[int, int, int]
-"""Indices of view, frame and joint."""
+"""Indices of the view, the frame and the joint of a detection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +90,11 @@ class Clip:
         return 1e3 * float(np.nanmean(np.linalg.norm(off_m, axis=-1)))
 
     def falls_mm(self, order: Sequence[Cell]) -> list[float]:
-        """Return the falls of the error, mm, after the first corrections of an order."""
+        """Return by how much the error falls, mm, after the first 10, 20 and 40 corrections of an order (`COUNTS`)."""
         return [self.error_mm(self.motion) - self.error_mm(self.corrected(order[:count])) for count in COUNTS]
 
     def corrected(self, cells: Sequence[Cell]) -> Motion:
-        """Fit the clip again with the true positions in some cells."""
+        """Fit the clip again, with some detections replaced by the true positions."""
         motion = self.motion
         rows = [
             Correction(
@@ -159,7 +159,7 @@ class Linearised:
         self.covariance_px2, self.joints_by_px = self.covariances()
 
     def projections(self, part: ClipProblem, size: float, states: Array) -> tuple[Array, Array]:
-        """Return the Jacobians (N, 2, D) of projected keypoints by the states of their frames, and the pixels."""
+        """Return the projected keypoints' Jacobians (N, 2, D) with respect to the states, and their pixels (N, 2)."""
         detected = part.body.detected.pose_with_jacobian(states)
         world_m = part.in_world(detected.points_m, size)
         derivatives, projected_px = [], []
@@ -171,9 +171,10 @@ class Linearised:
         return np.array(derivatives)[at], np.array(projected_px)[at]
 
     def covariances(self) -> tuple[Array, Array]:
-        """Return covariances (N, 2, 2) of each projection, and (N, 2, frames J 3) of all known joints with it.
+        """Return covariances (N, 2, 2) of the projections, and their covariances with all known joints.
 
-        Both come from the inverse of the normal equations, without the variance factor.
+        The latter have the shape (N, 2, frames J 3). Both come from the inverse of the normal equations, without the
+        variance factor.
         """
         (T, J), N, D = self.joints.shape[:2], len(self.cells), self.projection.shape[-1]
         joints_by_px = np.empty((N, 2, int(self.is_known.sum()) * J * 3))
@@ -238,7 +239,7 @@ def mean_length(flat_m: Array) -> Array:
 
 
 def linear_falls_mm(error_m: Array, shifts_m: Array, order: Sequence[int]) -> list[float]:
-    """Return the falls of the error according to the linearised fit."""
+    """Return by how much the error falls, mm, after the first `COUNTS` corrections, according to the linearised fit."""
     before_m = error_m.reshape(1, -1)
     return [
         1e3 * float((mean_length(before_m) - mean_length(before_m + shifts_m[[*order[:count]]].sum(axis=0)))[0])
@@ -268,7 +269,7 @@ def clips(runs: Sequence[Path]) -> Iterator[tuple[str, Clip]]:
 
 
 def measured_falls(clip: Clip, fit: Linearised) -> dict[str, list[float]]:
-    """Return the falls of every order, in mm."""
+    """Correct and fit a clip in each order, and return by how much the error falls, mm, for each of `COUNTS`."""
     greedy = fit.greedy(fit.error_m, fit.shifts_m(fit.innovation_px))
     shuffled = [np.random.default_rng(seed).permutation(len(clip.cells)) for seed in range(RANDOM_ORDERS)]
     by_frame = sorted(clip.cells, key=lambda cell: (cell[1], cell[0], cell[2]))
@@ -282,7 +283,7 @@ def measured_falls(clip: Clip, fit: Linearised) -> dict[str, list[float]]:
 
 
 def drawn_falls(clip: Clip, fit: Linearised, seed: int) -> dict[str, list[float]]:
-    """Return the falls of every order for a truth from the posterior, in mm."""
+    """Draw a truth from the posterior, and return by how much each order reduces the error, mm, by `COUNTS`."""
     rng = np.random.default_rng(seed)
     error_m, innovation_px = fit.drawn(rng)
     shifts_m, index = fit.shifts_m(innovation_px), {cell: i for i, cell in enumerate(clip.cells)}

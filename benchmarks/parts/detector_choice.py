@@ -57,7 +57,7 @@ def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, st
 
 
 def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list[object]:
-    """Return the cells of one kind of recordings, as in `HEADER`.
+    """Return the cells of the table's row for one kind of recordings, in the order of `HEADER`.
 
     `without` maps each run to the detector file that is made from the other runs.
     """

@@ -61,7 +61,7 @@ Rows = list[dict]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A clip of motion capture."""
+    """A clip of a dog's motion capture, with T frames and J joints."""
 
     name: str
     names: tuple[str, ...]
@@ -92,7 +92,7 @@ def body_of() -> Body:
 
 
 def marker_gait(clip: Clip) -> Gait:
-    """Return the gait of the markers of a clip."""
+    """Return the gait computed from a clip's markers."""
     body = body_of()
     pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
     return gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
@@ -149,7 +149,7 @@ def solve(clips: Sequence[Clip]) -> list[SegmentFit]:
 
 
 def expected(solved: Sequence[SegmentFit]) -> Body:
-    """Return the skeleton with the angles' means and widened spreads from these clips.
+    """Return the skeleton with the means and widened standard deviations of its angles in these clips.
 
     Each clip counts a second time, mirrored left to right.
     """
@@ -167,7 +167,7 @@ def expected(solved: Sequence[SegmentFit]) -> Body:
 
 
 def expectations(solved: Sequence[SegmentFit]) -> Rows:
-    """Return the measured and widened expectations next to those of the file."""
+    """Return a row for each angle, with the expectations from these clips next to those of the skeleton's file."""
     file, found = body_of(), expected(solved)
     fields = ("mean_rad", "sigma_rad", "acceleration_rad_s2")
     return [

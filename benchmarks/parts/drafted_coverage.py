@@ -56,7 +56,7 @@ for _side in "LR":
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Points (T, K, 3), z up, metres, of a clip, and of earlier frames from which a skeleton is drafted."""
+    """Points (T, K, 3), metres, of a clip and of earlier frames from which a skeleton is drafted; z is up."""
 
     animal: str
     name: str

@@ -127,7 +127,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
 
 
 def carry_the_body(*found: ClipAnalysis) -> str:
-    """Return the number of complete strides, of their intervals that contain one body weight, and the mean force."""
+    """Return as text how many strides are complete, in how many the interval contains 1, and the mean force."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
         return "none"

@@ -103,7 +103,7 @@ class User:
 
 
 def corrected_by(user: User, clip: SyntheticClip) -> int:
-    """Correct the first entries of the list, and return the number of clicks."""
+    """Correct the first entries of the editor's list of keypoints, and return the number of clicks."""
     exact = clip.keypoints
     for entry in range(FAULTS):
         if entry:
@@ -117,7 +117,7 @@ def corrected_by(user: User, clip: SyntheticClip) -> int:
 
 
 def row(chromium: Any, clip: SyntheticClip, seed: int) -> list[str]:
-    """Return the results for one set of faults."""
+    """Return the table's row for one set of planted faults."""
     rng, exact = np.random.default_rng(seed), clip.keypoints
     noisy, with_faults, faults = detections(clip, rng)
     with tempfile.TemporaryDirectory() as name:

@@ -41,7 +41,7 @@ PARTS = {
     "and deviations": (0, 1, 0),
     "and lasting deviations": (1, 0, 0),
 }
-"""Weights of a clip's lasting and other deviations, and whether the others are shuffled or drawn, by name."""
+"""Arguments `lasting`, `passing` and `random` of `with_parts`, by the name of the kind of simulated detections."""
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS = 8
 """Number of sectors around the animal; a keypoint's bias depends on the sector from which it is seen."""
@@ -100,7 +100,7 @@ def rig_errors(rig: Rig, own: Sequence[View]) -> dict[str, float]:
 
 
 def off_in_sigmas(views: Sequence[View], own: Sequence[View], sigma: np.ndarray) -> float:
-    """Return the RMS error of the positions of all cameras but the first, in standard deviations (V, 6)."""
+    """Return the RMS error of the poses of all cameras but the first, relative to the standard deviations (V, 6)."""
     off = []
     for view, of_file in zip(views[1:], own[1:], strict=True):
         T, own_T = (
@@ -139,7 +139,7 @@ def _world_turn(found: Sequence[View], views: Sequence[View]) -> np.ndarray:
 
 
 def rigs(runs: Sequence[Run]) -> list[list[Run]]:
-    """Return the runs of each camera file."""
+    """Group the runs by their camera file."""
     by_file: dict[bytes, list[Run]] = {}
     for run in runs:
         by_file.setdefault((run.folder / "scene.json").read_bytes(), []).append(run)
@@ -255,9 +255,9 @@ def began_later(view: View, frames: float) -> View:
 
 
 def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """Return how far clips disagree on the cameras' poses if every second camera is turned in the last clip.
+    """Turn every second camera in turn in the last clip, and return how far the clips disagree on the cameras' poses.
 
-    The result has the smallest and the largest of these disagreements.
+    The row has the smallest and the largest disagreement for each angle.
     """
     cameras = cameras_of(clips[0])["all"]
     own = [[run.views[camera] for camera in cameras] for run in clips]

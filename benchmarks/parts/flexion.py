@@ -152,7 +152,7 @@ def print_errors(fits: Iterator[tuple[Motion, np.ndarray]]) -> None:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Print the errors of joint angles in simulated gallops and in the dog's clips."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=recordings("dog-mocap"))
     parser.add_argument("--cameras", type=int, choices=(1, 2), default=1)

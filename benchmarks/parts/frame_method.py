@@ -130,7 +130,7 @@ def pose_holds(table: pd.DataFrame) -> float:
 
 
 def summary(table: pd.DataFrame) -> list[str]:
-    """Return the cells that show whether the goals are met."""
+    """Return the cells of the summary row, such as the fraction of stated peak speeds that are near the truth."""
     stated = table[table["speed_stated"]]
     ratio = stated["peak_m_s"] / stated["true_peak_m_s"]
     off = (stated["peak_m_s"] - stated["true_peak_m_s"]).abs()

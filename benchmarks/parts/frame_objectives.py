@@ -70,7 +70,14 @@ class Faded:
 
 
 def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return the reprojection error, px, MPJPE, mm, the fraction of f2 to f5, and the jitter of the thetas, degrees."""
+    """Fit the named view of a run with some of the objectives, and return the errors.
+
+    Returns
+    -------
+    tuple
+        Mean reprojection error of the best 90 %, px; MPJPE, mm; fraction of the squared residuals that comes from f2 to
+        f5; and jitter of the thetas, degrees.
+    """
     every, meta = frame_objectives, json.loads((run / "meta.json").read_text())
     camera = meta["monocular_camera"]
     settings = FitSettings(

@@ -170,7 +170,7 @@ def found_gait(motion: Motion) -> Gait:
 
 
 def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
-    """Return the events of the stances that both sets contain."""
+    """Return the delays of touch-downs and lift-offs in the stances that both sets contain."""
     both = match_stances(exact, found)
     late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]

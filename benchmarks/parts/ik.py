@@ -322,7 +322,7 @@ def stride_cell(stride: StridePath) -> str:
 
 
 def animal_closures(stride: StridePath, fps: float) -> dict[str, np.ndarray]:
-    """Return the closures of the animal itself."""
+    """Return the degrees of closure of the animal's own joints over a stride, in percent."""
     q = stride.q[np.isfinite(stride.q).all(axis=1)]
     paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
     return {

@@ -18,7 +18,7 @@ of data/samples. Wrong ones are every n-th view with a case of `wrong_inputs.py`
 - body over feet: in leg lengths per second, for clips whose feet move backwards by more than `SLIDE_SHARE`
 - feet on the ground: the speed of the feet that are lowest, relative to that of standing feet, for clips whose feet
   seem to slide
-- jolts: the costs of the body's path of `JOLTS`
+- jolts: the terms of the fit's cost, named in `JOLTS`, that a jolt of the body's path raises
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def statistics_of(run: Callable[[], object], stage: str) -> Statistics:
     found: Statistics = {}
 
     class FinishedError(Exception):
-        """The statistics are known."""
+        """Ends a fit as soon as its statistics are known."""
 
     def before_fit(settings: FitSettings) -> None:
         found.update(statistics_of_keypoints(settings))
@@ -195,7 +195,7 @@ def fit_of_film() -> None:
 
 
 def groups(every: int) -> Iterator[Group]:
-    """Yield the clips of each case, of wrong cases every n-th view only."""
+    """Yield the clips of each case; wrong cases use every n-th view only."""
     kinds = ("cheetah-runs", "plate-trials")
     runs = sorted(path.parent for kind in kinds for path in recordings(kind).glob("*/meta.json"))
     views = [Clip(run, (name,)) for run in runs for name in cameras_of(run)]

@@ -128,7 +128,7 @@ def stages(frames: int, cameras: int) -> list[list[str]]:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Print the times of kernels and stages for each case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", default=CASES)
     for case in parser.parse_args().cases:

@@ -66,13 +66,13 @@ METHODS = "fit", "triangulated", "with splines", "aniposelib"
 RAT_FPS = 50.0
 """Frame rate of the recorded rat."""
 RAT_DRAFT = slice(0, 500)
-"""Number of frames from which the rat's skeleton is drafted."""
+"""Frames of the rat's recording from which its skeleton is drafted."""
 RAT_CLIP = slice(700, 800)
-"""Number of frames of the rat's clip, none of which is used to draft the skeleton."""
+"""Frames of the rat's clip, none of which is used to draft the skeleton."""
 RAT_LENGTH_M = 0.2
 """Length of the rat, metres."""
 RAT_BIAS_M = 0.005
-"""Standard deviation of the rat's keypoint bias along each axis."""
+"""Standard deviation of the rat's keypoint bias along each axis, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ def seen_by(camera: Camera, points_m: np.ndarray, random: np.random.Generator) -
 
 
 def clips_of(options: argparse.Namespace) -> Iterator[Clip]:
-    """Yield the clips that the command line asks for."""
+    """Yield the clips that the command line selects."""
     if "runs" in options.only:
         yield from real_clips(options.folder, options.detectors, options.quick)
     if "simulated" in options.only:
@@ -301,7 +301,7 @@ def clips_of(options: argparse.Namespace) -> Iterator[Clip]:
 
 
 def tasks_of(options: argparse.Namespace) -> list[Task]:
-    """Return the tasks that the command line asks for, with aniposelib's positions if it can be installed."""
+    """Return the tasks that the command line selects, with aniposelib's positions if it can be installed."""
     tasks = []
     for clip in clips_of(options):
         outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100]

@@ -99,7 +99,7 @@ def _opposites(names: tuple[str, ...], group: str | None) -> np.ndarray:
 
 
 def _exchanged(view: View, first: int, stop: int, group: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the changed points, and a mask (T,) of the changed frames."""
+    """Exchange left and right keypoints in some frames, and return the points and a mask (T,) of the changed frames."""
     xy_px, frames = view.xy_px.copy(), np.zeros(len(view.xy_px), dtype=bool)
     xy_px[first:stop] = xy_px[first:stop][:, _opposites(view.file.names, group)]
     frames[first:stop] = True
@@ -293,7 +293,10 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
 
 
 def print_tables(table: pd.DataFrame) -> None:
-    """Print the tables. "Worst" is the largest error of a view after the correction relative to that before."""
+    """Print how many faults are found and how large the errors are before and after the correction.
+
+    "Worst" is the largest error of a view after the correction relative to that before.
+    """
     head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of which real"]
     print_header([*head, "error / untouched", "corrected / untouched", "worst: corrected / not"])
     for name, of_case in table.groupby("case", sort=False):
@@ -349,7 +352,7 @@ def least_margin() -> Iterator[None]:
 def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:
     """Return the results of a case for each of `MARGINS`.
 
-    The results are whether the planted exchange is found, the fraction of frames that are named wrongly, and the error
+    Each row states whether the planted exchange is found, the fraction of frames that are named wrongly, and the error
     of the corrected clip relative to that of the uncorrected clip.
     """
     motion, changed = fitted(view, case, folder)

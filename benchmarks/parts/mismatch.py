@@ -67,7 +67,7 @@ def fitted(case: Case, prior: MotionPrior) -> TrajectorySolution:
 
 
 def errors_mm(case: Case, solution: TrajectorySolution) -> tuple[float, float]:
-    """Return MPJPE and MPE in mm."""
+    """Return the MPJPE and the MPE of a fit, mm."""
     found_m = solution.joints_m
     centred, off = (joint_errors(p, case.truth_m) for p in (aligned(found_m, case.truth_m), found_m))
     return 1000 * score(centred).mean, 1000 * score(off).mean

@@ -45,7 +45,7 @@ class FirstSolutions:
 
 
 def summary(table: pd.DataFrame) -> list[str]:
-    """Return the cells of the results of one tie."""
+    """Return the cells of the table's row for one tie."""
     return [
         f"{table['error_px'].median():.2f}, {table['error_px'].mean():.2f}",
         f"{table[table['named']]['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.1f}",

@@ -89,7 +89,7 @@ def likelihood(off: np.ndarray) -> np.ndarray:
 
 
 def inside(some: Sequence[Fit], what: str, nu: float) -> str:
-    """Return the fractions inside 90 % and 50 % regions, as means over the clips, in text."""
+    """Return as text the fractions of errors inside 90 % and 50 % regions, as means over the fits."""
     return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
 
 

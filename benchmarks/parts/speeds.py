@@ -29,8 +29,11 @@ METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory":
 def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float, float, bool]:
     """Return a view's errors and stated standard deviations.
 
-    The results are the error and standard deviation of the velocity, the RMS of their quotient, the error and standard
-    deviation of the net acceleration, and whether the fit states the speed as known.
+    Returns
+    -------
+    tuple
+        Error and standard deviation of the velocity, m/s; the RMS of their quotient; error and standard deviation of
+        the net acceleration, m/s²; and whether the fit states the speed as known.
     """
     said = ClipAnalysis(motion)
     series = at_frames(said.reference_motion.series)

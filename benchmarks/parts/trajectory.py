@@ -627,7 +627,7 @@ def solved(views: Sequence[View]) -> TrajectorySolution:
 
 
 def errors_mm(solution: TrajectorySolution, joints_m: np.ndarray) -> np.ndarray:
-    """Return the errors (T,) in mm."""
+    """Return the mean distance (T,) of the joints from the truth in each frame, both poses centred, mm."""
     return 1000 * score(joint_errors(aligned(solution.joints_m, joints_m), joints_m)).per_frame
 
 
