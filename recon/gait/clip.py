@@ -51,8 +51,9 @@ The value was measured on running cheetahs (`python benchmarks/gait.py --only ra
 walk of a dog, which is three times slower.
 """
 POSE_ERROR_TIME = 0.6
-"""Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`, measured on the same
-runs.
+"""Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`.
+
+The value was measured on running cheetahs, as was `POSITION_ERROR_TIME`.
 """
 RUNNING_S = 0.1
 """`error_time_s` of a running animal, s; the stances of every animal are found with this value.
@@ -62,7 +63,10 @@ The stances of a walking dog would be 5 to 20 % too short with the dog's own `er
 SPEED_KNOWN = 0.2
 """Largest relative standard deviation of a peak speed at which speeds count as known."""
 UNSEEN_S = 0.2
-"""Longest time to a detection at which it still determines a foot's position, s. Further away, only the prior does."""
+"""Longest time, s, between a frame and a detection that still determines the foot's position in that frame.
+
+Further away from detections, only the prior determines the position.
+"""
 BELT_GIVEN = (
     "Only the analysis used the belt's speed, not the fit. Fit again with --set belt-speed-m-s for the best result."
 )
@@ -95,7 +99,7 @@ class ClipAnalysis(Brief):
     def errors(self) -> Sequence[Errors]:
         """Return the errors of the size, the position and the pose.
 
-        For a fit without errors over time, the errors are estimated from the jitter.
+        If the fit states no uncertainty over time, the errors are estimated from the jitter of the joints.
         """
         xyz_m = self.tracked.xyz_m
         return _errors(self.motion, xyz_m, error_time_s(xyz_m, self.motion.fps))
@@ -184,7 +188,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
-        """Return the angles of the fit itself, by name."""
+        """Return the angles that the fit solved for, such as the trunk's pitch and the joints' angles, by name."""
         motion = self.motion
         sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
         stated = [[Errors(column, self.errors[-1].correlation_s)] for column in sigma.T]
@@ -333,8 +337,12 @@ class ClipAnalysis(Brief):
     def speed(self) -> pd.DataFrame:
         """Return a table of the reference joint's speed along its path, with ten rows per frame.
 
-        The columns are speed_m_s, sigma_m_s, low_m_s and high_m_s (the 90 % interval), indexed by time_s. Raises
-        InputError if the speed is unknown (`why_no_speed`).
+        The columns are speed_m_s, sigma_m_s, low_m_s and high_m_s (the 90 % interval), indexed by time_s.
+
+        Raises
+        ------
+        InputError
+            If the speed is unknown (`why_no_speed`).
         """
         import pandas as pd
 
@@ -348,7 +356,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:
-        """Return the names of the fit's angles that owe less than `MEASURED_SHARE` of their precision to the pixels."""
+        """Return the names of angles for which the pixels provide less than `MEASURED_SHARE` of the precision."""
         return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
     @cached_property
@@ -367,7 +375,7 @@ class ClipAnalysis(Brief):
 
     @property
     def during_stride(self) -> Bools:
-        """Return the frames of `stride`, or all frames without one, shape (T,)."""
+        """Return a mask (T,) of the frames of `stride`; without a stride, all frames are included."""
         time_s, half = self.motion.time_s, 0.5 / self.motion.fps
         if self.stride is None:
             return np.ones(len(time_s), dtype=bool)
@@ -381,7 +389,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def closures(self) -> dict[str, phase.Closure]:
-        """Return the degrees of closure of all portraits over `stride` without gaps; empty without a stride."""
+        """Return the degree of closure of each portrait that has no gap in `stride`; empty without a stride."""
         if self.stride is None:
             return {}
         complete = {
@@ -422,7 +430,10 @@ def analyse(
 def over_belt(motion: Motion, speed_m_s: float) -> Motion:
     """Return a motion relative to a treadmill's belt (speed in m/s), without the finding that its feet slide.
 
-    Raises InputError if the fit already had the belt's speed.
+    Raises
+    ------
+    InputError
+        If the fit already had a belt speed.
     """
     if (fitted_m_s := motion.settings.get("belt_speed_m_s")) is not None:
         raise InputError(Problem("--belt-speed", "speed", f"{speed_m_s:g}", f"none: the fit had {fitted_m_s:g} m/s"))
@@ -438,7 +449,12 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     """Return the stride given by `--stride`, which does not belong to a foot.
 
     The stride has the given duration and begins at the frame nearest to the given start that has a pose, because
-    inverse kinematics starts from a pose. Raises InputError for times outside the clip.
+    inverse kinematics starts from a pose.
+
+    Raises
+    ------
+    InputError
+        If the times are outside the clip or less than two frames apart.
     """
     start_s, end_s = stride_s
     first_s, last_s = motion.time_s[[0, -1]]
@@ -509,10 +525,11 @@ def _by_size(motion: Motion) -> Array:
 
 
 def error_time_s(xyz_m: Array, fps: float) -> float:
-    """Return the geometric mean of the correlation time of the detections' errors and that of the pose.
+    """Return the geometric mean of the correlation times of the detections' errors and of the pose, s.
 
-    The time of the pose is computed from the joints (T, J, 3) relative to their mean, as the root mean square distance
-    from their average position divided by the root mean square speed. The time of the errors is its upper limit.
+    The correlation time of the pose is computed from the joints (T, J, 3) relative to their mean, as the root mean
+    square distance from their average position divided by the root mean square speed. The correlation time of the
+    detections' errors is its upper limit.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)
@@ -529,7 +546,7 @@ def _with_sigma(
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[phase.LinkField, ...]]:
-    """Return the fields with standard deviations, from the errors of the angles' rates as if independent."""
+    """Return the fields with standard deviations, which follow from independent errors of the angles' rates."""
     rates = [angle.series.rate_sigma for angle in angles]
     names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}

@@ -65,9 +65,10 @@ OTHER_FORE = (0.5, 0.16)
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
 STANCE_SPREAD = 0.2
-"""Standard deviation of a stance's duration relative to the strides around it: 0.07 to 0.21 from the markers of a dog
-that walks, trots and gallops; the fore and hind feet of galloping racehorses differ by 9 to 20 % (J. Exp. Biol.
-209:4389).
+"""Standard deviation of a stance's duration, relative to the median of the stances around it.
+
+Markers on a dog that walks, trots and gallops give 0.07 to 0.21. The fore and hind feet of galloping racehorses differ
+by 9 to 20 % (J. Exp. Biol. 209:4389).
 """
 DRAWS = 400
 """Number of random draws from which the intervals of the forces are computed."""
@@ -421,11 +422,11 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 OVER_STRIDE = {"net_work": "_j_kg", "net_power": "_w_kg", "net_acceleration": "_m_s2", "exchange": ""}
-"""Quantities of a stride, with the unit that ends the name of their column."""
+"""Results of `over_stride`, each with the unit at the end of its column's name."""
 
 
 def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tuple[float, float, float]]:
-    """Return the changes over a stride, each with the ends of its interval.
+    """Return net work, power, acceleration and energy exchange over a stride, each with the ends of its 90 % interval.
 
     Net work and power are computed from the total energy without the internal energy. The net acceleration is that of
     the centre of mass along its path. The exchange is Cavagna's energy recovery: the fraction of the increases of two
@@ -437,7 +438,7 @@ def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tup
     rows = slice(ends[0], ends[1] + 1)
 
     def rises(names: Sequence[str]) -> tuple[float, float]:
-        """Return the sum of all increases of these energies and its standard deviation, J/kg."""
+        """Return how far the sum of some energies rises in total, and the standard deviation, J/kg."""
         steps = np.diff(np.sum([energy[name][rows] for name in names], axis=0))
         turns = np.diff((steps > 0).astype(int), prepend=0, append=0) != 0
         variance = np.sum([sigma[name][rows][turns] ** 2 for name in names])

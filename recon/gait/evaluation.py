@@ -191,8 +191,12 @@ def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     """Return a reference interpolated at the times of a pose's frames, if the frame rates differ.
 
     Frame 0 of both is at 0 s; in a reference that counts frames from 1, as TRC files do, frame 1 is at 0 s. An
-    interpolated position is unknown if one of its neighbours is unknown. Raises InputError if the two files have no
-    time in common.
+    interpolated position is unknown if one of its neighbours is unknown.
+
+    Raises
+    ------
+    InputError
+        If the two files have no time in common.
     """
     if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
         return truth
@@ -393,7 +397,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 
     The means of the common joints coincide. If `scale` is true, the pose is also scaled by a factor that is not
     negative, since a negative factor would mirror the animal. If `turn` is true, the pose is also rotated, without
-    reflection. Frames with fewer than 3 common joints are NaN, since so few joints do not determine a rotation.
+    reflection; frames with fewer than 3 common joints are then NaN, since so few joints do not determine a rotation.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
     aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)
@@ -427,7 +431,10 @@ SMALL = 0.05
 of the joints from their mean.
 """
 SCALED = 2.0
-"""Ratio of the two sizes up to which no explanation is needed, since one camera hardly determines the size."""
+"""Largest ratio of the animal's sizes in two files that needs no explanation.
+
+One camera hardly determines the size.
+"""
 UNLIKE = 0.3
 """Error relative to the size above which a motion and its truth count as different clips.
 

@@ -58,7 +58,7 @@ class JointFlexion(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StrideCurve(Brief):
-    """Flexion of one joint at `PERCENT` of the stride, the mean over strides, rad."""
+    """Mean flexion of one joint over several strides, at the phases `PERCENT`, rad."""
 
     joint: str
     side: Side | None
@@ -162,7 +162,7 @@ def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
     """Return the mean curve of each joint over the complete strides of the foot of its limb.
 
-    Spine and neck use the strides of the foot that has the most. Joints without strides are left out.
+    Spine and neck use the foot with the most strides. Joints without strides are left out.
     """
     if gait is None or not gait.strides:
         return ()
@@ -179,7 +179,7 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 
 
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
-    """Return the foot whose strides a joint uses, the foot of its limb or else the reference; None without strides."""
+    """Return the foot whose strides a joint uses, that of its limb or `reference` for the trunk; None without any."""
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:
         return reference

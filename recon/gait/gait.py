@@ -153,14 +153,14 @@ class _GaitName(Brief):
 
     @property
     def duty_interval(self) -> tuple[float, float]:
-        """Return the value and the ends of the 90 % interval of the duty factor."""
+        """Return the ends of the 90 % interval of the duty factor, between 0 and 1."""
         _, low, high = interval_of(self.duty_factor, self.duty_sigma)
         return max(low, 0.0), min(high, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gait(Brief):
-    """Gait of a clip.
+    """Stances, strides and name of the gait in a clip.
 
     Lengths and frequencies are means over complete strides, duty factors are medians. All are NaN without complete
     strides. `ClipAnalysis.quantities` then derives them from the period of the motion.
@@ -174,7 +174,7 @@ class Gait(Brief):
     stride_length_m: float
     stride_frequency_hz: float
     stride_s: float
-    """Duration of a stride, from complete strides or the period of the pose; NaN if neither is known."""
+    """Duration of a stride, from complete strides or from the period of the motion, s; NaN if neither is known."""
     stride_sigma_s: float
     """Standard deviation of the duration."""
     duty_factor: Mapping[str, float]
@@ -234,7 +234,12 @@ def gait(tracks: Tracks) -> Gait:
 def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options) -> Gait:
     """Return the gait of a pose; options are those of `pose_tracks`.
 
-    Raises InputError for a joint that the pose lacks, ValueError for too few frames.
+    Raises
+    ------
+    InputError
+        If the pose lacks joints. The error names all of them.
+    ValueError
+        If there are fewer than `MIN_POINTS` frames.
     """
     return gait(pose_tracks(pose, fps, errors, **options))
 

@@ -114,7 +114,10 @@ def at_frames(motion: _Kind) -> _Kind:
 def frame_times(frames: Array | Index, fps: float) -> Array:
     """Return the times (T,) of frame numbers (T,), s; frame 0 is at 0 s.
 
-    Raises ValueError unless fps is positive.
+    Raises
+    ------
+    ValueError
+        If the frame rate is not positive.
     """
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"a positive frame rate is needed, got {fps}")
@@ -124,7 +127,10 @@ def frame_times(frames: Array | Index, fps: float) -> Array:
 def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
     """Return the indices of joints in a pose.
 
-    Raises InputError, naming every joint that the pose lacks.
+    Raises
+    ------
+    InputError
+        If the pose lacks joints. The error names all of them.
     """
     lacking = [name for name in dict.fromkeys(names) if name not in pose.names]
     if lacking:
@@ -211,7 +217,7 @@ def _norm_of(vector: Array, covariance: Array) -> tuple[Array, Array]:
 
 
 def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: tuple[Array, Array]) -> JointKinematics:
-    """Return a point's motion from its series, its speed and its acceleration, the last two with sigmas (N,)."""
+    """Return a point's motion from its series, and from speeds and accelerations (N,) with standard deviations (N,)."""
     (speed, speed_sigma), (acceleration, acceleration_sigma) = speeds, accelerations
     steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
     is_known = np.isfinite(steps_m)
@@ -264,8 +270,12 @@ def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:
     """Return the motion of one joint of a pose.
 
-    `errors` (T, J, 3) are those of all joints, metres; the options are those of `series_kinematics`. Raises InputError
-    if the pose lacks the joint, and ValueError if there are too few frames.
+    `errors` (T, J, 3) are those of all joints, metres; the options are those of `series_kinematics`.
+
+    Raises
+    ------
+    InputError
+        If the pose lacks the joint.
     """
     (j,) = joint_index(pose, (joint,))
     joint_errors = [error[:, j] for error in errors]

@@ -33,7 +33,7 @@ class LevelSigmas:
     run: float
     stride: float
     measurement: float = 0.0
-    """Standard deviation of a run's error if one camera measures it."""
+    """Standard deviation of the error of a run that one camera films."""
 
     def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
         """Return the variance of an animal's mean over `runs` runs with `strides` strides each."""
@@ -52,7 +52,7 @@ class LevelSigmas:
 
 
 class Contrast(NamedTuple):
-    """A sum of effects, with its standard deviation and its 90 % interval."""
+    """A weighted sum of effects, with its standard deviation and its 90 % interval."""
 
     value: float
     sigma: float
@@ -62,7 +62,7 @@ class Contrast(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """A fitted model of an experiment."""
+    """A mixed model that was fitted to the strides of an experiment."""
 
     names: tuple[str, ...]
     """Names of the design's columns, (P,)."""
@@ -76,7 +76,7 @@ class MixedModel:
     strides: int
 
     def contrast(self, weights: Array | Sequence[float], shared: float = 0.0) -> Contrast:
-        """Return a sum of effects.
+        """Return a weighted sum of effects with its interval.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ def fit_mixed_model(
     runs: Sequence[str],
     measurement_sigma: Array,
 ) -> MixedModel:
-    """Fit the model to N strides.
+    """Fit the mixed model to N strides.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def animals_needed(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> int | None:
-    """Return the animals per group needed to find an effect with the power `wanted`; None if 1000 are too few."""
+    """Return the number of animals per group that find an effect with the power `wanted`; None if 1000 are too few."""
 
     def is_enough(animals: int) -> bool:
         return power(effect, sigmas, animals, runs, strides, cameras, paired) >= wanted
@@ -278,7 +278,7 @@ def smallest_effect(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> float:
-    """Return the smallest effect found with the power `wanted`; NaN for fewer than two animals per group."""
+    """Return the smallest effect that is found with the power `wanted`; NaN for fewer than two animals per group."""
     if animals < 2:
         return float("nan")
 

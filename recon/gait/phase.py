@@ -66,15 +66,15 @@ class LinkField(Brief):
     position_m: Array
     """Coordinates x, y, z of the tip, shape (T, 3)."""
     velocity_m_s: Array
-    """Derivatives of the coordinates, shape (T, 3)."""
+    """Derivatives of x, y, z with respect to time, shape (T, 3)."""
     radius_m: Array
-    """Distance from the joint in the plane of x and y, shape (T,)."""
+    """Distance of the tip from the link's start in the plane of x and y, shape (T,)."""
     dr_m_s: Array
     """Radial velocity of the link's tip, shape (T,)."""
     dtheta_rad_s: Array
     """Angular velocity of the link's tip, shape (T,)."""
     speed_m_s: Array
-    """Speed in the plane, the norm of (dr, r dtheta), shape (T,)."""
+    """Speed of the tip in the plane of x and y, the norm of (dr, r dtheta), shape (T,)."""
     dr_sigma_m_s: Array | float = np.nan
     """Standard deviation of `dr_m_s` (`field_with_sigma`), shape (T,); NaN if unknown."""
     dtheta_sigma_rad_s: Array | float = np.nan
@@ -146,8 +146,14 @@ def pose_vector_field(
     """Return the fields of a chain of a pose's joints.
 
     `chain` names the joints in order, such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw); `forward`
-    names a rear and a front joint. Raises InputError that names every joint the pose lacks, and ValueError like
-    `vector_field`.
+    names a rear and a front joint.
+
+    Raises
+    ------
+    InputError
+        If the pose lacks joints. The error names all of them.
+    ValueError
+        If the chain has fewer than three joints.
     """
     joint_rows, (rear, front) = joint_index(pose, (*chain, *forward))[: len(chain)], joint_index(pose, forward)
     forward_m = pose.xyz_m[:, front] - pose.xyz_m[:, rear]
@@ -160,9 +166,9 @@ class FieldMeans(NamedTuple):
     link: str
     parent: str
     speed_m_s: float
-    """Mean speed in the plane."""
+    """Mean speed of the tip in the plane of x and y."""
     speed_3d_m_s: float
-    """Mean speed in space."""
+    """Mean speed of the tip in all three dimensions."""
     dr_m_s: float
     """Mean absolute radial velocity of the link's tip."""
     dtheta_rad_s: float
@@ -261,8 +267,10 @@ def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: floa
 def closure(portrait: Portrait) -> Closure:
     """Return the degrees of closure of a path, from its first to its last point.
 
-    Raises ValueError if a point of the path is unknown, since this point may be a turning point, or if there are fewer
-    than two points.
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or if a point is unknown, which may be a turning point.
     """
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
     if len(path) < 2 or not np.isfinite(path).all():

@@ -37,7 +37,10 @@ Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
 """Left and right foot of each girdle."""
 NEXT_STEP = 0.6
-"""Largest time, in strides, between two touch-downs of a step; half a stride as in symmetrical gaits, plus 0.1."""
+"""Largest time, in strides, between the touch-downs of a left and a right foot that make a step.
+
+The value is that of symmetrical gaits, half a stride, plus 0.1.
+"""
 LONGEST_PERIOD = 1.3
 """Longest period of the motion that is used, relative to the clip's duration.
 
@@ -54,7 +57,7 @@ value have the correct coverage for a dog's walks and runs (`benchmarks/gait.py 
 
 @dataclass(frozen=True, eq=False)
 class AnalysedClip:
-    """Parts of an analysis from which the quantities are computed."""
+    """Parts of a clip's analysis from which the quantities of its gait are computed."""
 
     motion: Motion
     gait: Gait | None
@@ -124,7 +127,7 @@ def shared_sigma(motion: Motion) -> float:
 
 
 def shared_sigma_columns(motion: Motion) -> dict[str, float]:
-    """Return the columns with which `recon compare` combines cameras, all relative standard deviations.
+    """Return the relative standard deviations that `recon compare` needs to combine cameras, by column.
 
     `size_sigma` applies to lengths (`shared_sigma`), `size_prior_sigma` to the animal's size before the fit, and
     `focal_sigma` to the speed, from the focal length alone.
@@ -364,7 +367,7 @@ def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
 
 
 def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the distance of the left foot to the left of the right foot, across the direction of travel."""
+    """Return the step width: the distance, across the direction of travel, of the left foot from the right foot."""
     name, source, tracks = f"step_width_{girdle}_m", "footfalls", gait.tracks
     steps = _steps(gait, feet)
     if not steps:

@@ -188,8 +188,8 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     from scipy.optimize import brentq
 
     scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
-    # Reinsch's equations for the curve's second derivatives g at the inner times are (R + lam Q' W^-1 Q) g = Q' x and x
-    # - f = lam W^-1 Q g. R and `pull`, which is Q' W^-1 Q, are stored as bands.
+    # Reinsch's equations for the curve's second derivatives g at the inner times are (R + lam Q' W^-1 Q) g = Q' x.
+    # The residuals are then x - f = lam W^-1 Q g. R and `pull`, which is Q' W^-1 Q, are stored as bands.
     left, right = 1 / h[:-1], 1 / h[1:]
     middle = -left - right
     R, pull = np.zeros((2, 3, len(middle)))

@@ -59,13 +59,13 @@ stands, below the second it may stand.
 SWING = 1.3
 """Smallest speed of a foot in the swing relative to the body's speed."""
 REST = 0.5
-"""Largest speed at which feet stand in poses that jitter, relative to the body's speed."""
+"""Largest apparent speed of standing feet in poses that jitter, relative to the body's speed."""
 LANDS = 0.12
-"""Relative speed of a foot at touch-down, fitted to force plates."""
+"""Speed of a foot at touch-down, relative to its speed in the swing, fitted to force plates."""
 LIFTS = 0.22
-"""Relative speed of a foot at lift-off, fitted to force plates."""
+"""Speed of a foot at lift-off, relative to its speed in the swing, fitted to force plates."""
 EVENT_SIGMAS = (0.05, 0.1)
-"""Standard deviations of the relative speeds at touch-down and at lift-off."""
+"""Standard deviations of a foot's speed at touch-down and at lift-off, relative to its speed in the swing."""
 SPEED_ERROR = 0.6
 """Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
 the value on two of three kinds of recordings and tests it on the stances of the third.
@@ -77,7 +77,7 @@ INTERVAL = 0.9
 MIN_STANCE_S = 0.02
 """Shortest stance, far below the 0.06 s of a galloping cheetah."""
 SLOPE_SIGMA = 0.1
-"""Standard deviation of the ground's slopes."""
+"""Expected standard deviation of the ground's slopes, in height per distance."""
 HEIGHT_SIGMA_M = 0.03
 """Standard deviation of a standing foot's marker about the plane."""
 
@@ -264,7 +264,7 @@ def pose_tracks(
         return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
-        """Return positions, speeds and standard deviations of one foot, so that memory is needed for one path only."""
+        """Return positions, speeds and the speeds' standard deviations of one foot at a time, to limit memory."""
         series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
         deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
@@ -338,7 +338,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
 
 
 def stances(tracks: Tracks) -> tuple[Stance, ...]:
-    """Return the stances of all feet in the order of their beginnings; none if the ground is unknown."""
+    """Return the stances of all feet in the order of their beginnings, or () if the ground is unknown."""
     if why_no_ground(tracks):
         return ()
     result = [s for k in range(len(tracks.feet)) for s in _stances_of(tracks, k)]
