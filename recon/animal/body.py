@@ -24,14 +24,14 @@ from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 ROUGH_SIZE_SIGMA = 0.25
-"""Relative standard deviation of the size above which a skeleton counts as one of no particular species.
+"""Relative standard deviation of the size above which a skeleton counts as belonging to no particular species.
 
-Skeletons of single species have at most 0.15.
+The value of skeletons of one species is at most 0.15.
 """
 MIN_JOINTS = 5
 """Smallest number of detected joints that determine an animal's pose."""
 MIN_REACH_PX = 50.0
-"""Length in the picture of the outstretched animal, below which it is too far away to be detected."""
+"""Length of the outstretched animal in the picture, in pixels, below which the animal is too small to be detected."""
 
 Side = Literal["left", "right"]
 
@@ -70,10 +70,10 @@ def _side_pattern() -> re.Pattern[str]:
 SIDE_WORD = _side_pattern()
 
 FOOT_LABELS = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
-"""Positions of a whole animal's feet, with their labels."""
+"""Labels of a whole animal's feet, by their positions."""
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
 CHAIN_FOOT_LABELS = {"fore": "F", "hind": "H"}
-"""Positions of a chain's feet, with their labels, which the letter of the fitted side precedes."""
+"""Labels of a chain's feet, by their positions. The letter of the fitted side is put before a label."""
 
 
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
@@ -184,7 +184,7 @@ class Body(Brief):
     anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     """Markers above, at and below each joint, by the joint's name and side, such as left_elbow."""
     subject: str | None = None
-    """Name of the measured animal whose lengths these are; None for the lengths of the skeleton file."""
+    """Name of the animal whose measured lengths the body has; None if the lengths are those of the skeleton file."""
 
     def scaled(self, size: float) -> Body:
         """Return the body of an animal with the same proportions, `size` times as large."""

@@ -40,9 +40,9 @@ _SKELETONS = "animal/skeletons"
 UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation (3, 3) from the body's axes (x forwards, y left, z up) to U (forwards), V (down), W (to the side)."""
 _PITCH_RAD = 0.3
-"""Standard deviation of the pitch of a running animal."""
+"""Standard deviation of the pitch of a running animal, rad."""
 _ROOT_RAD_S2 = 40.0
-"""Standard deviation of the angular acceleration of a running animal's pitch and roll."""
+"""Standard deviation of the angular acceleration of a running animal's pitch and roll, rad/s^2."""
 
 
 def _left_and_right(keypoint: object) -> object:
@@ -121,7 +121,7 @@ class AngleRanges:
     """Middle of the expected range; the range is mean ± tolerance."""
     tolerance_rad: Array
     max_rate_rad_s: Array
-    """Largest expected rate."""
+    """Largest expected angular velocity, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -152,12 +152,12 @@ class Chain(Skeleton):
 
     @cached_property
     def theta(self) -> AngleRanges:
-        """Return the expected ranges of the thetas."""
+        """Return the expected ranges of the free links' theta angles."""
         return _ranges(link.theta for link in self.links)
 
     @cached_property
     def phi(self) -> AngleRanges:
-        """Return the expected ranges of the phis."""
+        """Return the expected ranges of the free links' phi angles."""
         return _ranges(link.phi for link in self.links)
 
     @cached_property
@@ -285,7 +285,10 @@ def _file_or_builtin(name: str, source: str) -> str:
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
     """Return the chain that the tables of a file describe.
 
-    Raises InputError that lists all problems with the tables.
+    Raises
+    ------
+    InputError
+        If the tables cannot be used; every problem is listed.
     """
     file = validated(_ChainFile, _extended(raw, source), source)
     raise_problems(_chain_problems(file, source))

@@ -33,7 +33,10 @@ class _SubjectFile(FileTable):
 def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
     """Check and return a subject's table.
 
-    Raises InputError with every problem.
+    Raises
+    ------
+    InputError
+        If the table cannot be used; every problem is listed.
     """
     return validated(_SubjectFile, table, source)
 
@@ -91,7 +94,7 @@ def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
 def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[str] = ()) -> str:
     """Return the text of a subject file with a body's lengths and keypoint offsets.
 
-    `notes` become comments.
+    Each of the `notes` becomes a comment at the beginning of the file.
     """
     raw, _ = named_table(skeleton, "animal/skeletons", "--skeleton", "skeleton")
     placed = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
@@ -110,9 +113,9 @@ def subject_toml(skeleton: str | Path, body: Body, title: str, notes: Sequence[s
 
 
 def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
-    """Return the text of a detector file for the left side and the middle of a body.
+    """Return the text of a detector file with the keypoint offsets of a body's left side and midline.
 
-    `notes` become comments.
+    Each of the `notes` becomes a comment at the beginning of the file.
     """
     keypoints = {
         marker: {

@@ -83,7 +83,7 @@ class NameMap:
         return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
-        """Return how many of the wanted names a file with these names has after renaming."""
+        """Return how many of the wanted names are present after the map has been applied to `names`."""
         return len({self.get(name, name) for name in names} & {*wanted})
 
 
@@ -93,9 +93,12 @@ def builtin_maps() -> tuple[str, ...]:
 
 
 def load_names(name_or_path: str | Path) -> NameMap:
-    """Load a map by its built-in name or from a CSV file.
+    """Load a map of names by its built-in name or from a CSV file.
 
-    Raises InputError with every problem.
+    Raises
+    ------
+    InputError
+        If the file is not a map; every problem is listed.
     """
     source = str(name_or_path)
     content, _ = documents.named_file(name_or_path, "animal/names", ".csv", "--rename", "map of names")
@@ -126,9 +129,12 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
-    """Return keypoints renamed by a map, and a note on what was renamed.
+    """Return keypoints renamed by a map, with a note on what was renamed.
 
-    Raises InputError like `new_names`.
+    Raises
+    ------
+    InputError
+        As in `new_names`.
     """
     keep, names, note = new_names(keypoints.names, name_map, keypoints.source or "the keypoints")
     return replace(
@@ -143,8 +149,12 @@ def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
 def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[list[int], tuple[str, ...], str]:
     """Return the indices of the names that are kept, their new names, and a note on what was renamed.
 
-    `source` is the file. Raises InputError if none of the map's names is in the file, or two keypoints would have the
-    same name.
+    `source` is the name of the keypoint file for messages.
+
+    Raises
+    ------
+    InputError
+        If none of the map's names is in the file, two keypoints would have the same name, or no keypoint is kept.
     """
     known = [name for name in names if name_map.get(name) is not None]
     if not known:
@@ -180,7 +190,7 @@ def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]
 
 
 def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
-    """Return the built-in maps of names that add to a file's wanted names, sorted by the number of wanted names."""
+    """Return the built-in maps with which more of the wanted names are present, the most helpful map first."""
     wanted = {*wanted}
     shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]
@@ -188,7 +198,7 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 
 
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
-    """Return the options that select the built-in skeleton with most of these keypoints, and their number.
+    """Return the options for the built-in skeleton that has most of the named keypoints, and the number of these.
 
     The options include a map if it helps, such as `--skeleton human-25 --rename coco-17`.
     """
@@ -197,7 +207,7 @@ def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
 
 
 def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
-    """Return the built-in skeleton with most of these keypoints, and their indices by its markers.
+    """Return the built-in skeleton that has most of the named keypoints, and their indices by the skeleton's markers.
 
     Names are compared unchanged and after each built-in map. The skeleton is None if none has any of the keypoints.
     """
@@ -315,7 +325,7 @@ def both_sides(name: str) -> str:
 
 
 def skeleton_of(keypoints: Iterable[str]) -> str | None:
-    """Return the largest built-in skeleton whose markers are all among these keypoints, or None."""
+    """Return the largest built-in skeleton whose markers are all among the given keypoints, or None."""
     names = {*keypoints}
     fitting = {name: len(markers) for name, markers in _whole_animals().items() if {*markers} <= names}
     return max(fitting, key=lambda name: fitting[name], default=None)

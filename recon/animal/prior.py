@@ -36,7 +36,7 @@ SHAPES = {
     "drift": "AB",  # B stands for 2A
     "acceleration_covariance": "AA",
 }
-"""The arrays of a prior, with their shapes."""
+"""Shapes of a prior's arrays, by name: K components, A angles."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,10 @@ class SegmentRow:
 class MotionPrior:
     """Statistics of the poses and accelerations of A angles, rad, with K mixture components.
 
-    Raises ValueError that lists every problem with the arrays.
+    Raises
+    ------
+    ValueError
+        If the arrays do not form a prior; every problem is listed.
     """
 
     name: str
