@@ -61,7 +61,7 @@ def _require_memory() -> None:
     limit = getrlimit(RLIMIT_AS)[0]
     if limit != RLIM_INFINITY and limit < LEAST_MB << 20:
         print(
-            f"error: not enough memory: a limit of {limit >> 20} MB (ulimit -v), expected {LEAST_MB} MB",
+            f"error: not enough memory: the limit is {limit >> 20} MB (ulimit -v), but {LEAST_MB} MB are needed",
             file=sys.stderr,
         )
         sys.exit(1)

@@ -79,7 +79,7 @@ class AnalyseSettings(Settings):
 
     @property
     def out_folder(self) -> Path:
-        """Return the folder of the outputs."""
+        """Return the folder for the tables and figures."""
         return self.folder / FOLDER if self.out is None else self.out
 
 
@@ -263,7 +263,7 @@ DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
 
 
 def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:
-    """Write `DEFAULT_FIGURES`, or all figures, as PNG and SVG."""
+    """Write `DEFAULT_FIGURES`, or all figures if `is_complete` is true, as PNG and SVG."""
     from recon.show.plots.style import save
 
     drawn = {name: draw for name, draw in figures_of(analysis).items() if is_complete or name in DEFAULT_FIGURES}

@@ -273,7 +273,7 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     if own_version != planned_version:
         return {
             "status": "failed",
-            "error": f"recon {own_version} on the worker, {planned_version} where the batch runs",
+            "error": f"the worker has recon {own_version}, not {planned_version} as the batch: install the same version",
         }
     with sole_writer(planned.out, DYING_S), threadpool_limits(1):
         made_from = identity(planned.clip.settings)
@@ -332,7 +332,7 @@ class Summary:
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
     def write_if_due(self) -> None:
-        """Write the file unless it was just written; retry later if another program holds it open."""
+        """Write summary.csv unless it was just written; retry later if another program holds it open."""
         if time.monotonic() - self._written_s >= WRITE_EVERY_S:
             with suppress(PermissionError):
                 self.write()

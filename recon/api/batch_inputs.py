@@ -229,7 +229,8 @@ def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[s
         sub_files, sub_notes = _files_in(sub, recursive)
         files, notes = files + sub_files, notes + sub_notes
     if files and inside and not recursive:
-        notes.insert(0, f"Folders in {folder} are not read ({names_text([p.name for p in inside])}): see --recursive.")
+        subfolders = names_text([p.name for p in inside])
+        notes.insert(0, f"Folders in {folder} are not read ({subfolders}): add --recursive to read them.")
     return files, notes
 
 
@@ -471,7 +472,7 @@ def _clip_key(draft: _Draft) -> tuple[Path, str, str]:
 
 
 def _draft_of_clip(files: Sequence[_FileOfClip], any_joined: bool) -> _Draft:
-    """Return the draft of the files of one clip.
+    """Return one draft for all files of a clip.
 
     Names of cameras that the file names happen to contain count only if they join any two files (`any_joined`).
     """

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 LOGGER = logging.getLogger("recon")
 PAIR_REFINED = "pair_refined", "pair_adjusted"
-"""Findings on a fit whose second camera was refined without a request for it."""
+"""Codes of findings on a fit whose second camera was refined although the settings did not ask for it."""
 CHECKS_BEGIN = 0.9
 """Fraction of a fit's time after which the checks of the input begin, as measured with one camera and 600 frames."""
 

@@ -175,7 +175,7 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tu
     chosen = {file: cameras_in(file.stem, names) for file in settings.keypoints}
     unclear = [file for file, matches in chosen.items() if len(matches) != 1]
     existing = [file for file in unclear if file.exists()]
-    actual = f"{len(cameras)} cameras and no choice"
+    actual = f"{len(cameras)} cameras, none of them chosen"
     actual += f" for {', '.join(file.name for file in existing)}" if len(chosen) > 1 else ""
     problem = Problem(path, "camera", actual, f"one of {', '.join(names)} by --camera-name, or in the file's name")
     missing = (partial(require_file, file) for file in unclear if file not in existing)

@@ -234,7 +234,7 @@ def identity(settings: FitSettings) -> dict[str, Any]:
 
 
 def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the identity of results made from files, by their role, with settings."""
+    """Return the identity of results that were made from these files, by role, with these settings."""
     inputs = {role: file_sha256(path) for role, path in files.items()}
     return {"inputs": inputs, "settings": dict(settings), "version": version()}
 

@@ -223,7 +223,7 @@ def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
 
 
 def _design(settings: CompareSettings, names: Sequence[str]) -> pd.DataFrame | None:
-    """Return the fields of each clip; None without a design."""
+    """Return the camera, run, animal, group and covariates of each clip; None without a design."""
     if settings.design is not None:
         columns = [name for name in settings.covariate if name not in SPEED_NAMES]
         return design_of_table(settings.design, names, settings.by or "group", columns)
@@ -252,9 +252,9 @@ def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
     notes = []
     if copies:
         copied = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])
-        notes.append(f"Left out, as they have the same keypoints and cameras as another result: {copied}.")
+        notes.append(f"Left out because they have the same keypoints and cameras as another result: {copied}.")
     if left_out := [name for name in loaded if name not in usable_motions]:
-        notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. --anyway includes them.')
+        notes.append(f'Left out because their verdict is "do not use": {names_text(left_out)}. --anyway includes them.')
     return _Results(folders, counting, levels, [*left_out, *copies], notes)
 
 

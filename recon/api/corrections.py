@@ -120,7 +120,7 @@ class CorrectionSession:
         }
 
     def wait_for_fit(self, version: int, wait_s: float = 20.0) -> bool:
-        """Wait for a fit later than the given version, and return whether one is ready."""
+        """Wait up to `wait_s` seconds for a fit after the given version, and return whether there is one."""
         with self._change:
             return self._change.wait_for(lambda: self.version > version, wait_s)
 

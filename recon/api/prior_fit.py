@@ -224,7 +224,7 @@ def _motion(folder: Path, anyway: bool) -> Motion:
 
 
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
-    """Return the frame rate, or the rates in a JSON file; nothing if there are no pose files."""
+    """Return the frame rates in Hz, given as one number or a JSON file; none if there are no pose files."""
     expected = 'frames per second above 0, such as 120, or a JSON file with {"fps": [120, 90]}'
     if (fps is None) != (not tables):
         no_rates = expected if tables else "nothing: results have their own frame rate"

@@ -43,9 +43,9 @@ from recon.show.plain import by_name, picked
 
 BASE = "quadruped"
 REAR = ("tail_base", "l_hip", "spine")
-"""Markers of the quadruped at which `forward` may begin, the preferred one first."""
+"""Markers of the quadruped at which a skeleton's `forward` may begin, the preferred one first."""
 FRONT = ("neck_base", "withers", "l_shoulder", "nose")
-"""Markers of the quadruped at which `forward` may end, the preferred one first."""
+"""Markers of the quadruped at which a skeleton's `forward` may end, the preferred one first."""
 FEWEST_FRAMES = 20
 """Smallest number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID = 0.01

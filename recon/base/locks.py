@@ -96,7 +96,7 @@ def committing(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def removed_if_empty(folder: Path) -> Iterator[None]:
-    """Remove a folder created in the block, and its parents, if they are empty at the end."""
+    """Remove a folder that the block creates, and its parents, if they are empty at the end."""
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         yield

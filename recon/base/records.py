@@ -228,7 +228,7 @@ def _plain_array(
 
 
 def _tag(subclass: type, field: str) -> str:
-    """Return the tag of a subclass."""
+    """Return the tag of a subclass; raise TypeError if it has none."""
     tag: str | None = getattr(subclass, "record_tag", None)
     if tag is None:
         raise TypeError(f"{field}: a {subclass.__name__} cannot be saved, as it has no record_tag")

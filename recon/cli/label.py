@@ -108,7 +108,7 @@ def _preferred(settings: LabelSettings) -> list[int]:
 
 
 def label_server(session: LabelSession) -> LocalServer:
-    """Return the server of the page of a session."""
+    """Return a server of the labelling page of a session."""
 
     def page(_rest: str, _data: object) -> Reply:
         html = rendered(

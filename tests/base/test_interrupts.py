@@ -252,4 +252,4 @@ def test_too_little_memory_is_said_before_a_library_waits_for_it():
         check=False,
     )
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr == "error: not enough memory: a limit of 390 MB (ulimit -v), expected 640 MB\n"
+    assert ended.stderr == "error: not enough memory: the limit is 390 MB (ulimit -v), but 640 MB are needed\n"

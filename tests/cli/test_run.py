@@ -115,7 +115,7 @@ def done(job: _Job, called: list[str]) -> list[str]:
 
 
 def test_a_camera_is_chosen_before_the_keypoints_are_found(film):
-    with refusal(("whole_scene.json", "camera", "2 cameras and no choice", "--camera-name")):
+    with refusal(("whole_scene.json", "camera", "2 cameras, none of them chosen", "--camera-name")):
         module._check_inputs(job(film, model=film.parent / "net", given={"camera": SAMPLES / "whole_scene.json"}))
 
 
