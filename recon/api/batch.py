@@ -273,7 +273,7 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     if own_version != planned_version:
         return {
             "status": "failed",
-            "error": f"the worker has recon {own_version}, not {planned_version} as the batch: install the same version",
+            "error": f"the worker has recon {own_version}, not {planned_version} like the batch: install that version",
         }
     with sole_writer(planned.out, DYING_S), threadpool_limits(1):
         made_from = identity(planned.clip.settings)

@@ -258,7 +258,7 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """Return the focal length in the camera file, and the estimate from the background with its standard deviation."""
+    """Return focal lengths, px: that of the camera file, and the background's estimate with its standard deviation."""
     file_px = float(lens.matrix[0, 0])
     background_px = file_px * float(np.exp(focal[0]))
     return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

@@ -62,7 +62,7 @@ QUANTITIES = {
     "stride_frequency_hz": ("stride frequency (Hz)", False),
     "duty_factor": ("duty factor", False),
 }
-"""Title by column, and whether the quantity is proportional to the animal's size."""
+"""Compared quantities by column: the title, and whether the quantity is proportional to the animal's size."""
 WITH_SIZE = {name: with_size for name, (_, with_size) in QUANTITIES.items()}
 SPEED_NAMES = "speed", SPEED
 """Names of the covariate that is the speed of the run itself."""
@@ -505,7 +505,7 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
 
 
 def known_quantities(clips: pd.DataFrame) -> list[str]:
-    """Return the quantities that at least one clip has."""
+    """Return the columns of `QUANTITIES` that are known for at least one clip."""
     return [name for name in QUANTITIES if clips[name].notna().any()]
 
 

@@ -260,5 +260,5 @@ def _pairs(motion: Motion) -> list[list[int]]:
 
 
 def _json_numbers(row: dict[str, object]) -> dict[str, object]:
-    """Return a row with NaN replaced by None."""
+    """Return a suggested correction with NaN, which JSON cannot represent, replaced by None."""
     return {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}

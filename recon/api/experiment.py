@@ -224,7 +224,7 @@ def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object
 
 
 def _shared_errors(clips: pd.DataFrame, with_size: bool) -> tuple[Array, Array, Array]:
-    """Return the relative standard deviations (C,) of the size, of its expectation, and of the lens's effect."""
+    """Return three relative standard deviations (C,) for C clips: size, its expectation, and effect of the lens."""
     total = clips["size_sigma"].to_numpy(float) * with_size
     zeros = np.zeros(len(clips))
     focal = clips["focal_sigma"].to_numpy(float) * with_size if "focal_sigma" in clips else zeros

@@ -146,7 +146,7 @@ class CorrectedClip:
         return [replace(row, keypoint=self.names[row.keypoint]) for row in self.corrections]
 
     def _edges(self) -> Iterator[tuple[int, int]]:
-        """Yield the bones between keypoints of the file, as indices."""
+        """Yield the bones between keypoints of the file, as pairs of indices."""
         for limb in self.motion.limbs.values():
             ends = [self.names.get(self.motion.names[j]) for j in limb]
             for a, b in pairwise(ends):

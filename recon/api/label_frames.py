@@ -268,7 +268,7 @@ class LabelSession:
 
 
 def _edges(skeleton: str, names: Sequence[str]) -> tuple[tuple[int, int], ...]:
-    """Return the bones between keypoints, as indices."""
+    """Return the skeleton's bones between named keypoints, as pairs of indices."""
     limbs: Mapping[str, Sequence[str]] = load_skeleton(skeleton).limbs
     index = {name: k for k, name in enumerate(names)}
     pairs = {pair for limb in limbs.values() for pair in pairwise(limb)}

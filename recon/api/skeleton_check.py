@@ -73,7 +73,7 @@ def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
 
 
 def _bones(body: Body) -> Iterator[dict[str, Any]]:
-    """Yield the bones by name, with the points that they connect and the spread that a fit expects of their lengths."""
+    """Yield the bones with the points that they connect, lengths, and the standard deviations that a fit expects."""
     for bone in bones_of(body):
         sigma_m = bone.length_m * float(np.hypot(body.size_sigma, LENGTH_SIGMA))
         yield {"bone": bone.name, "connects": list(bone.connects), "length_m": bone.length_m, "sigma_m": sigma_m}

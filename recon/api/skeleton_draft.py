@@ -564,7 +564,7 @@ def _bending_m(parts: Sequence[_Part], distances: _Distances) -> float:
 def _segment(
     part: _Part, parts: Sequence[_Part], labels: Sequence[str], turned_m: Array, offsets_m: Array, fps: float
 ) -> dict[str, Any]:
-    """Return the table of a segment that swings as far and as often as the line to its farthest point did."""
+    """Return a segment's table for the skeleton file; its angles vary as the line to its farthest point did."""
     table: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
     if part.parent:
         table |= {"parent": part.parent.name(labels), "at_m": _rounded(offsets_m[part.parent.origin, part.origin])}

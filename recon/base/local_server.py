@@ -41,7 +41,7 @@ None.
 
 
 def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
-    """Return a reply of JSON."""
+    """Return a reply that has a value as JSON."""
     return Reply(json.dumps(value).encode(), status=status)
 
 
@@ -118,7 +118,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self.wfile.write(reply.content)
 
     def _target(self, handlers: Mapping[str, Handler]) -> tuple[str, str]:
-        """Return the handler's name and the rest of the path."""
+        """Return the handler's name and the rest of the path of a request; raise _RefusedError for another page."""
         if self.headers.get("Host") not in self.server.hosts:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "another host")
         _, token, *parts = [*self.path.split("?")[0].split("/", 3), ""]

@@ -11,9 +11,9 @@ _TRIM_THRESHOLD = -1
 _MMAP_THRESHOLD = -3
 """Number of glibc's setting M_MMAP_THRESHOLD, from malloc.h."""
 KEPT_BYTES = 1 << 28
-"""Largest amount of freed memory at the end of the heap that the process keeps."""
+"""Largest amount of freed memory, in bytes, that the process keeps at the end of the heap."""
 LARGEST_BYTES = 1 << 25
-"""Size from which an array is returned to the system when it is freed; glibc accepts no larger setting."""
+"""Size, in bytes, from which an array is returned to the system when freed; glibc accepts no larger setting."""
 NEW_OBJECTS = 400_000
 """Number of new containers after which the garbage collector searches them for unused reference cycles.
 

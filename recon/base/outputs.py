@@ -100,7 +100,7 @@ def _entry(**stored: Any) -> WrittenFile:
 
 
 def _write_record(folder: Path, written: Mapping[str, Sequence[WrittenFile]]) -> None:
-    """Write the record, or remove it if it would be empty."""
+    """Write the `RECORD` of a folder, or remove it if it would be empty."""
     files = {
         name: [{key: value for key, value in vars(entry).items() if value or key == "size"} for entry in entries]
         for name, entries in sorted(written.items())

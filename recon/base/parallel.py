@@ -70,7 +70,7 @@ class Event:
     share: float = 0.0
     """Fraction of the work that is done, 0 to 1."""
     outcome: Outcome = field(default_factory=dict)
-    """The outcome of a task that has ended."""
+    """Outcome of a task that has ended; empty before."""
 
 
 EventCallback = Callable[[Event], None]

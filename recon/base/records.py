@@ -138,7 +138,7 @@ class _Layout:
         return cls(array.dtype.str, array.shape, stored.str, symmetric)
 
     def packed(self, array: np.ndarray) -> np.ndarray:
-        """Return the planes of an array."""
+        """Return an array as planes of bytes, (itemsize, N)."""
         if self.symmetric:
             array = array[(..., *np.triu_indices(array.shape[-1]))]
         values = np.moveaxis(array.astype(self.stored), _longest(array.shape), -1)

@@ -110,7 +110,7 @@ def fix(settings: FixSettings, console: Console) -> Answer:
 
 
 def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> Answer:
-    """Write labels, a corrected table, or both."""
+    """Export the corrections as labels, as a corrected table, or both, and return the answer."""
     folder, video, table = settings.export_labels, settings.video, settings.export_table
     labels_out, table_out = _outputs(settings, path)
     clip = CorrectedClip.read(settings.folder, path, number)

@@ -96,7 +96,7 @@ class _RunSettings(Settings):
     """Replace files that recon fit, analyse and others made in DIR; never your own files, or files changed by hand."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems with the keypoints' source and with the first stage."""
+        """Yield problems with the source of the keypoints, with corrections, and with the stage of --from."""
         if (self.model is None) == (self.keypoints is None):
             actual = "nothing" if self.model is None else f"{self.keypoints} together with --model"
             yield Problem("--keypoints", "keypoints", actual, "a keypoint file, or --model with a network")

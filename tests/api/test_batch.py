@@ -291,7 +291,7 @@ def test_what_many_clips_lack_is_said_once(clips, tmp_path):
     assert not (tmp_path / "out").exists()
     ended = run(*command, "--dry-run")
     assert f"a, b, c: {problem}" in ended.out
-    assert ended.out.count("no choice") == 1
+    assert ended.out.count("none of them chosen") == 1
     assert says(ended.out, "3 clips", "0 new", "0 to fit", "0 done", "3 that cannot")
 
 
