@@ -82,7 +82,7 @@ class _FittedBoardView(BoardView):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A camera and the views used to calibrate it."""
+    """A calibrated camera with its uncertainty, and the views of the board from which it was calibrated."""
 
     camera: Camera
     board: Board
@@ -289,7 +289,7 @@ LIMITS = (
     # Three pictures determine the matrix, and two more the lens; with six, an error in one of them is still visible.
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
     # If one in four is an outlier, the median itself is uncertain.
-    ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends or moves"),
+    ("dropped", "pictures left out as outliers", "%", 10, 25, False, "keep the board flat and still"),
     # Corners are detected to within 0.05 to 0.3 px; larger errors mean a wrong lens model or board. Pictures wider than
     # 1920 px are scaled to that width.
     ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False,
@@ -314,25 +314,25 @@ LIMITS = (
     # Lenses are centred to within about 2 %.
     ("centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
      "check that the picture is not cropped"),
-    # The fitted polynomial is not monotonic there; a circular fisheye picture always has such corners.
+    # No ray exists where the fitted polynomial is not monotonic; a circular fisheye picture always has such corners.
     ("folded", "part of the picture without a ray in the lens model", "%", 0.0, 5.0, False,
      "cover the borders, or use another --model"),
 )  # fmt: skip
-"""All fields of each `_CalibrationCheck` except its value."""
+"""Fields of each `_CalibrationCheck`, without the measured value."""
 
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
-    """Return the checks of `LIMITS` for a calibration."""
+    """Compare a calibration with every limit in `LIMITS`, and return the checks."""
     measured = _pictures_measured(calibration) | _lens_measured(calibration)
     return tuple(_CalibrationCheck(*limit, value=float(measured[limit[0]])) for limit in LIMITS)
 
 
 def _pictures_measured(calibration: Calibration) -> dict[str, float]:
-    """Measure the quantities of `LIMITS` that describe the pictures, by name."""
+    """Return the measured quantities of `LIMITS` that describe the pictures, by name."""
     used, (width, height) = calibration.used, calibration.camera.image_size_px
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
-    # The normals of the boards all point in the same direction; their first two coordinates are sines of the tilt.
+    # All normals point away from the camera; their first two coordinates are sines of the tilt about the two axes.
     normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
     angles = np.arccos(np.clip(normals @ normals.T, -1, 1))
     least_variance = np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]
@@ -348,7 +348,7 @@ def _pictures_measured(calibration: Calibration) -> dict[str, float]:
 
 
 def _lens_measured(calibration: Calibration) -> dict[str, float]:
-    """Measure the quantities of `LIMITS` that describe the lens, by name."""
+    """Return the measured quantities of `LIMITS` that describe the lens, by name."""
     values, sigma = calibration.parameters, calibration.sigma
     width, height = calibration.camera.image_size_px
     y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]

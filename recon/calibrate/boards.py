@@ -27,7 +27,7 @@ from recon.io.video import probe, read_frames, read_picture
 Gray = npt.NDArray[np.uint8]
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_CORNERS = 8
-"""Minimum number of corners.
+"""Minimum number of corners that must be detected in a picture.
 
 A pose has six unknowns and needs four corners; with twice as many, the residuals can reveal a wrong pose.
 """
@@ -85,7 +85,7 @@ class Board:
 
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """Return OpenCV's object for a board with markers."""
+        """Return OpenCV's description of a board with markers."""
         assert self.marker_m is not None
         size = (self.columns, self.rows)
         board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, _dictionary(self.dictionary))
@@ -133,7 +133,10 @@ class Board:
 def parse_board(text: str) -> Board:
     """Return the board described by a text of the form `CHESSBOARD_FORM` or `CHARUCO_FORM`, also with `:legacy`.
 
-    Raises InputError for any other text.
+    Raises
+    ------
+    InputError
+        If the text has another form.
     """
     match = _CHESSBOARD.fullmatch(text.strip()) or _CHARUCO.fullmatch(text.strip())
     if match is None:
@@ -216,8 +219,10 @@ class BoardViews:
 def collect(paths: Iterable[Path]) -> list[Path]:
     """Return the picture files of paths, including those in folders, or a single video.
 
-    Raises InputError with every path that does not exist, every folder without pictures, and every video among other
-    files.
+    Raises
+    ------
+    InputError
+        If a path does not exist, a folder has no pictures, or a video is among other files. The error lists them all.
     """
     files: list[Path] = []
     problems = []
@@ -243,8 +248,10 @@ def collect(paths: Iterable[Path]) -> list[Path]:
 def find_views(files: Sequence[Path], board: Board, progress: Progress = silent) -> BoardViews:
     """Find a board in pictures or in one video, as returned by `collect`.
 
-    Raises InputError, with every problem at once, if files cannot be read, if pictures differ in size, or if no picture
-    shows the board.
+    Raises
+    ------
+    InputError
+        If files cannot be read, pictures differ in size, or no picture shows the board. The error lists all faults.
     """
     is_video, sizes = _is_video(files[0]), dict[str, tuple[int, int]]()
     problems, names_without, views_found = list[Problem](), list[str](), list[BoardView]()

@@ -64,7 +64,7 @@ class Advice:
 
     @property
     def best(self) -> tuple[int, int]:
-        """Return the indices of elevation and azimuth with the smallest standard deviation.
+        """Return the indices of the elevation and the azimuth with the smallest standard deviation.
 
         If several positions are equally good, such as both sides of an animal, the result is the first of them.
         """

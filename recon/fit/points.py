@@ -16,9 +16,9 @@ MIN_MARKERS = 8
 _BLOCK = 512
 """Number of frames that are solved together; it bounds the memory of the Jacobians."""
 _ITERATIONS = 300
-"""Largest number of steps of a frame."""
+"""Largest number of steps in which the pose of a frame is solved."""
 _TOLERANCE = 1e-10
-"""A frame has converged when a step changes no angle (rad) and no length (m) by more than this."""
+"""Largest change of an angle (rad) or a position (m) in a step at which a frame counts as converged."""
 _SIZE_ROUNDS = 20
 """Largest number of rounds that estimate the poses and then the size."""
 _RETRIES = 2
@@ -30,7 +30,7 @@ _DAMPING = (1e-12, 1e12)
 def solve_points(
     body: Body, points_m: Array, size: float | None = 1.0, pull_m_per_rad: float = 1e-2
 ) -> tuple[Array, Array, float]:
-    """Return the states whose markers are nearest to given points.
+    """Return the states of a body, and its size, that bring its markers nearest to given 3D points.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def solve_points(
 
 
 def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
-    """Return states of the expected pose, turned about the vertical and moved onto the points."""
+    """Return states (T, D) of the expected pose, turned about the vertical and moved onto the points."""
     states = np.zeros((len(targets), body.n_state))
     states[:, PITCH:] = body.mean_rad
     share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
@@ -164,7 +164,7 @@ def _normal_equations(
 
 
 def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
-    """Return half the sum of the squared distances and of the pull towards the expected angles, (N,)."""
+    """Return the cost of each frame, (N,): half the squared distances plus the pull towards the expected angles."""
     residual = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
     pulled = pull * (states[:, PITCH:] - body.mean_rad)
     return 0.5 * ((residual**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))

@@ -138,7 +138,7 @@ def _noise_m(solution: Solution) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Residuals:
-    """Errors of one view of T frames with J keypoints."""
+    """Reprojection errors of one view of T frames with J keypoints, before deviations are estimated."""
 
     error_px: Array
     """(T, J, 2): detections minus projected markers, 0 if missing."""
@@ -162,19 +162,19 @@ class _Residuals:
 
     @property
     def information(self) -> Array:
-        """Return the precision (T, J, 3, 3) of the deviations."""
+        """Return the precision (T, J, 3, 3) that the detections give the keypoints' deviations, 1/m^2."""
         weighted = self.by_point * (self.weight / self.noise_px**2)[..., None, None]
         return np.asarray(weighted.swapaxes(-1, -2) @ self.by_point)
 
     @property
     def pull(self) -> Array:
-        """Return the precision times the deviations, (T, J, 3)."""
+        """Return the precision times the deviations that the detections show, (T, J, 3), 1/m."""
         weighted = self.by_point * (self.weight / self.noise_px**2)[..., None, None]
         return np.asarray((weighted.swapaxes(-1, -2) @ self.error_px[..., None])[..., 0])
 
     @property
     def square(self) -> Array:
-        """Return the weighted squared errors without deviations, (T, J)."""
+        """Return the weighted squared errors if keypoints did not deviate from the markers, (T, J)."""
         return np.asarray(self.weight * np.sum(self.error_px**2, axis=-1) / self.noise_px**2)
 
     def off_px(self, deviation: Array) -> Array:
@@ -228,7 +228,9 @@ def _likeliest_process(
 
 
 def log_evidence(information: Array, pull: Array, square: Array, sigma_m: Array, lasting_frames: Array) -> Array:
-    """Return the log-likelihood of the detections, (..., J), without terms that are equal for all processes.
+    """Return the log-likelihood (..., J) of the detections under given sizes and durations of the deviations.
+
+    Terms that do not depend on size and duration are left out.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class ExpectedError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Brief):
-    """Verdict on one clip; `recon.check.verdict` makes it, and docs/verdict.md explains it."""
+    """Verdict on whether a clip may be used, with its expected errors (`recon.check.verdict`, docs/verdict.md)."""
 
     level: Level
     reason: str
@@ -85,7 +85,7 @@ class Verdict(Brief):
     pose_m: ExpectedError | None = None
     """Mean distance of the joints from their true positions, both centred (MPJPE); None without a pose."""
     pose_of_trunk: ExpectedError | None = None
-    """The error of the pose relative to the length of the trunk."""
+    """Error of the pose as a fraction of the length of the trunk."""
     position_m: ExpectedError | None = None
     """Distance of the mean of all joints from its true position, as a mean over the frames."""
     warned: bool = False
@@ -133,7 +133,10 @@ OUTLIER_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Ground:
-    """A ground plane, z = height_m + slope (2,) . (x, y), and the standard deviation of its height under the animal."""
+    """A ground plane z = height_m + slope . (x, y), with slopes (2,), and its height's standard deviation.
+
+    The standard deviation is that under the animal.
+    """
 
     height_m: float
     slope: Array
@@ -142,7 +145,7 @@ class Ground:
     """Whether the ground was assumed to be near z = 0; None if no file states it."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
-        """Return the ground in a scene scaled by the size about an origin (3,)."""
+        """Return the ground in the world after a scene is scaled by a size and moved to an origin (3,), m."""
         height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
@@ -172,7 +175,7 @@ class MotionSegment(Brief):
     """
 
     rows: slice
-    """Rows of the clip."""
+    """Rows of the clip that the segment covers."""
     ground: Ground | None
     """The ground under the feet; None if no foot stood."""
     prior_misfit: float | None = None
@@ -180,7 +183,7 @@ class MotionSegment(Brief):
     prior_weight: float = 1.0
     """Fraction of its weight that the prior kept; 1 if the motion fits.
 
-    The rest of the weight is on each angle separately.
+    A prior without correlations between the angles has the rest of the weight.
     """
     unlike_prior: bool = False
     """Whether the motion is unlike all motions of the prior."""
@@ -193,17 +196,20 @@ class SolvedShape(Brief):
     """Lengths and keypoint offsets that a fit of several cameras estimated."""
 
     names: tuple[str, ...]
-    """Segments and markers whose distance from their origin was estimated (L); right sides equal the left ones."""
+    """Names (L,) of the segments and markers whose distances from their carrying segments were estimated.
+
+    Lengths on the right equal those on the left.
+    """
     lengths_m: Array
     """(L,): the estimated lengths, size included."""
     lengths_sigma_m: Array
-    """(L,): standard deviations."""
+    """(L,): standard deviations of the lengths."""
     expected_lengths_m: Array
     """(L,): lengths of the skeleton or subject."""
     offsets_m: Array
     """(J, 3): keypoints minus markers, in the frames of the markers' segments, size included."""
     offsets_sigma_m: Array
-    """(J, 3): standard deviations."""
+    """(J, 3): standard deviations of the offsets."""
     expected_offsets_m: Array
     """(J, 3): offsets of the detector; 0 if it was not measured."""
 
@@ -245,7 +251,7 @@ class Solution(Brief):
     views: tuple[View, ...]
     """The fitted views, with the estimated time offsets."""
     states: Array
-    """(T, D): the root's position is in the world; the body's lengths are those of `body` times `size`."""
+    """(T, D): unknowns of each frame, for the body's lengths times `size`; the root's position is in the world."""
     size: float
     """Factor on the skeleton's lengths; the median over frames if a method estimates one for each."""
     joints_m: Array
@@ -303,7 +309,7 @@ class Solution(Brief):
 
     @property
     def posed(self) -> Bools:
-        """Return which frames have a pose, (T,)."""
+        """Return a mask of the frames that have a pose, (T,)."""
         return np.asarray(np.isfinite(self.joints_m[:, 0, 0]))
 
     @cached_property
@@ -324,7 +330,7 @@ class Solution(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrajectorySolution(Solution):
-    """A solution of the trajectory method, with the flags "no data", "diverged", "data poor" and "ambiguous depth"."""
+    """Solution of the trajectory method, which flags "no data", "diverged", "data poor" and "ambiguous depth"."""
 
     size_sigma: float
     """Posterior standard deviation of the size."""

@@ -32,7 +32,7 @@ class SegmentFit:
     contact: Array
     """(n, F): contact of the feet with the ground, 0 to 1."""
     ground: Ground | None
-    """The ground at nominal size about the origin."""
+    """Ground plane under the body of nominal size, relative to `ClipProblem.origin_m`; None if no foot stood."""
     prior_misfit: PriorMisfit | None = None
     """Misfit of the motion under the prior, from the first round."""
     prior_weight: float = 1.0
@@ -53,19 +53,19 @@ class SegmentFit:
         return size_of(self.estimate.shared)
 
     def shared_values(self, name: str, count: int = 1) -> Array:
-        """Return the values of shared unknowns, (count,), or 0 if they are not unknowns."""
+        """Return the solved values (count,) of the shared unknowns of a name, or 0 if they were not unknowns."""
         return self.estimate.shared.get(name, np.zeros(count))
 
 
 def with_solved_shape(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with the body's lengths and keypoint offsets of a solution."""
+    """Return the problem with the body's lengths and keypoint offsets that a segment's fit found."""
     if clip.shape is None or LENGTHS not in segment.estimate.shared:
         return clip
     return replace(clip, body=clip.shape.applied(segment.estimate.shared))
 
 
 def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with the time offsets and corrected cameras of a solution in its views."""
+    """Return the problem whose views have the time offsets and corrected cameras that a segment's fit found."""
     V = range(len(clip.views))
     offsets = [float(segment.shared_values(time_offset(i))[0]) for i in V]
     corrections = [segment.shared_values(extrinsic_correction(i), 6) for i in V]
@@ -76,7 +76,7 @@ def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
 def solved_views(
     views: Sequence[View], offsets: Iterable[float], corrections: Iterable[Array], focal_scales: Iterable[float]
 ) -> tuple[View, ...]:
-    """Return the views with time offsets, corrections of their poses and factors on their focal lengths."""
+    """Return the views after adding time offsets, in frames, and correcting poses and focal lengths."""
     return tuple(
         replace(view, offset_frames=view.offset_frames + frames).corrected(correction).with_focal_scale(factor)
         for view, frames, correction, factor in zip(views, offsets, corrections, focal_scales, strict=True)
@@ -84,12 +84,12 @@ def solved_views(
 
 
 def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Solve one more round from a solution, for a problem that may have changed slightly."""
+    """Solve a segment in one more round from its fit, for a clip that may have changed slightly."""
     return solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment)
 
 
 def solve_round(clip: ClipProblem, segment: SegmentFit, roughly: bool = False) -> SegmentFit:
-    """Estimate noise, contacts and ground from a solution, and return the minimum reached from this solution.
+    """Estimate noise, contacts and ground from a segment's fit, and solve the segment again from that fit.
 
     `roughly` ends the search early, because another round follows.
     """

@@ -37,7 +37,7 @@ POSED_OFFSET_SIGMA_M = 0.02
 FIXED_SIZE_SIGMA = 1e-4
 """Relative standard deviation of the size, so small that the size is fixed; the lengths replace it."""
 _PRIOR_COUNT = 8
-"""Weight of the expected spread of a keypoint, as a number of views."""
+"""Weight of the expected spread of a keypoint's bias in its estimate, as a number of views."""
 ROUNDS = 8
 """Largest number of rounds of solving the clips and changing the shape."""
 CLOSE_ENOUGH = 0.05
@@ -71,7 +71,7 @@ class ShapeFit:
         return np.sqrt(np.diagonal(self.covariance))
 
     def length_of(self, names: Sequence[str], prior_size_sigma: float) -> tuple[float, float, float]:
-        """Return a length, its standard deviation, and the fraction of it that comes from the pixels.
+        """Return the length of one or more segments end to end, its standard deviation, and its information fraction.
 
         Parameters
         ----------

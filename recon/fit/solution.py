@@ -37,11 +37,11 @@ from recon.fit.terms import (
 from recon.geometry.kinematics import ROOT, YAW
 
 _FRAMES_AT_ONCE = 4096
-"""Number of frames to convert at once."""
+"""Number of frames that are rounded to single precision at once, to limit memory."""
 POOR_SHARE = 1 / 3
-"""Fraction of all joints; a frame in which fewer joints are trusted is "data poor"."""
+"""Smallest fraction of all joints that must be trusted in a frame that is not "data poor"."""
 POORER_SHARE = 0.8
-"""Fraction of the joints trusted in good frames; a frame in which fewer joints are trusted is also "data poor"."""
+"""Smallest number of trusted joints in a frame that is not "data poor", relative to that of good frames."""
 END_ON_RAD = np.radians(25)
 """Angle between the line of sight and the trunk, rad, below which a frame gets the flag "ambiguous depth".
 
@@ -145,7 +145,7 @@ def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Pos
 
 
 class _ClipArrays:
-    """The arrays `SHAPES` of a clip, filled segment by segment; NaN in frames outside all segments."""
+    """Arrays of a solution (`SHAPES`), filled segment by segment; NaN in frames outside all segments."""
 
     def __init__(self, clip: ClipProblem) -> None:
         sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
@@ -154,7 +154,7 @@ class _ClipArrays:
         self.arrays: dict[str, Array] = {}
 
     def by_frame(self, name: str) -> Array:
-        """Return a view of an array with the frames on the first axis."""
+        """Return the array of a name with the frames on the first axis, without copying it."""
         if name not in self.arrays:
             self.arrays[name] = np.full(self.shapes[name], np.nan)
         return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
@@ -169,12 +169,12 @@ class _ClipArrays:
             self.by_frame(name)[rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
 
     def complete(self) -> None:
-        """Add the arrays that no segment has filled."""
+        """Add every array that no segment has filled, with NaN in all frames."""
         for name in SHAPES:
             self.by_frame(name)
 
     def clear(self, frames: Bools) -> None:
-        """Set all values of some frames (T,) to NaN."""
+        """Set the values of all arrays in some frames, a mask (T,), to NaN."""
         for name in SHAPES:
             self.by_frame(name)[frames] = np.nan
 
@@ -187,7 +187,7 @@ def _cost_by_term(segments: Sequence[SegmentFit]) -> dict[str, float]:
 
 
 def _round_to_single(values: Array) -> None:
-    """Round values to single precision, which halves their files; matrices become exactly symmetric."""
+    """Round values to single precision in place, which halves their files, and make matrices exactly symmetric."""
     for first in range(0, len(values), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         values[rows] = values[rows].astype(np.float32)
@@ -234,7 +234,7 @@ def _solved_shape(
 
 
 def _lengths_m(body: Body, names: Sequence[str]) -> Array:
-    """Return the distances (L,) of segments and markers from their origins."""
+    """Return the distances (L,), m, of segments and markers from the origins of the segments that carry them."""
     items = {item.name: item for item in (*body.tree.markers, *body.tree.segments)}
     return np.array([np.linalg.norm(items[name].offset_m) for name in names], dtype=np.float64)
 
@@ -377,7 +377,7 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
 def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     """Return the part of a segment in which both cameras see most joints, solved again.
 
-    Persistent model errors would add up over a whole clip.
+    Errors of the model persist over many frames, and over a whole clip would look like evidence against the camera.
     """
     seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
     rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))

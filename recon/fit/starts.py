@@ -43,7 +43,7 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
     Returns
     -------
     (..., 3) array
-        Metres.
+        Translations, metres.
     """
     seen = np.isfinite(rays[..., 0])
     middle = _median_of_known(rays.swapaxes(-1, -2))
@@ -193,7 +193,7 @@ APPROACH_HZ = 30.0
 _HEADINGS = 18
 """Number of headings that are tried; a fast fit tries half as many."""
 _APART_RAD = 0.5
-"""Starts whose headings differ by less than this count as the same."""
+"""Difference between two headings, rad, below which their starts count as the same."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
 """Factors on the noise during the approach, in the order in which they are used."""
 _SAME_M = 0.05
@@ -201,7 +201,7 @@ _SAME_M = 0.05
 ALTERNATIVE_COST = 20.0
 """Largest extra cost at which a second solution is reported."""
 _HOPELESS = 2.0
-"""Factor on the largest cost that is reported above which a start is given up after some iterations.
+"""Multiple of the largest cost of a reported second solution, above which a start is given up early.
 
 In 99 windows of single cameras, pairs and all cameras of real runs, a start is given up in one, and no minimum would be
 lower without this limit (`python benchmarks/accuracy.py --only starts`).
@@ -293,7 +293,7 @@ def interpolate_states(states: Array, at: Index, T: int) -> Array:
 
 
 def _starts(clip: ClipProblem) -> list[Array]:
-    """Return the states of the best runs and, for one camera, of the best run mirrored in depth."""
+    """Return the states (T, D) of the best straight runs and, for one camera, of the best one mirrored in depth."""
     misfit, headings_rad, states = _runs(clip)
     best = int(np.argmin(misfit))
     minima = [

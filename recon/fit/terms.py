@@ -1,4 +1,4 @@
-"""Define the terms of the trajectory problem: functions that return a `Linear` term, and small classes.
+"""Define the terms of the trajectory problem, as functions that return a `Linear` term and as small classes.
 
 For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
 by name, the derivatives (N, M, P) with respect to unknowns that all frames share. J'r is the exact gradient of the
@@ -222,7 +222,7 @@ def _rate(fps: float, weight: float) -> float:
 
 
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term of one Gaussian of poses."""
+    """Return the term that keeps the angles near the prior's mean pose, with a single Gaussian of poses."""
     rows = np.zeros((len(prior.mean), n_state))
     rows[:, ANGLES] = prior.pose_whitener * _rate(fps, weight)
     return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
@@ -344,8 +344,8 @@ class Scene:
 class Reprojection:
     """Projected minus detected position of each marker, with one robust loss per point.
 
-    The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. `sigma_px` (T, J) is frozen:
-    if it followed the depth, it would influence the distance.
+    The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. `sigma_px` (T, J) is held
+    fixed during a search: if it followed the depth, it would influence the distance.
     """
 
     view: View
@@ -355,9 +355,9 @@ class Reprojection:
     number: int = 0
     """Index of the view, used in the names of its own unknowns."""
     drift_m: Array | None = None
-    """(T, J, 3), frozen: movement of the markers per frame, at nominal size; None if no time offset is read."""
+    """(T, J, 3): movement of the markers per frame, m, at nominal size, held fixed; None without a time offset."""
     px_per_m: Array | None = None
-    """(T,), frozen: pixels per metre at the animal's distance; None if no `keypoint_bias` is read."""
+    """(T,): pixels per metre at the animal's distance, held fixed; None without a `keypoint_bias`."""
     name: str = "reprojection"
 
     def on_own_markers(self, count: int) -> tuple[Integers, Reprojection]:
@@ -557,13 +557,13 @@ class Heading:
 class StanceVelocity:
     """Term that keeps nearly still feet (F,) at rest: velocities have the Geman-McClure loss, at most c^2 / 2.
 
-    The velocities are those in the world. At nominal size, the feet would appear to stand in front of a moving camera
-    that follows them, if the animal were large enough.
+    The velocities are those in the world. Velocities of the body of nominal size would vanish if the animal were large
+    enough, for example in front of a camera that follows it.
 
-    `by_size` (n, F, 3) is frozen: the derivative of velocities with respect to the size about `at`, m/s, with fixed
-    states. By default, velocities are proportional to the size. In the picture of one moving camera, the velocities
-    relative to the camera are proportional to the size instead. A smaller animal then has slower feet if the camera is
-    slow, which is no evidence of its size; `contacts` therefore gives `by_size`.
+    `by_size` (n, F, 3) is the derivative of velocities with respect to the size about `at`, m/s, with fixed states. It
+    is held fixed during a search. By default, velocities are proportional to the size. In the picture of one moving
+    camera, the velocities relative to the camera are proportional to the size instead. A smaller animal then has slower
+    feet if the camera is slow, which is no evidence of its size; `contacts` therefore gives `by_size`.
     """
 
     feet: Index
@@ -615,7 +615,7 @@ class OnGround:
     """Term that keeps feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 
     The coordinates x and z of the feet are multiplied by the size relative to `at`. The arrays are feet (F,); contact
-    (T - 1, F), frozen; plane (3,): height, slope x, slope y; and middle (2,).
+    (T - 1, F), held fixed; plane (3,): height, slope x, slope y; and middle (2,).
     """
 
     feet: Index

@@ -83,7 +83,7 @@ def solve_trajectory(
     The solution is deterministic and uses one core: the matrices are small, and threads of the numerical library would
     wait for each other. Frames too far from any detection have NaN states and the flag "no data"; frames whose pose is
     too far away to be visible have the flag "diverged". Detections outside the camera's picture are left out
-    (`Camera.sees`). A failure to converge is reported in the solution's status, not as an exception.
+    (`Camera.sees`). A search that does not converge is reported by the solution's `status`, not as an exception.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def solve_trajectory(
     Returns
     -------
     TrajectorySolution
-        In the world frame, metres.
+        Motion in the world frame, metres, with its posterior and flags.
     """
     began = time.perf_counter()
     clip = ClipProblem.from_views(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
@@ -176,7 +176,7 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
 
 
 def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Return the minimum from a solution, with the noise and contacts of that solution."""
+    """Solve a segment from its fit again, with the noise of that fit and the contacts that follow from it."""
     points, size = clip.markers(segment.estimate.states), segment.size
     contact, ground, contact_terms = segment.contact, None, ()
     if clip.finds_ground:
@@ -189,7 +189,7 @@ def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 
 
 def _with_likely_poses(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem whose minimum has the expected poses of two cameras under all hypotheses about a solution."""
+    """Return the problem whose minimum has the camera poses that are expected over all hypotheses about two cameras."""
     weighed = pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames)
     return clip if weighed is None else replace(clip, pose_means=weighed.prior_mean.reshape(2, 6))
 

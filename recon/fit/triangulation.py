@@ -200,7 +200,7 @@ def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: boo
 
 
 def _gauss_newton_step(error: Array, by_point: Array, weight: Array) -> Array:
-    """Return the step of points (T, J, 3), 0 if fewer than two detections have a weight."""
+    """Return the Gauss-Newton step of points (T, J, 3), m, 0 if fewer than two detections have a weight."""
     weighted = by_point * weight[..., None, None]
     normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
     pull = np.sum(weighted.swapaxes(-1, -2) @ error[..., None], axis=0)
@@ -268,8 +268,8 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
     Returns
     -------
     Triangulation
-        Covariances remain those of single frames, and overestimate those of the splines. In filled gaps, they are those
-        of the nearest known frame.
+        The smoothed points. Their covariances remain those of single frames, and overestimate those of the splines. In
+        filled gaps, covariances are those of the nearest known frame.
 
     References
     ----------

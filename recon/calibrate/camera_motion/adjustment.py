@@ -36,7 +36,7 @@ ROUNDS = 4
 COARSE_ROUNDS = 2
 """Number of iterations to find the rotation between two pictures while trial focal lengths are compared."""
 PAIR_FLOOR_PX = 0.15
-"""Error common to all points of a pair of pictures."""
+"""Standard deviation, px, of the error that all points of a pair of pictures have in common."""
 
 
 FrameLink = tuple[int, int, Array, Array, Array, Array]
@@ -54,8 +54,8 @@ def adjust(
     """Return the adjusted orientations of N frames, and the standard deviations of rotations and zooms.
 
     The first frame is fixed, and every other frame has at least one of the `links`. Standard deviations of rotations
-    (N,) are in rad per axis relative to the first frame, those of zooms (N,) are relative. `floor_rad` is the angle of
-    `PICTURE_FLOOR_PX`.
+    (N,) are in rad per axis relative to the first frame, those of zooms (N,) are relative. `floor_rad` is
+    `PICTURE_FLOOR_PX` as an angle.
     """
     n, p = len(orientations), 4 if solve_zoom else 3
     rotation = np.stack([orientation.rotation for orientation in orientations])
@@ -120,7 +120,7 @@ class TurnedPair(NamedTuple):
 
 
 def furthest_turned(pairs: Sequence[TurnedPair]) -> list[TurnedPair]:
-    """Return the pairs of frames with the largest rotations of the camera between them."""
+    """Return the `MAX_PAIRS` pairs of pictures with the largest rotations of the camera between them."""
     return sorted(pairs, key=lambda pair: -float(Rotation.from_matrix(pair.turn).magnitude()))[:MAX_PAIRS]
 
 
@@ -152,7 +152,7 @@ def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -
 
 
 def _information(camera: Camera, pair: TurnedPair, log_factor: float) -> tuple[float, float]:
-    """Return a pair's information on the log focal-length ratio, and the gradient of its cost."""
+    """Return a pair's precision for the log focal-length ratio, and the gradient of its cost with respect to it."""
     residual_px, *ends = (_residuals_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
     slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(residual_px), np.linalg.norm(residual_px, axis=1)
     used = max(float(weights.sum()), 1.0)

@@ -21,7 +21,7 @@ from recon.io.common import first_problems, frame_number, number, text_rows
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
 EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two of its points, px"
 MARKED_PX = 2.0
-"""Standard deviation of a marked point along each axis."""
+"""Standard deviation of a marked point along each axis, px."""
 MAX_SIGMA_RAD = math.radians(3.0)
 """Largest accepted uncertainty of the upward direction, which a single vertical or parallel verticals do not determine.
 """
@@ -57,8 +57,13 @@ def up_by_marks(
 
     Rays to the horizon are horizontal, and an upright object lies in the plane of the rays to its ends. The upward
     direction is therefore perpendicular to the former rays and to the normals of these planes. `orientations` are by
-    frame number. Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the
-    marks do not determine the upward direction.
+    frame number.
+
+    Raises
+    ------
+    InputError
+        If a frame has no orientation, if a point is outside the lens's range, or if the marks do not determine the
+        upward direction.
     """
     first = orientations[min(orientations)].rotation
     rows, problems = [], []
@@ -90,7 +95,10 @@ def up_by_marks(
 def read_marks(path: Path) -> tuple[LevelMark, ...]:
     """Read marks from a CSV table of `COLUMNS`.
 
-    Raises InputError with every problem.
+    Raises
+    ------
+    InputError
+        If the table has no lines, other columns, or lines that are not valid. The error lists the lines.
     """
     require_file(path, EXPECTED)
     (_, header), *rows = [*text_rows(path, ",")] or [(1, [])]

@@ -1,6 +1,6 @@
 """Track a turning camera frame by frame, and return its orientation in each frame.
 
-Keyframes are stored, and later frames are compared with them.
+Some frames are stored as keyframes, with which later frames are compared.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ KEYS_TO_LINK = 5
 MAX_PICTURES = 120
 """Maximum number of keyframes, those used last, whose pictures stay in memory."""
 LEARNING = 0.15
-"""Weight of a new frame in how consistently a point has been background."""
+"""Weight of a new frame in the running mean of a point's agreement with the background."""
 SETTLED = 0.75
 """Agreement with the background, from 0 to 1, above which a point counts as background."""
 LEAST_AGREEING = 0.6
@@ -64,7 +64,7 @@ MIN_STILL = 0.4
 MAX_TORN = 1
 """Largest number of old keyframes that may have a smaller fraction than `MIN_STILL`."""
 PICTURE_FLOOR_PX = 0.1
-"""Error common to all points of a picture, which their scatter does not show."""
+"""Standard deviation, px, of the error that all points of a picture have in common and their scatter does not show."""
 MIN_PAIR_POINTS = 30
 """Smallest number of background points that link two pictures for the focal length."""
 
@@ -99,7 +99,7 @@ class _Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
-    """Orientations of a camera in N of the F frames of a video."""
+    """Orientations of a camera in the N frames of a video in which they are known."""
 
     frames: Integers
     """Frame numbers from 0, shape (N,)."""
@@ -130,7 +130,7 @@ class TurningMotion:
 
 @dataclass(eq=False)
 class Tracker:
-    """Tracker of a turning camera, frame by frame.
+    """Tracker that finds the orientation of a turning camera frame by frame.
 
     The fields after `masked` are the state of the tracker.
     """
@@ -416,7 +416,7 @@ class _FollowedPoints(NamedTuple):
     def follow(
         cls, camera: Camera, keys: list[_Keyframe], frame: GreyPicture, guess: Orientation, mask: Bools | None
     ) -> _FollowedPoints:
-        """Follow the keyframes' points into a frame."""
+        """Find the keyframes' points in another frame, starting at the expected orientation `guess`."""
         no_rows = np.zeros(0, np.int64)
         parts: list[tuple[Any, ...]] = [(no_rows, no_rows, np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))]
         for k, key in enumerate(keys):
