@@ -77,7 +77,7 @@ class Armature:
     title: str
     bones: tuple[Bone, ...]
     joints: tuple[str, ...]
-    """Names of the keypoints."""
+    """Names of the J joints, which are those of the keypoints."""
     joint_bones: tuple[int, ...]
     joint_offsets_m: Array
     """(J, 3): joints in their bones' frames."""
@@ -114,7 +114,7 @@ class _Joint:
     channels: list[str] = field(default_factory=list)
     """Names of the channels, such as Xposition."""
     column: int = 0
-    """Column of the first channel."""
+    """Column of the joint's first channel in the motion section."""
     end: bool = False
 
 
@@ -223,7 +223,7 @@ def write_bvh(rig: Armature, path: Path) -> None:
         margin = "  " * depth
         turns = () if bone is None else rig.bones[bone].turns
         angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
-        # programs expect all three channels
+        # programs expect three rotation channels
         angles |= {kind: np.zeros(len(rig.root_m)) for kind in AXIS if kind not in angles}
         columns.extend(angle[:, None] for angle in angles.values())
         channels = ["Xposition", "Yposition", "Zposition"] if depth == 0 else []

@@ -197,7 +197,7 @@ def recognises_own(path: Path) -> bool:
 
 
 def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of recon's own file; raise InputError for an invalid file or another version."""
+    """Return the cameras of recon's own camera file; raise InputError for an invalid file or another version."""
     document = parse_toml(read_calibration(path), path)
     single, several = document.get("camera"), document.get("cameras")
     tables = {"camera.": single} if single is not None else {}

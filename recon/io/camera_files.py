@@ -84,7 +84,7 @@ SIZE_KEYS = (
 )
 """Keys of the picture's width, and of its height."""
 _PERSPECTIVE = ("pinhole", "perspective")
-"""Values of a camera model that do not describe the lens distortion."""
+"""Names of camera models that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
 """Largest number of nested levels in a file that is read; OpenCV crashes at 20,000."""
@@ -466,7 +466,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
 
 
 def _with_indented_lists(text: str) -> str:
-    """Indent the lists of YAML below their keys, as OpenCV requires and PyYAML does not do."""
+    """Indent the lists of YAML below their keys, because OpenCV requires this indent and PyYAML does not write it."""
     lines: list[str] = []
     indents: list[int] = []
     """Indentations of the lists that are open and were not indented."""

@@ -129,7 +129,7 @@ def track_files(path: Path) -> tuple[Path, ...]:
 
 
 def track_label(path: Path) -> str:
-    """Return a track's name: the table's name without suffix, or the folder of a COLMAP model."""
+    """Return a camera track's name, which is its file's without suffix, or its folder's for a COLMAP model."""
     if path.suffix.lower() in (".csv", *SHOTS):
         return path.stem
     return path.parent.name if path.name == IMAGES else path.name

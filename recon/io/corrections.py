@@ -42,7 +42,7 @@ class Correction:
     """Name of the camera; empty if there is only one."""
     keypoint: str
     was_px: _Point | None
-    """Position found by the detector, or None."""
+    """Position found by the detector; None if it found none."""
     now_px: _Point | None
     """Corrected position; None if the point is hidden or must not be used."""
     reason: str = ""

@@ -63,7 +63,7 @@ def find_project(path: Path) -> Project | None:
 
 
 def refuse_several(path: Path) -> None:
-    """Raise InputError for a folder or project, because it has several files."""
+    """Raise InputError if a path where one keypoint file is needed is a folder or a DeepLabCut project."""
     if find_project(path):
         expected = (
             "one of its tables, such as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train "

@@ -514,7 +514,7 @@ _SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, o
 _CALIBRATION = re.compile(
     rb"camera_?matrix|camera_resolution|recon-camera|^\[cam_[0-9a-z]+\]|intrinsic_?matrix", re.IGNORECASE
 )
-"""Keys of calibrations near the beginning of a file."""
+"""Pattern of keys by which a file is recognised as a calibration from its first bytes."""
 
 
 def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:

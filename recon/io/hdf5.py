@@ -102,7 +102,7 @@ def outline(path: Path) -> frozenset[str]:
 
 
 def names(group: h5py.Group) -> tuple[str, ...]:
-    """Return the names in a group."""
+    """Return the names of a group's members."""
     return tuple(name for name in group if isinstance(name, str))
 
 

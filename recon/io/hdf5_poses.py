@@ -121,7 +121,7 @@ def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
 
 
 def _labels(group: h5py.Group, dataset: h5py.Dataset) -> list[str]:
-    """Return the labels of one index level as strings."""
+    """Return the labels of one index level of a pandas table as texts."""
     return [] if _is_empty(dataset) else _texts_of(group, read_values(dataset).ravel())
 
 
@@ -248,7 +248,7 @@ def recognises_points3d(path: Path) -> bool:
 
 
 def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D points of one track; raise InputError for an invalid file."""
+    """Return the 3D points of one track in sleap-anipose's file; raise InputError for an invalid file."""
     with opened(path) as file:
         nodes, tracks = hdf5.texts_in(file, "node_names"), hdf5.texts_in(file, "track_names")
         values = numbers(child(file, "tracks"))
@@ -317,7 +317,7 @@ def _points_of_variables(
     """Return the points of one animal in movement's variables; raise InputError for an invalid file."""
 
     def ordered(name: str, dims: tuple[str, ...]) -> np.ndarray:
-        """Return a variable with its axes in this order; empty if absent."""
+        """Return a variable with its axes in the order `dims`, or an empty array if it is absent."""
         axes, values = stored.get(name, (dims, np.zeros([0] * len(dims))))
         if sorted(axes) != sorted(dims):
             detail = f"{values.dtype} with the dimensions {', '.join(axes)}"
@@ -414,9 +414,9 @@ def recognises_nwb(path: Path) -> bool:
 
 
 def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal in an NWB file; if there are several, containers state their names.
+    """Return the points of one animal in an NWB file.
 
-    Raises InputError for an invalid file.
+    Several animals have the names of their containers. Raises InputError for an invalid file.
     """
     with opened(path) as file:
         containers = {}

@@ -150,7 +150,7 @@ def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tup
 
 
 def _size(images: list[Table]) -> tuple[int, int] | None:
-    """Return (width, height) if all images have the same size."""
+    """Return the (width, height) in pixels that all images have, or None if they differ or state none."""
     sizes = {(image.get("width"), image.get("height")) for image in images}
     (width, height) = sizes.pop() if len(sizes) == 1 else (None, None)
     return (width, height) if isinstance(width, int) and isinstance(height, int) and width > 0 < height else None

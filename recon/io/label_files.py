@@ -146,7 +146,7 @@ def _origin(labels: LabelledFrames, i: int, k: int) -> str:
 
 
 def _coco(labels: LabelledFrames) -> dict[str, Any]:
-    """Return COCO's document with one annotation per frame, whose image is named after the file."""
+    """Return COCO's document, with an annotation and the picture's file name for each frame."""
     width, height = labels.size_px
     images, label_rows = [], []
     for i, frame in enumerate(labels.frames.tolist()):

@@ -110,7 +110,10 @@ def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarr
 def write_table(
     path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray, guard: bool = True
 ) -> None:
-    """Write header rows, then one row per frame: its number, and values (T, C); NaN is an empty cell."""
+    """Write header rows, then one row per frame with its number and values (T, C); NaN is an empty cell.
+
+    `guard` is as in `write_rows`.
+    """
     rows = ([frame, *row.tolist()] for frame, row in zip(frames.tolist(), values, strict=True))
     write_rows(path, header, rows, guard)
 
@@ -165,7 +168,7 @@ def _arrow_array(values: np.ndarray) -> pa.Array:
 
 
 def _guarded_column(values: np.ndarray) -> np.ndarray:
-    """Return a column (N,) with its texts guarded."""
+    """Return a column (N,) with texts escaped so that a spreadsheet does not run them."""
     if values.dtype.kind != "U":
         return np.ascontiguousarray(values)
     texts, numbers = np.unique(values, return_inverse=True)

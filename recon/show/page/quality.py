@@ -33,7 +33,7 @@ def quality_tables(motion: Motion) -> list[dict[str, Any]]:
 
 
 def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the keypoint with the largest median distance from the pose, its camera and a text on it."""
+    """Return the keypoint with the largest median distance from the pose, its camera and a text on its errors."""
     table = max(tables, key=lambda table: _median_px(table["rows"][0]))
     row = table["rows"][0]
     texts = [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"] if row["median_px"] is not None else []

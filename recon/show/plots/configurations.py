@@ -178,7 +178,10 @@ def _ends_of_ground(points_m: Array, horizontal: int) -> Array:
 
 
 def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
-    """Return the rows of the configurations to draw, which have at least half of the most known joints."""
+    """Return evenly spaced rows of poses to draw, leaving out poses with few known joints.
+
+    A pose needs at least two known joints, and half as many as the pose with the most.
+    """
     drawn_joints = sorted({j for joints in limbs.values() for j in joints})
     known_counts = np.isfinite(joints_m[:, drawn_joints]).all(axis=2).sum(axis=1)
     rows = np.flatnonzero((known_counts > 1) & (2 * known_counts >= known_counts.max(initial=0)))

@@ -351,7 +351,7 @@ def _known(portrait: Portrait) -> Bools:
 
 
 def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normalize] | None) -> None:
-    """Draw one portrait in the colours of the times, or in grey if `colours` is None."""
+    """Draw one phase portrait in the colours of the times, or in grey if `colours` is None."""
     rows = np.flatnonzero(_known(portrait))
     if not len(rows):
         style.blank(axes)

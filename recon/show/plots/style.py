@@ -36,17 +36,17 @@ from recon.fit.posterior import radius
 from recon.gait.stances import INTERVAL, interval_of
 
 WIDTH_MM = 180.0
-"""Width of a figure on a page."""
+"""Width of a figure as wide as a page, mm."""
 COLUMN_MM = 85.0
-"""Width of a figure in a column."""
+"""Width of a figure as wide as a column, mm."""
 PAGE_MM = 235.0
-"""Height of a page within its margins."""
+"""Height of a page within its margins, mm."""
 MM = 1 / 25.4
 """One millimetre in inches."""
 PNG_DPI = 200
-"""Resolution of a PNG for a screen."""
+"""Resolution of a PNG for a screen, dots per inch."""
 PRINT_DPI = 600
-"""Resolution of a picture for print."""
+"""Resolution of a picture for print, dots per inch."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
@@ -195,7 +195,7 @@ def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
-    """Add a legend below everything else."""
+    """Add a legend to a figure, below everything else."""
     width_mm = min(width_mm, page_width_mm())
     figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
 

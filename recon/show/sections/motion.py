@@ -52,7 +52,7 @@ def root_path_data(motion: Motion) -> dict[str, Any]:
 
 
 def speed_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the mean speed and the distance."""
+    """Yield a line with the mean speed and the distance of the reference point."""
     path = data["exact"]
     if path["mean_speed_m_s"] is None:
         yield "speed", f"none from fewer than {MIN_POINTS} frames"
@@ -79,7 +79,7 @@ def heading_data(motion: Motion) -> dict[str, Any]:
 
 
 def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the heading."""
+    """Yield a line with the direction in which the animal faces."""
     observer = f", as {camera_name(motion)} sees it" if len(motion.pictures) > 1 else ""
     yield "heading", heading_text(data["heading_to_picture_rad"]) + observer
 

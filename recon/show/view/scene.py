@@ -289,7 +289,7 @@ def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
 
 
 def write_world(motion: Motion, scene: Scene, log: Log) -> None:
-    """Write skeleton, path, ground and cameras."""
+    """Write the skeleton, the path, the ground and the cameras of a motion in the world."""
     joints, solved = motion.joints_m, motion.solved
     if motion.frame_of_reference == "camera":
         log.fix("world", rr.ViewCoordinates.RDF)
@@ -333,7 +333,7 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
 
 
 def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None:
-    """Write the frustum of a camera."""
+    """Write the frustum of a camera in the world."""
     camera, pose = picture.camera, picture.T_reference_camera
     if pose.ndim == 3:
         log.send(entity, rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3]))
@@ -418,7 +418,7 @@ def write_pictures(motion: Motion, log: Log) -> None:
 
 
 def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None:
-    """Write the points of a picture."""
+    """Write the detections and reprojections of a picture, and the links between them."""
     outliers, detected, reprojected = picture.outliers, picture.detected_px, picture.reprojected_px
     for entity, colour, selection in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
         is_shown = selection & np.isfinite(detected[..., 0])
