@@ -48,7 +48,7 @@ Command = tuple[str, list[str]]
 
 
 def sample_commands(samples: Path) -> Iterator[Command]:
-    """Yield the commands on the samples."""
+    """Yield the name and the arguments of each command that runs on the samples."""
 
     def fit(name: str, keypoints: str, camera: str, *options: str) -> Command:
         return name, ["fit", str(samples / keypoints), "--camera", str(samples / camera), *options, "--out", name]

@@ -104,7 +104,7 @@ def files() -> Iterator[File]:
 
 
 def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
-    """Return the points with other values and the same names."""
+    """Return a copy of the points with new values, and with new frames or frame rate if given."""
     frames, fps = more.get("frames", points.frames), more.get("fps", points.fps)
     return AuditedPoints(points.names, values, frames, fps, points.resolution, points.roles)
 
@@ -344,7 +344,7 @@ FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {
 
 
 def values_of(points: AuditedPoints) -> dict[str, float]:
-    """Return the largest measure of each finding, by the finding's code."""
+    """Measure points by the audit, and return the largest value for each finding, by the finding's code."""
     values: dict[str, float] = {}
     for measure in measures_of(points):
         values[measure.code] = max(values.get(measure.code, -np.inf), measure.value)

@@ -273,7 +273,7 @@ def time_offsets(runs: Sequence[Run]) -> list[dict]:
 
 
 def single_view_errors(run: Run, body: Body) -> list[dict[str, float]]:
-    """Fit every view of a run with one camera."""
+    """Fit every view of a run alone, and return the errors of each."""
     found = []
     for camera in run.views:
         solution = solved(run, [camera], body)
@@ -318,7 +318,10 @@ def measured(runs: Sequence[Run]) -> list[dict]:
 
 
 def by_run(runs: Sequence[Run]) -> list[dict]:
-    """Measure single views of each run, and of all other runs, with the bias measured without the view's run."""
+    """Return error rows for the single views of each run, and for those of all runs but this one.
+
+    The keypoint bias of a view is measured in the other runs.
+    """
     of_run = {run: single_view_errors(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
     without = {run: [row for other in runs if other is not run for row in of_run[other]] for run in runs}
     return [{"views": f"of {run.folder.name}"} | over_views(of_run[run]) for run in runs] + [

@@ -26,7 +26,7 @@ PUBLISHED = "cheetah-8u"
 
 
 def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> dict:
-    """Return the table's row for one view."""
+    """Fit one view by the frame method, and return the table's row."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
         camera=(run / "scene.json",),

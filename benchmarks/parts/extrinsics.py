@@ -197,7 +197,7 @@ def causes(runs: Sequence[Run]) -> list[dict]:
 
 
 def levelled(run: Run, runs: Sequence[Run]) -> dict:
-    """Measure one clip of cameras whose upward directions are known to a degree."""
+    """Estimate the rig of one clip if each camera's upward direction is known to a degree, and return its errors."""
     rng, own = np.random.default_rng(0), [run.views[camera] for camera in cameras_of(run)["all"]]
     setting, views = without_poses(own, as_seen(body_of(run.subject), run, runs), run.fps), []
     for bare, view in zip(setting.views, own, strict=True):

@@ -38,7 +38,7 @@ POOR_MM = 160.0
 
 
 def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
-    """Return one view's errors, intervals and effort."""
+    """Fit one view by the frame method, and return its errors, intervals and effort by column."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
         camera=(run / "scene.json",),

@@ -56,7 +56,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 
 
 def legs_alone(clip: Clip, given: Given) -> Given:
-    """Return the lower legs alone, seen by a camera that follows."""
+    """Keep only the keypoints of the lower legs, seen by a camera that follows the animal."""
     return hidden(lambda name: not lower_leg(name))(clip, follows(clip, given))
 
 
@@ -101,7 +101,7 @@ class Group:
 
 
 def statistics_of_keypoints(settings: FitSettings) -> Statistics:
-    """Return the statistics that need no fit."""
+    """Return the statistics of a clip's keypoints, which need no fit."""
     given = prepare(settings)
     keypoints, (view, *_) = given.sources[0].keypoints, views_of(given.sources)
     clip = ClipProblem.from_views((view,), given.body, given.prior, given.fps, TrajectoryOptions())

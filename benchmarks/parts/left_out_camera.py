@@ -186,7 +186,7 @@ class Score:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Return the cells of a row; see `COLUMNS`."""
+        """Return the cells of the table's row, in the order of `COLUMNS`."""
         medians = [number_text(self.median_px(method)) for method in METHODS]
         shares = [number_text(100 * self.inside(method), 0) for method in (METHODS[0], METHODS[2])]
         return (*medians, number_text(self.ratio), *shares)

@@ -70,7 +70,7 @@ Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A view of a run."""
+    """One camera's view of a run: keypoints, lens and truth."""
 
     run: Path
     camera: int
@@ -197,7 +197,7 @@ def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, n
 
 
 def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
-    """Return the error, mm, over the frames of a mask (T,)."""
+    """Return the mean distance of a motion's joints from the truth, mm, over the frames of a mask (T,)."""
     truth_m = view.truth_m[frames]
     if not np.isfinite(motion.joints_camera_m[frames]).any():
         return np.nan

@@ -49,20 +49,20 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one fit."""
+    """Errors, coverage and verdict of one fit."""
 
     label: str
     name: str
-    """The run and its cameras."""
+    """Name of the run and of its cameras."""
     is_refined: bool
     pose_mm: float
     position_mm: float
     inside: float
     """Fraction of the coordinates inside their 90 % intervals."""
     level: str
-    """Level of the verdict."""
+    """Level of the verdict: use, check or do not use."""
     codes: tuple[str, ...]
-    """Codes of errors and warnings."""
+    """Codes of the findings that are errors or warnings."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ WORST = 0.6
 
 @dataclass(frozen=True)
 class Fit:
-    """Errors of a fit over the known joints."""
+    """Errors of a fit over the joints that the truth has."""
 
     run: Run
     cameras: str

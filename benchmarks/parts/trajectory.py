@@ -88,7 +88,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Errors of a fit."""
+    """Errors of a fit of one view, and the uncertainty that the fit states."""
 
     job: Job
     centred_m: np.ndarray

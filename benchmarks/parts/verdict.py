@@ -133,7 +133,10 @@ def evidence(of: pd.Series) -> Evidence:
 
 
 def fit(table: pd.DataFrame) -> dict[str, float]:
-    """Fit the constants: "constant", and the powers by name, in logarithms of the error relative to the trunk."""
+    """Fit the verdict's constants to a table of views, in logarithms of the error relative to the trunk.
+
+    Returns the "constant" and, by name, the powers of the factors.
+    """
     factors = pd.DataFrame([evidence(one).factors for _, one in table.iterrows()])
     unseen = factors.pop("unseen")
     error = np.log(table["pose_mm"].to_numpy() / 1000 / table["trunk_m"].to_numpy())

@@ -56,7 +56,7 @@ class Frames:
     q: Array
     """Joint angles, shape (T, n), rad."""
     jacobian: Array
-    """Jacobians, shape (T, dim, n)."""
+    """Jacobians of the end effector's position, shape (T, dim, n)."""
     dx: Array
     """Velocities of the end effector, shape (T, dim), m/s."""
     dq: Array
@@ -85,7 +85,7 @@ class ParameterFit:
 
     method: Method
     parameter: Array
-    """The parameter, shape (p,)."""
+    """Fitted value of the parameter, shape (p,)."""
     rms_rad_s: float
     """Root mean square of the residuals, rad/s."""
     explained: float

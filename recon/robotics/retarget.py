@@ -84,17 +84,18 @@ class Reference:
 
 @dataclass(frozen=True)
 class StrideWindow:
-    """First and last samples of a stride in a reference."""
+    """Indices of the first and the last sample of a stride in a reference."""
 
     first: int
     last: int
     source: str
-    """How the stride was found: "given" by the user; "stride", a complete stride of one foot; "return", the samples
-    between which all feet come closest to returning.
+    """Origin of the stride: "given" by the user, "stride" or "return".
+
+    "stride" is a complete stride of one foot; "return" is the part of the clip after which all feet come closest to
+    where they started.
     """
     gap_percent: float
-    """Distance between a foot's positions at both ends, as a percentage of the extent of its path, mean over the feet.
-    """
+    """Distance between a foot's positions at both ends, in percent of the extent of its path, mean over the feet."""
 
 
 @dataclass(frozen=True, eq=False)

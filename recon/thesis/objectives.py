@@ -99,7 +99,7 @@ class Objective:
         previous
             The pose of the previous frame; None in the first frame.
         frame
-            Row of the clip.
+            Index of the frame in the clip.
         dt_s
             Time between the two frames, seconds.
         """

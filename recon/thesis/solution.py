@@ -60,12 +60,12 @@ class _FrameReport:
     """
     function_evaluations: int
     optimizer_status: int
-    """Status of scipy's least_squares."""
+    """Status value of scipy's `least_squares`, such as 1 if the gradient is small."""
     squared_norm: float
     cost_shares: dict[str, float]
     """Fraction of the residuals' squared norm that each term contributes, by name of the term."""
     step_norm: float
-    """Length of the last step."""
+    """Length of the search's last step."""
     sigma_px: float
     """Standard deviation of a detection, pixels."""
     data_share: Array

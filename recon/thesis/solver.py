@@ -138,7 +138,7 @@ class FrameProblem:
     terms: tuple[Objective, ...]
     """The terms; f1, the reprojection, comes first."""
     frame: int
-    """The row of the clip."""
+    """Index of the frame in the clip."""
     previous: ChainPose | None
     """Pose of the previous frame, dt_s earlier, held fixed; None if the terms read this frame only."""
     dt_s: float
