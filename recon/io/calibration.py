@@ -180,7 +180,7 @@ def read_camera(
     if len(matches) == 1:
         return matches[0]
     count_text = f"{len(matches) or 'no'} camera{'s' * (len(matches) > 1)}"
-    detail = f"{count_text} and no choice" if name is None else f"{count_text} called {wanted!r}"
+    detail = f"{count_text}, none of them chosen" if name is None else f"{count_text} called {wanted!r}"
     expected = f"one of {', '.join(camera.name for camera in cameras)}{' by --camera-name' if name is None else ''}"
     path = path if isinstance(path, str | Path) else ", ".join(map(str, path))
     raise InputError(Problem(path, "camera", detail, expected))

@@ -206,7 +206,9 @@ def test_what_is_wrong_is_said(runs, tmp_path):
         prepare(replace(given, keypoints=(gone, runs / "run_cam2.csv")))
     with refusal((gone, "file", "no such file")):
         prepare(replace(given, keypoints=(gone,)))
-    with refusal((gone, "file", "no such file"), ("scene.json", "camera", "no choice for clip.csv", "--camera-name")):
+    with refusal(
+        (gone, "file", "no such file"), ("scene.json", "camera", "none of them chosen for clip.csv", "--camera-name")
+    ):
         prepare(replace(given, keypoints=(gone, tmp_path / "clip.csv")))
     write_cameras([CAMERA], tmp_path / "one.toml")
     with refusal(("one.toml", "camera", "1 of the 2 cameras", "--camera once for each")):
