@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.arrays import mean, median
@@ -19,6 +18,7 @@ from recon.base.numbers import counted, percent
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings, input_paths
+from recon.base.threads import one_thread
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
@@ -112,7 +112,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, *MORE_TABLES[settings.tables_format]))
         progress("analysis", 0.1)
-        with threadpool_limits(1, user_api="blas"):  # threads cost more than they gain on small matrices
+        with one_thread():
             analysis = analyse(motion, settings.stride)
         if settings.body_mass_kg is not None:
             analysis = replace(analysis, body_mass_kg=settings.body_mass_kg)

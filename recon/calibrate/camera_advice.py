@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body
 from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
+from recon.base.threads import one_thread
 from recon.clip import View, still_view
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -122,7 +122,7 @@ def advise(
         for done, (row, column) in enumerate(np.ndindex(shape)):
             position = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
             candidate = camera_at(replace(lens, name="candidate"), middle, *position, distance)
-            with threadpool_limits(1, user_api="blas"):
+            with one_thread():
                 grid[row, column] = precision_of(body, prior, states, [*fixed_cameras, candidate], target)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
         unit = "rad" if target in body.state_names[4:] else "m"

@@ -13,11 +13,11 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from recon.animal.body import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools, running_median
+from recon.base.threads import one_thread
 from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, SPEEDS, by_effect, finding
 from recon.check.focal import focal_finding
@@ -99,7 +99,7 @@ def input_findings(
     drifting: list[Finding] = []
     elsewhere: list[Finding] = []
     rates: Sequence[Finding] = ()
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         other_pictures = _other_pictures(motion, clip, named)
         if has_learned_prior and not is_explained:
             for number, source in enumerate(motion.sources):

@@ -27,10 +27,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
+from recon.base.threads import one_thread
 from recon.clip import View
 from recon.fit.banded import Normal, eliminated
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
@@ -69,7 +69,7 @@ def correction_gain_m2(
     gain_m2 = np.full(solution.weight.shape, np.nan)
     # One thread as in `solve_trajectory`, because the matrices are small. The squares of points from a damaged file may
     # overflow.
-    with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
+    with one_thread(), np.errstate(over="ignore", invalid="ignore"):
         for rows, segment_clip, problem, estimate in problems_at(clip, solution):
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
             gain_m2[:, rows] = np.where(np.isfinite(segment_gain_m2), segment_gain_m2, np.nan)

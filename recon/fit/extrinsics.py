@@ -24,11 +24,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.progress import Progress, silent
+from recon.base.threads import one_thread
 from recon.clip import View
 from recon.fit import constants
 from recon.fit.banded import eliminated
@@ -122,7 +122,7 @@ def solve_extrinsics(
     turn_rad, shift_m = rough_sigmas if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(clips[0].views))
     sigma[: 6 if posed else 0] = sigma[3:6] = _FIXED
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         if not posed:
             clips = _initial_poses(clips, lambda stage, done: progress(stage, 0.5 * done))
         segments = [(i, segment) for i, clip in enumerate(clips) for segment in solve_segments(clip)]

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body, other_side
 from recon.base.arrays import Array
+from recon.base.threads import one_thread
 from recon.fit.banded import eliminated
 from recon.fit.body_shape import Shape, follows
 from recon.fit.clip_problem import ClipProblem
@@ -124,7 +124,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     expected = shape.expected_precision(clips[0].size_sigma)
     fixed_size_clips = [replace(clip, options=replace(clip.options, size_sigma=FIXED_SIZE_SIGMA)) for clip in clips]
     values, converged, total = np.zeros(len(shape)), False, expected
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         solved = [(clip, segment) for clip in fixed_size_clips for segment in solve_segments(clip)]
         first_clips = [clip for clip, _ in solved]
         if not solved:

@@ -29,12 +29,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from recon.animal.body import MIN_JOINTS, Body
 from recon.animal.prior import NONE, MotionPrior
 from recon.base.arrays import Bools
 from recon.base.progress import Progress, silent
+from recon.base.threads import one_thread
 from recon.clip import BRIDGED_S, View
 from recon.fit import constants
 from recon.fit.body_shape import FreeShape
@@ -113,7 +113,7 @@ def solve_trajectory(
     began = time.perf_counter()
     clip = ClipProblem.from_views(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
     clip = clip.with_free_shape()
-    with threadpool_limits(1, user_api="blas"):
+    with one_thread():
         segments = solve_segments(clip, progress) if start is None else _solve_segments_from(clip, start)
         clip, segments = _with_one_shape(clip, segments)
         solution = solution_of(clip, segments, body, began)

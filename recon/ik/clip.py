@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 import pandas as pd
 from pydantic import Field
-from threadpoolctl import threadpool_limits
 
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.arrays import Array
@@ -20,6 +19,7 @@ from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults
 from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
+from recon.base.threads import one_thread
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.phase import Closure, Portrait, closure
@@ -242,7 +242,7 @@ def run_ik(settings: IkSettings) -> IkRun:
         chain, cost = limb.chain, None if settings.cost is None else cost_of(limb, settings.cost)
         target = STRIDE_MAX if settings.has_no_task and settings.compare else settings.target
         goal = _coordinates(target, chain.dim) if target not in (None, STRIDE_MAX) else None
-        with threadpool_limits(1, user_api="blas"):
+        with one_thread():
             stride, parameters = stride_of(motion, limb, settings.stride), fit_parameters(limb, cost)
             fitted = settings.fitted or settings.online
             series, refitted = None, {}

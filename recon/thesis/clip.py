@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from threadpoolctl import threadpool_limits
-
 from recon.animal.body import Body
 from recon.api.clip_inputs import prepare
 from recon.api.settings import FitSettings
@@ -15,6 +13,7 @@ from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings, input_paths
 from recon.base.tables import write_frame
+from recon.base.threads import one_thread
 from recon.check.verdict import add_verdict
 from recon.clip import views_of
 from recon.fit.motion import Motion
@@ -98,7 +97,7 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[d
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, JACOBIAN))
         progress("problem", 0.1)
-        with threadpool_limits(1, user_api="blas"):  # threads are slower than a single one for small matrices
+        with one_thread():
             record = read_solver(motion, settings.folder, settings.frame)
             summary = record.summary()
         progress("tables", FIGURES_BEGIN - 0.1)
