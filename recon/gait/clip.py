@@ -122,7 +122,7 @@ class ClipAnalysis(Brief):
         pose = self.tracked
         if not self.motion.jitters:
             return pose
-        errors, options = jitter_errors(pose.xyz_m), {"smooth": True, "propagate": False, "oversampling": 1}
+        errors, options = jitter_errors(pose.xyz_m), {"smooth": True, "propagate": (), "oversampling": 1}
         paths = [kinematics.joint_kinematics(pose, name, self.motion.fps, errors, **options) for name in pose.names]
         xyz_m = np.stack([path.series.value for path in paths], axis=1)
         if self.motion.solution.reference_path is not None:

@@ -264,7 +264,7 @@ def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ())
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
     """Return the speed (T,) of a path (T, 3) at its frames, m/s; `smooth` smooths the path according to its jitter."""
     errors = jitter_errors(xyz_m) if smooth else ()
-    return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=False, oversampling=1).speed_m_s
+    return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=(), oversampling=1).speed_m_s
 
 
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:

@@ -36,6 +36,8 @@ from recon.gait.spline import MIN_POINTS, Curve, cubic_spline
 MAX_GAP_S = 0.2
 """Longest time between two known frames over which missing frames are interpolated."""
 OVERSAMPLING = 10
+ORDERS = (0, 1, 2)
+"""Orders of the derivatives: value, rate and acceleration."""
 MIN_SMOOTHING_POINTS = 5
 """Smallest number of values for a smoothing spline."""
 _LOG10_LAM = (-16.0, 8.0)
@@ -107,7 +109,7 @@ def series_kinematics(
     errors: Sequence[Errors] = (),
     *,
     smooth: bool = False,
-    propagate: bool = True,
+    propagate: Sequence[int] = ORDERS,
     oversampling: int = OVERSAMPLING,
     max_gap_s: float = MAX_GAP_S,
 ) -> Series:
@@ -125,8 +127,9 @@ def series_kinematics(
         smoothing.
     smooth : bool
         Smooth the values instead of passing through them.
-    propagate : bool
-        Compute standard deviations. With `smooth`, this needs 8 N T bytes of memory and one spline per value.
+    propagate : sequence of int
+        Orders of the derivatives whose standard deviations are computed, 0 for the values; those of the others are NaN.
+        With `smooth`, each order needs 8 N T bytes of memory, and all of them together one spline per value.
     oversampling : int
         Samples per frame.
     max_gap_s : float
@@ -152,7 +155,8 @@ def series_kinematics(
             lam[k] = _discrepancy_lam(t, values[rows, k], weight[rows, k])
             curves[:, samples, k] = _evaluate(_curve(t, values[rows, k], weight[rows, k], lam[k]), sample_s)
         if len(errors) and propagate:
-            sigmas[:, samples] = _spline_sigmas(t, sample_s, [error[rows] for error in errors], weight[rows], lam)
+            span_errors = [error[rows] for error in errors]
+            sigmas[[*propagate], samples] = _spline_sigmas(t, sample_s, span_errors, weight[rows], lam, propagate)
     return Series(fine_s, *curves, *sigmas, oversampling=oversampling)
 
 
@@ -175,9 +179,9 @@ def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     return make_smoothing_spline(t, x, weight**2, lam)
 
 
-def _evaluate(curve: Curve, time_s: Array) -> Array:
-    """Return value, rate and acceleration of a curve, shape (3, M, ...)."""
-    return np.stack([curve(time_s, order) for order in range(3)])
+def _evaluate(curve: Curve, time_s: Array, orders: Sequence[int] = ORDERS) -> Array:
+    """Return derivatives of a curve, by default value, rate and acceleration, shape (3, M, ...)."""
+    return np.stack([curve(time_s, order) for order in orders])
 
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
@@ -211,8 +215,10 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     return 10.0 ** float(brentq(excess, low, high, xtol=1e-3)) * scale
 
 
-def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: Array, lam: Array) -> Array:
-    """Return standard deviations (3, M, d) of value, rate and acceleration at times (M,) of a span of n values."""
+def _spline_sigmas(
+    t: Array, sample_s: Array, errors: Sequence[Errors], weight: Array, lam: Array, orders: Sequence[int]
+) -> Array:
+    """Return standard deviations (O, M, d) of derivatives of O orders at times (M,) of a span of n values."""
     variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
     # An error that lasts throughout the clip propagates like a value.
@@ -230,10 +236,11 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
         unit, operator = np.eye(len(t[values])), np.empty(0)
         for k in range(len(lam)):
             if smooth or k == 0:  # an exact spline is the same for all dimensions
-                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), sample_s[samples])
+                operator = _evaluate(_curve(t[values], unit, weight[values, k], lam[k]), sample_s[samples], orders)
             for error in errors:
-                variance[:, samples, k] += _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
-    return np.sqrt(variance, out=variance)
+                added = _propagate(operator * error.sigma[values, k], t[values], error.correlation_s)
+                variance[:, samples, k][[*orders]] += added
+    return np.sqrt(variance[[*orders]])
 
 
 def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
@@ -274,7 +281,7 @@ def _windows(t: Array, sample_s: Array) -> Iterator[tuple[slice, slice]]:
 
 
 def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
-    """Return the variances (3, M) of the results of operators (3, M, n) that are already multiplied by sigma (n,)."""
+    """Return the variances (O, M) of the results of operators (O, M, n) that are already multiplied by sigma (n,)."""
     if correlation_s == 0:
         return np.sum(weighted**2, axis=-1)
     return np.maximum(np.sum((weighted @ _correlation(t[:, None] - t, correlation_s)) * weighted, axis=-1), 0.0)

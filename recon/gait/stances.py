@@ -261,7 +261,8 @@ def pose_tracks(
         raise ValueError(f"a gait needs at least {MIN_POINTS} frames, got {len(time_s)}")
 
     def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
-        return series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
+        grid = {"oversampling": OVERSAMPLING, "max_gap_s": MAX_GAP_S}
+        return series_kinematics(time_s, points_m, errors, propagate=(1,), **grid)  # only rates need a deviation
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
         """Return positions, speeds and the speeds' standard deviations of one foot at a time, to limit memory."""

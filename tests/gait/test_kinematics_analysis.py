@@ -17,7 +17,7 @@ from recon.gait.kinematics import (
     sagittal_flexion,
     spine_flexion,
 )
-from recon.gait.series import Errors, _curve, _discrepancy_lam, _evaluate, series_kinematics
+from recon.gait.series import ORDERS, Errors, _curve, _discrepancy_lam, _evaluate, series_kinematics
 from recon.io.common import Pose3D
 from recon.testing.gallop import gallop
 
@@ -122,6 +122,18 @@ def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
     for found, whole in zip((moved.value_sigma, moved.rate_sigma, moved.acceleration_sigma), expected, strict=True):
         assert found is not None
         np.testing.assert_allclose(found[:, 0], whole, rtol=1e-6)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_deviations_of_some_orders_are_those_of_all(smooth):
+    errors = [Errors(np.full((60, 3), 0.01)), Errors(np.full((60, 3), 0.02), 0.1)]
+    every, rates = (
+        series_kinematics(TIME_S, circle(TIME_S), errors, smooth=smooth, propagate=orders) for orders in (ORDERS, (1,))
+    )
+    np.testing.assert_array_equal(rates.rate_sigma, every.rate_sigma)
+    np.testing.assert_array_equal(rates.acceleration, every.acceleration)
+    assert np.isnan([rates.value_sigma, rates.acceleration_sigma]).all()
+    assert np.isfinite([every.value_sigma, every.acceleration_sigma]).all()
 
 
 def test_deviations_of_an_exact_spline_in_numbers():

@@ -27,7 +27,7 @@ def circle(time_s: np.ndarray) -> np.ndarray:
 
 
 def smoothed(time_s: np.ndarray, points_m: np.ndarray) -> JointKinematics:
-    return point_kinematics(time_s, points_m, jitter_errors(points_m), smooth=True, propagate=False)
+    return point_kinematics(time_s, points_m, jitter_errors(points_m), smooth=True, propagate=())
 
 
 def test_accelerated_straight_motion_is_exact():

@@ -37,10 +37,10 @@ def root_path_data(motion: Motion) -> dict[str, Any]:
     """
     jitter, root, time_s = frame_jitter_m(motion.root_m), motion.root_name, motion.time_s
     names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
-    exact = point_kinematics(time_s, motion.root_m, propagate=False)
+    exact = point_kinematics(time_s, motion.root_m, propagate=())
     smoothed = None
     if motion.solution.jitters and np.isfinite(jitter).all():
-        path = point_kinematics(time_s, motion.root_m, jitter_errors(motion.root_m), smooth=True, propagate=False)
+        path = point_kinematics(time_s, motion.root_m, jitter_errors(motion.root_m), smooth=True, propagate=())
         smoothed = {"smoothing_m": jitter, **picked(path, *names)}
     return {
         "joint": root,
