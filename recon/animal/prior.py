@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -182,12 +182,20 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
                 return load_prior(name, body)
     if name_or_path is None or str(name_or_path) == NONE:
         return prior_from_body(body)
+    read = _builtin_prior if str(name_or_path) in builtin_priors() else _read_prior
+    return read(str(name_or_path), body.name, body.state_names[ANGLES])
+
+
+@cache
+def _builtin_prior(name: str, body: str, angles: tuple[str, ...]) -> MotionPrior:
+    """Return a built-in prior, which is read only once because each clip of a batch needs it."""
+    return _read_prior(name, body, angles)
+
+
+def _read_prior(name_or_path: str, body: str, angles: tuple[str, ...]) -> MotionPrior:
+    """Return a prior for the body of this name, with these angles."""
     names = (*builtin_priors(), NONE)
     content, source = documents.named_file(name_or_path, "animal/priors", ".npz", "--prior", "prior", names)
-    return _prior(content, source, body)
-
-
-def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     with documents.damage_as_input_error(source, _EXPECTED, "file"):
         stored = documents.arrays_of(content, f"{documents.KINDS}U")
         text = str(stored.get("about", ""))
@@ -195,14 +203,13 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     if lacking:
         raise InputError([Problem(source, key, "nothing", _EXPECTED) for key in lacking])
     description = documents.validated(_About, documents.parse_json(text, source, _EXPECTED), source)
-    angles = body.state_names[ANGLES]
     if description.angles != [*angles]:
         missing = [name for name in angles if name not in description.angles]
         extra = [name for name in description.angles if name not in angles]
         differing = (("missing", missing), ("of another body", extra))
         details = [f"{len(names)} {kind} ({', '.join(names[:3])})" for kind, names in differing if names]
         detail = f"{len(description.angles)} angles, {' and '.join(details) or 'in another order'}"
-        expected = f"the {len(angles)} angles of {body.name}, in its order"
+        expected = f"the {len(angles)} angles of {body}, in its order"
         raise InputError(Problem(source, "angles", detail, expected))
     raise_problems(
         Problem(source, key, f"an array of {stored[key].dtype}", "floating-point numbers")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -49,6 +50,18 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     InputError
         If a file cannot be used; every problem is listed.
     """
+    if subject is None and str(name_or_path) in builtin_names():
+        return _builtin_skeleton(str(name_or_path))
+    return _read_skeleton(name_or_path, subject)
+
+
+@cache
+def _builtin_skeleton(name: str) -> Body:
+    """Return a built-in skeleton, which is read only once because each clip of a batch needs it."""
+    return _read_skeleton(name, None)
+
+
+def _read_skeleton(name_or_path: str | Path, subject: str | Path | None) -> Body:
     raw, source = read_named(name_or_path)
     if "segments" in raw or not raw.keys() & {"links", "extends"}:
         return _load_body(raw, source, subject)

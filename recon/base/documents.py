@@ -290,6 +290,7 @@ def builtin_file(folder: str, name: str) -> Traversable:
     return resources.files("recon") / folder / name
 
 
+@cache
 def builtin_names(folder: str, ending: str) -> tuple[str, ...]:
     """Return the names, without their ending, of the files in a folder of the package."""
     files = (resources.files("recon") / folder).iterdir()
