@@ -42,7 +42,7 @@ _ByShape = tuple[Array, Array]
 BANDS = 2
 """Largest distance, in frames, between two frames that are coupled."""
 _FRAMES_AT_ONCE = 128
-"""Frames whose terms are evaluated at once: few enough for the processor's cache."""
+"""Number of frames whose terms are evaluated at once: few enough for the processor's cache."""
 _PIECE_S = 5.5
 """Time in seconds beyond which frames hardly influence each other.
 
@@ -50,9 +50,9 @@ Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
-"""Fraction of the smallest decrease that continues a search.
+"""Smallest expected further decrease of the cost for which a step is extended.
 
-A step is extended if the expected further decrease of the cost exceeds this fraction.
+The value is a fraction of the decrease below which a search ends.
 """
 _LONGEST = 4.0
 """Largest factor by which a step is extended."""
@@ -78,7 +78,7 @@ class SharedUnknown:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A minimum, or an intermediate point of the search."""
+    """Values of all unknowns at a minimum, or at an intermediate point of the search, with their cost."""
 
     states: Array
     """(T, D): states of the frames."""
@@ -86,7 +86,7 @@ class Estimate:
     """Half the squared norm of the residuals under the robust loss."""
     iterations: int
     converged: bool
-    """Whether the tolerance was reached."""
+    """Whether the search ended because the cost hardly decreased any more."""
     shared: Mapping[str, Array] = field(default_factory=dict)
     """Values (P,) of the shared unknowns, by name."""
 
@@ -116,10 +116,12 @@ class LeastSquares:
 
     @property
     def ahead(self) -> int | None:
-        """Return the number of frames of the next piece that represent all later ones, None for all: see `eliminated`.
+        """Return the number of frames of the next piece that represent all later frames in `eliminated`.
+
+        None means the whole next piece.
 
         Several cameras determine the position so well that half of `_PIECE_S` changes no variance of a simulated clip
-        of six cameras by more than 1e-13. One camera leaves the distance uncertain, about which all frames inform.
+        of six cameras by more than 1e-13. One camera leaves the distance uncertain, to which all frames contribute.
         """
         is_seen_by_several = sum(isinstance(term, Reprojection) for term in self.terms) > 1
         return self.piece // 2 if is_seen_by_several else None
@@ -135,7 +137,7 @@ class LeastSquares:
         return {unknown.name: unknown.mean for unknown in self.shared}
 
     def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
-        """Return half the squared norm under the robust loss, by the names of terms and shared unknowns."""
+        """Return the cost of each term and of the prior of each shared unknown, by name."""
         shared = self.expected() if shared is None else shared
         costs: dict[str, float] = {}
         for unknown in self.shared:
@@ -154,7 +156,7 @@ class LeastSquares:
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
-        """Return the sum of all squared residuals, of the terms that are not linear only in some of the frames."""
+        """Return the sum of the squared residuals of linear terms in all frames, and of other terms in some rows."""
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
         jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
         for span in self.spans(states, self.expected() if shared is None else shared, jacobian, rows):
@@ -166,11 +168,11 @@ class LeastSquares:
         return total
 
     def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
-        """Return the sum of all costs."""
+        """Return the cost of all terms and of the priors of the shared unknowns."""
         return sum(self.costs(states, shared).values())
 
     def normal(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> Normal:
-        """Return the normal equations at a point, or those of some of the frames with the others known."""
+        """Return the normal equations at given values of the unknowns, for some rows if the other frames are fixed."""
         start, stop, _ = rows.indices(len(states))
         (whole,) = self._pieces(states, shared, [stop], start)
         return whole
@@ -276,7 +278,8 @@ class LeastSquares:
     def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, bool, float]:
         """Return a point of lower cost along a damped step, whether it is the whole step or more, and the next damping.
 
-        The point is None if there is none. The method does not search for decreases below `enough`.
+        The point is None if no damping leads to a lower cost. A step is not extended for a small part of the decrease
+        `enough`.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
@@ -288,7 +291,7 @@ class LeastSquares:
                         next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
                         if share < 1.0:
                             return trial, False, next_damping
-                        # the loss curves less than its model: the cost fell by more than half of the slope
+                        # If the cost fell by more than half the slope, it curves less than its quadratic model.
                         beyond = current.cost - trial.cost + 0.5 * slope
                         if _BEYOND * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
                             length = _best_length(current.cost - trial.cost, slope)
@@ -387,7 +390,7 @@ def _best_length(decrease: float, slope: float) -> float:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums of a piece's normal equations, as in `Normal`."""
+    """Normal equations of a piece, as in `Normal`, to which the terms add their parts in place."""
 
     blocks: Array
     gradient: Array

@@ -143,7 +143,7 @@ class Curvature:
     expected_precision: Array
     """Part of each shared unknown's precision that its own expected spread contributes, shape (1 + P,)."""
     covariance_root: Array
-    """Root of the covariance of the unknowns other than the size, for a given size, shape (P, P)."""
+    """Cholesky factor of the covariance of the unknowns other than the size, for a given size, shape (P, P)."""
     others_by_size: Array
     """Derivatives of the unknowns other than the size with respect to the size, shape (P,)."""
     size_precision: float
@@ -181,7 +181,7 @@ class _SharedCurvature(NamedTuple):
     expected_precision: Array
     """Part of the precision that the expected spreads contribute, shape (P,)."""
     excess_bias_m2: Array | float
-    """See `Curvature.excess_bias_m2`."""
+    """Variance of the common keypoint bias minus its expected variance, as in `Curvature`."""
 
 
 def curvature(
@@ -351,10 +351,10 @@ def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
 
 @dataclass(frozen=True)
 class _EquationsByNoise:
-    """Normal equations of a short clip, which give those for any other noise of the detections."""
+    """Normal equations of a short clip, from which those for any other noise of the detections follow."""
 
     whole: Normal | None
-    """The normal equations; None for a long clip, whose normal equations are too large."""
+    """Normal equations of all terms; None for a long clip, whose normal equations are too large."""
     undetected: Normal | None
     """Normal equations of all terms except the detections."""
 
@@ -369,7 +369,10 @@ class _EquationsByNoise:
         return cls(problem.normal(estimate.states, shared), undetected.normal(estimate.states, shared))
 
     def normal(self, factor: float) -> Normal | None:
-        """Return the normal equations with the variance of all detections multiplied by a factor."""
+        """Return the normal equations with the variance of all detections multiplied by a factor.
+
+        None stands for those of a long clip.
+        """
         whole, undetected = self.whole, self.undetected
         if whole is None or undetected is None:
             return None
@@ -443,7 +446,7 @@ def posterior(
 
 
 def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
-    """Add the uncertainty of the shared unknowns other than the size, in place: Y S^-1 Y'."""
+    """Add the covariance Y S^-1 Y' due to the shared unknowns other than the size to that of the states, in place."""
     for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         lasting = _times_root(by_others[rows], root)
@@ -459,11 +462,11 @@ def _add_shape(
     by_others: Array,
     size: float,
 ) -> None:
-    """Add the uncertainty of the shared unknowns other than the size to the joints, which lengths also move directly.
+    """Add the uncertainty of the shared unknowns other than the size to the joints, if lengths are among them.
 
     `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives (n, J, 3) with respect to the
-    size. These and the covariance of the states change in place. A joint moves by X (3, D + L) with states and lengths,
-    which together have the covariance V (D + L, D + L): the covariance of the joint is X V X'.
+    size. These and the covariance of the states change in place. Let X (3, D + L) be the derivatives of a joint with
+    respect to states and lengths, and V (D + L, D + L) the covariance of both. The joint's covariance is X V X'.
     """
     absolute, relative, by_size = joints
     shape, root_of_lengths = Shape.of_body(body), at_minimum.covariance_root[at_minimum.lengths]
@@ -512,7 +515,7 @@ def _without_pixels(
 def _shared_sigma(
     problem: LeastSquares, at_minimum: Curvature, is_measured: bool, variance_factor: float
 ) -> dict[str, Array]:
-    """Return the standard deviations (P,) of the shared unknowns: see `Posterior.shared_sigma`.
+    """Return the standard deviations (P,) of the shared unknowns, by name, as in `Posterior.shared_sigma`.
 
     `is_measured` is true if the animal's lengths were measured. If not, the expected spread of lengths is at least
     `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the fit assumed.
@@ -592,7 +595,7 @@ def _relative_variances(body: Body, states: Array, state_covariance: Array) -> A
 
 
 def _times_root(by_others: Array, root: Array) -> Array:
-    """Return derivatives (n, D, P) with respect to shared unknowns times their covariance's lower root (P, P)."""
+    """Return derivatives (n, D, P) with respect to shared unknowns times their covariance's Cholesky factor (P, P)."""
     n, D, P = by_others.shape
     transposed = np.array(by_others, order="C").reshape(n * D, P).T  # a copy, which is overwritten
     return dtrmm(1.0, root.T, transposed, overwrite_b=1).T.reshape(n, D, P)  # half the work of a full product
@@ -606,7 +609,7 @@ def _times(by_states: Array, state_covariance: Array) -> Array:
 
 @dataclass(frozen=True)
 class PriorMisfit:
-    """Misfit of a prior."""
+    """Deviation of a motion from its prior, compared with the deviation expected if the prior fits."""
 
     level: float
     """Sum of the squared residuals relative to its expectation under a prior that fits; about 1 if the prior fits."""
@@ -641,9 +644,9 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 DEGREES_OF_FREEDOM = 7.0
 """Degrees of freedom nu that are most likely for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
 _RADII = {0.05: 0.05492551177905092, 0.9: 1.6012111690094373, 0.95: 1.9984722470678757}
-"""Radii of one dimension by their level, which each fit needs, because scipy.special takes 30 ms to import."""
+"""Radii in one dimension by their level, stored because every fit needs them and scipy.special is slow to import."""
 _ROUNDING_M2 = 1e-12
-"""Amount added to variances: the covariance of a pose relative to its own middle may be singular to rounding."""
+"""Variance, m^2, added to covariances because that of a pose relative to its own middle may be singular."""
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
