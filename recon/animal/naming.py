@@ -124,7 +124,7 @@ def load_names(name_or_path: str | Path) -> NameMap:
 def _cells(line: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for row in csv.reader([line], delimiter=delimiter) for cell in row]
-    except csv.Error:  # a cell of more than 128 kB
+    except csv.Error:  # a cell is larger than the csv module accepts, 128 kB
         return []
 
 

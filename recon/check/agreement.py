@@ -41,7 +41,10 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding
 
 MAX_ERROR_RATIO = 1.6
-"""Largest error ratio at which a camera agrees; larger if the other cameras are noisier than expected."""
+"""Largest error ratio at which a camera agrees with the others.
+
+The limit is raised if the other cameras are noisier than expected.
+"""
 MAX_NOISE_FACTOR = 2.0
 """Largest factor on the expected errors that is attributed to noise of the detector."""
 MAX_NOISE_FACTOR_OF_TWO = 1.1
@@ -51,7 +54,7 @@ The error ratios of 68 real pairs of cameras are up to 1.5. Two cameras show a r
 line between them.
 """
 EXPLAINED = 0.25
-"""Fraction of a camera's error ratio; a cause that reduces the error ratio to this fraction or less explains it."""
+"""Largest fraction of a camera's error ratio that is left when a cause that explains the error is undone."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
 """Rotation from which a camera that agrees is still reported, if its error ratio decreases by `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0

@@ -72,7 +72,7 @@ class AuditedPoints(Brief):
 
     @cached_property
     def known(self) -> Bools:
-        """Return a mask of the known points, (T, K)."""
+        """Return a mask (T, K) of the frames in which each point is known."""
         return np.asarray(np.isfinite(self.positions).all(axis=2))
 
     @cached_property

@@ -35,18 +35,19 @@ LONGER = (0.2, 0.4)
 USUAL = -0.12
 """Mean of the logarithms of the estimated factors in correct views."""
 SPREAD = 0.15
-"""Smallest standard deviation of the logarithms of the estimated factors."""
+"""Standard deviation of the logarithms of the estimated factors in correct views, apart from errors of detections."""
 POSSIBLE = 0.65
 """Deviation, in standard deviations, beyond which another focal length is possible.
 
-If the limit is chosen on the other runs, 6 of 28 correct views are beyond it, 15 of 23 views of 1.5 times the focal
-length, 18 of 25 of 0.7 times, and 15 of 26 that are letterboxed (`benchmarks/parts/one_step_limits.py --views 1`).
+If the limit is chosen on the other runs, it is exceeded in 6 of 28 correct views, in 15 of 23 views with 1.5 times the
+focal length, in 18 of 25 with 0.7 times, and in 15 of 26 that are letterboxed (`benchmarks/parts/one_step_limits.py
+--views 1`).
 """
 LIKELY = 1.6
-"""Deviation beyond which another focal length is likely.
+"""Deviation, in standard deviations, beyond which another focal length is likely.
 
-Correct views are from -1.2 to 0.9, views of 1.5 times the focal length from -2.2 to 0.2 and of 0.7 times from -1.4 to
-2.2. Some correct clips that are short or partly hidden are at 1.5.
+The deviation is -1.2 to 0.9 in correct views, -2.2 to 0.2 in views with 1.5 times the focal length, and -1.4 to 2.2
+with 0.7 times. It reaches 1.5 in some correct clips that are short or partly hidden.
 """
 SEEN = 0.25
 """Fraction of the frames in which each foot must be detected, because size and distance are uncertain without legs."""

@@ -118,7 +118,7 @@ def input_findings(
         if _feet_glide(moves) or not (is_explained or other_pictures):
             rates = _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
     if other_pictures or _has_error(rates):
-        moves = []  # impossible motions follow from the other fault
+        moves = []  # the impossible motion may be a consequence of a fault found above
     return (*copied, *exchanged, *other_pictures.values(), *elsewhere, *drifting, *rates, *moves)
 
 
@@ -283,7 +283,7 @@ benchmarks/wrong_inputs.py --only input-limits`).
 AROUND = 7
 """Number of successive steps of a keypoint whose median is the usual step."""
 LEAST_STEP_PX = 5.0
-"""Smallest length of a usual step, in pixels, with which others are compared."""
+"""Shortest usual step, in pixels, with which other steps are compared."""
 LEAST_STEPS = 20
 """Smallest number of steps from which the ratios are computed."""
 

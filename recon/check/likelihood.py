@@ -44,7 +44,7 @@ CLEAR = float(np.log(1000.0))
 MARGIN = 25.0
 """Log-likelihood gain above which a swap or a zoom is reported.
 
-This value and the next were chosen on real clips (docs/benchmarks.md, left-right swaps) and allow for errors of the
+This value and `SURE` were chosen on real clips (docs/benchmarks.md, left-right swaps) and allow for errors of the
 model.
 """
 SURE = 30.0
@@ -54,7 +54,7 @@ This gain is required of a swap over a swap that contradicts it, of a whole clip
 given, and of another frame rate over the given rate.
 """
 OWN_SHARE = 0.4
-"""Fraction of the information of a limb's keypoints that is independent.
+"""Weight of a keypoint's log-density, below 1 because the keypoints of one limb have similar errors.
 
 The value was chosen on real clips (docs/benchmarks.md).
 """
@@ -97,7 +97,7 @@ class Refit:
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
         costs = clip.problem(noise_px, 1.0).costs(states)
         reprojection, independent, ground_cost = costs["reprojection"], sum(costs.values()), 0.0
-        if clip.ground_known and len(clip.feet):  # feet that never touch the ground count as well
+        if clip.ground_known and len(clip.feet):  # the cost includes feet that never touch the ground
             ground_cost = 0.5 * sigmas_above_ground(clip, clip.markers(states)) ** 2
         return cls(
             states, _view_negative_log_density(clip, states) + ground_cost + independent - reprojection, independent
@@ -148,7 +148,7 @@ def negative_log_density(view: View, projected: Array, sigma_px: Array, correlat
 
 
 def log_tail(residual: Array) -> Array:
-    """Return the negative log-density of errors (T, J, 2) in sigmas, (T, J); 0 where a point is missing."""
+    """Return the negative log-density (T, J) of errors (T, J, 2) in standard deviations; 0 where a point is missing."""
     return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(residual**2, axis=-1)) / TAILS)
 
 
@@ -627,7 +627,7 @@ def frame_rate_finding(
 
 
 def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
-    """Return the mean difference between two motions, m: of the poses about their mean point, and of the mean point."""
+    """Return the mean difference, m, of two motions in the pose about its mean point, and in the mean point."""
     apart_m = clip.markers(states) - clip.markers(other_states)
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))

@@ -254,7 +254,7 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
     value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
     numbers: dict[str, float | str] = {"acceleration_m_s2": -mean, "sigma_m_s2": sigma, "given_hz": points.fps}
     advice = "Check --fps and --unit."
-    if -mean > SIGMAS * sigma:  # otherwise the flight does not show the rate
+    if -mean > SIGMAS * sigma:  # otherwise the acceleration is too uncertain to suggest a frame rate
         numbers["other_hz"] = points.fps * float(np.sqrt(GRAVITY_M_S2 / -mean))
         advice = f"About {numbers['other_hz']:.0f} frames per second, not {points.fps:g}, would give 9.8 m/s²."
     numbers["advice"] = advice

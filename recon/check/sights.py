@@ -141,7 +141,7 @@ def meeting_points(sights: Sequence[Sight]) -> Points:
 
 
 def squared_errors(sight: Sight, points: Points) -> tuple[Array, Array]:
-    """Return unit vectors (T, J, 3) towards the points, and squared errors of the rays in sigmas (T, J)."""
+    """Return unit vectors (T, J, 3) towards the points, and squared errors (T, J) of the rays in units of variance."""
     position_m, covariance_m2 = points
     offset_m = position_m - sight.centre_m[:, None]
     distance = np.linalg.norm(offset_m, axis=-1, keepdims=True)
@@ -203,7 +203,7 @@ def error_ratios(sights: Sequence[Sight], agreeing: Sequence[int], points_of: Po
 
 
 def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
-    """Return the directions after the rotation that brings a camera's rays nearest to the points, and its angle."""
+    """Return the directions after the rotation that brings the rays nearest to the points, and the angle, rad."""
     towards, _ = squared_errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     is_known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
@@ -236,7 +236,7 @@ def best_shifted(sight: Sight, points: Points, fps: float, wide: bool) -> tuple[
 
 
 def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[float, float]:
-    """Estimate the drift of a camera's clock from rays alone: frames over the clip, and its standard deviation.
+    """Estimate the drift of a camera's clock over the clip from rays alone, in frames, and its standard deviation.
 
     The drift that best moves the camera's rays into the epipolar planes of the other cameras' rays is estimated
     together with a time offset and a constant angle. The animal's lengths, which are wrong in a rough skeleton, are not

@@ -20,7 +20,7 @@ from recon.fit.terms import focal_scale
 USUAL = 0.05
 """Mean of the estimates in pictures that are not stretched."""
 SPREAD = 0.04
-"""Smallest standard deviation of the estimates in pictures that are not stretched."""
+"""Standard deviation of the estimates in unstretched pictures, apart from the errors of the detections."""
 SIGMA_SHARE = 0.5
 """Factor on the posterior's standard deviation, which is twice the spread of the estimates."""
 LIMITS = -1.6, 3.3

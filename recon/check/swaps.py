@@ -169,7 +169,7 @@ def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
 
 
 def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
-    """Return the stretches for which tracks and appearance give the most evidence."""
+    """Return the stretches in which tracks and appearance give the most evidence of a swap."""
     if not np.isfinite(baseline.states).any():
         return []
     T, evidence = len(baseline.states), _evidence(baseline, kinds)

@@ -27,7 +27,7 @@ _COMPARED = 0.3
 _OFFSET_ROUNDS = 3
 """Largest number of rounds over the cameras in the search for time offsets."""
 FIT_ROUNDS = 5
-"""Largest number of solutions in the search for time offsets."""
+"""Largest number of fits in the search for time offsets."""
 CLOSE_FRAMES = 0.05
 """Largest time offset, in frames, that is left to the solver, which treats the motion as straight over this time."""
 MAX_SIGMA_FRAMES = 1.0

@@ -52,13 +52,13 @@ JUMP_SPREADS = 10.0
 JUMP_FRAMES = 2
 """Longest jump, in frames."""
 GAP_FRAMES = 3
-"""Largest gap, in frames, over which sides are followed."""
+"""Largest distance, in frames, between two known side vectors that are compared across a gap."""
 CAP = 6.0
 """Largest log-likelihood gain of one pair of points at a swap."""
 SIDE_STEP = 0.02
 """Smallest standard deviation of a side vector's change per frame, relative to the animal's size."""
 LEAST_PAIRS = 2
-"""Smallest number of point pairs that show a swap together."""
+"""Smallest number of point pairs that must show a swap at the same time."""
 PX_OF_EXTENT = 1000.0
 """Size in pixels to which 3D points are scaled for limits in pixels."""
 STEP_PX = 2.0
@@ -247,7 +247,7 @@ def jumps_of(points: AuditedPoints) -> Array:
 
 
 def _path(positions: Array) -> Array:
-    """Return the path (T, C) of the animal, by the median step of its points (T, K, C)."""
+    """Return the path (T, C) of the animal, which adds up the median steps of its points (T, K, C)."""
     path = np.zeros((len(positions), positions.shape[2]))
     steps = np.diff(positions, axis=0)
     is_known = np.asarray(np.isfinite(steps).all(axis=2)).any(axis=1)
@@ -429,7 +429,7 @@ def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def mean_of_known(values: Array) -> Array:
-    """Return the mean (T, C) of known points (T, N, C), NaN without any."""
+    """Return the mean position (T, C) of the known points among (T, N, C); NaN if none is known."""
     known = np.asarray(np.isfinite(values).all(axis=2))
     total = np.where(known[..., None], values, 0.0).sum(axis=1)
     count = known.sum(axis=1)[:, None]
@@ -437,5 +437,5 @@ def mean_of_known(values: Array) -> Array:
 
 
 def _longest(rows: Bools) -> tuple[int, int]:
-    """Return the longest run of rows, as the first row and the one after the last."""
+    """Return the longest run of true rows, as its first row and the one after its last."""
     return max(frame_ranges(np.flatnonzero(rows)), key=lambda run: run[1] - run[0])

@@ -85,12 +85,12 @@ class Evidence:
     trunk_m: float
     """Length of the trunk."""
     posterior_m: float
-    """Mean distance of the joints expected by the posterior, both poses centred, at the estimated size.
+    """Mean distance of the joints expected by the posterior, both poses centred, without the error of the size.
 
-    The size moves all joints together, and animals are as large as expected more often than stated.
+    The error of the size moves all joints together, and is usually smaller than stated.
     """
     misfit: float
-    """Prior misfit, the scale of the variances that the prior should have had; 1 without a prior."""
+    """Prior misfit: the factor by which the prior's variances are too small; 1 without a prior."""
     distance_m: float
     """Distance from the nearest camera."""
     end_on: float
@@ -105,7 +105,7 @@ class Evidence:
 
     @property
     def factors(self) -> dict[str, float]:
-        """Return the logarithms of the quantities whose powers make the error relative to the trunk."""
+        """Return the logarithms of the factors of the relative error, to which `POWERS` are applied, by name."""
         return {
             "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),
@@ -121,7 +121,7 @@ def evidence_of(motion: Motion) -> Evidence:
     frames = _frame_evidence(motion)
     is_trajectory = isinstance(solution, TrajectorySolution)
     has_learned_prior = is_trajectory and solution.prior != NONE
-    # The covariances of a trajectory contain the focal length.
+    # The covariances of a trajectory already include the uncertainty of the focal length.
     focal_sigma = 0.0 if is_trajectory else focal_sigma_of(motion.settings, len(motion.sources)) or 0.0
     distance_m = float(frames.distances_m.mean(axis=1).min())
     return Evidence(
@@ -221,7 +221,7 @@ def add_verdict(motion: Motion) -> Motion:
 
 def _verdict(motion: Motion) -> Verdict:
     if errors := [finding for finding in motion.findings if finding.severity == "error"]:
-        # expected errors do not hold for data of another animal, camera or time
+        # expected errors do not apply to data that may belong to another animal, camera or time
         return Verdict("do not use", _sentence_of(motion, errors[0]))
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
@@ -287,14 +287,14 @@ def _widened(error: ExpectedError, effect: tuple[float, str], unit_m: float = 1.
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
-    """Return the level from the expected error, and from whether there are errors and warnings among the findings."""
+    """Return the verdict's level, given the expected error and whether there are errors and warnings."""
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
 
 
 class _UnusableClip(Problem):
-    """Problem of a clip whose verdict forbids its use, with a message of its own."""
+    """Problem with a clip whose verdict forbids its use; the message tells how to use the clip anyway."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")

@@ -331,7 +331,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     factor = np.exp(FOOT * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
     pair_sum = np.stack([factor[:, is_fore == pair].sum(axis=1) for pair in is_fore], axis=1)
-    # The impulse of a pair is divided between its feet.
+    # The feet of a pair share the pair's impulse in proportion to random factors.
     share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / pair_sum
     stride_s, stride_sigma_s = np.array([gait.stride_time(s.start_s, s.end_s) for s in stances]).reshape(count, 2).T
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)

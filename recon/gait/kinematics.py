@@ -1,4 +1,4 @@
-"""Compute the velocities and accelerations of joints, and joint angles with their rates, with standard deviations.
+"""Compute the velocities and accelerations of joints, joint angles and their rates, each with standard deviations.
 
 All derivatives are those of splines through the values of the frames (`recon.gait.series`).
 """

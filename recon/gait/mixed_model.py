@@ -193,7 +193,10 @@ def _grouped(single: Sequence[_Block]) -> list[_Block]:
 
 
 def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float]:
-    """Return effects (P,), their covariance (P, P) and -2 times the restricted log-likelihood for sigmas (3,)."""
+    """Return effects (P,), their covariance (P, P) and -2 times the restricted log-likelihood.
+
+    `sigmas` (3,) are the standard deviations between animals, runs and strides.
+    """
     animal, run, stride = sigmas**2
     columns = blocks[0].columns.shape[-1] // blocks[0].animals
     moments, log_determinant = np.zeros((columns, columns)), 0.0

@@ -179,7 +179,7 @@ class FieldMeans(NamedTuple):
 
 
 def means_of_field(field: LinkField) -> FieldMeans:
-    """Return the means of a link's vector field."""
+    """Return the means of a link's vector field over the frames in which the field is known."""
     space = np.linalg.norm(field.velocity_m_s, axis=1)
     values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
     is_known = np.isfinite(values).all(axis=0)

@@ -58,7 +58,7 @@ _MARGIN = 40
 The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to 1e-23 over the margin.
 """
 _REACH = 20
-"""Number of evenly spaced frames on either side of a sample that affect it, away from the ends, down to 1e-11."""
+"""Number of evenly spaced frames on either side of a sample, away from the ends, that affect it by more than 1e-11."""
 _LEAST_PRODUCT = 1e-11
 """Product of two influences, relative to the largest, below which the product is neglected."""
 _AT_ONCE = 1000
