@@ -80,11 +80,11 @@ class Armature:
     """Names of the J joints, which are those of the keypoints."""
     joint_bones: tuple[int, ...]
     joint_offsets_m: Array
-    """(J, 3): joints in their bones' frames."""
+    """(J, 3): positions of the joints in their bones' frames."""
     capsules: tuple[Capsule, ...]
     """Capsules of the bones, in the segments' frames, where z is up."""
     root_m: Array
-    """(T, 3): origin of the first bone."""
+    """(T, 3): positions of the first bone's origin."""
     pose: Pose3D
     """Positions of the joints in the T frames, z up."""
     fps: float

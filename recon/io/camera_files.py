@@ -4,15 +4,15 @@ Layouts of further programs are in `recon.io.lab_cameras`.
 
 - OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
   spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is the stated one (`LENS_KEYS`,
-  `fisheye: 1`), else radial-tangential. A pose is optional (`R`, `T`; `rotation`, `translation`; `rvec`, `tvec`; world
-  to camera). z is known to point up only if the file has `world_z_up: 1`.
-- AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
-  lenses, world to camera, metres, world z up.
-- Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
-  the file does not name: metres are assumed here, and `camera_unit` of a fit's settings states another unit. The board
-  defines the world, so z need not point up.
-- OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: by name, focal lengths and centres as fractions of
-  the picture's longer side. They have no poses, which are in tracks (`recon.io.camera_track`).
+  `fisheye: 1`), otherwise radial-tangential. A pose from world to camera is optional (`R`, `T`; `rotation`,
+  `translation`; `rvec`, `tvec`). z is known to point up only if the file has `world_z_up: 1`.
+- AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Lenses are
+  fisheye lenses, and poses are from world to camera, in metres with z up.
+- Anipose and Pose2Sim TOML: one table per camera. Poses are from world to camera in the length unit of the calibration
+  board, which the file does not name. Metres are assumed here, and `camera_unit` of a fit's settings states another
+  unit. The board defines the world, so z need not point up.
+- OpenDroneMap's `cameras.json` and OpenSfM's `camera_models.json`: a table per camera, by name, with focal lengths and
+  centres as fractions of the picture's longer side. Poses are in tracks (`recon.io.camera_track`).
 """
 
 from __future__ import annotations

@@ -398,7 +398,7 @@ Rows = Iterable[tuple[int, list[str]]]
 
 
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=(.)"?[\s,;]*', re.IGNORECASE)
-"""First line that states the separator for Excel."""
+"""Pattern of a table's first line that states the separator for Excel."""
 _BELOW_ONE = re.compile(r"\s*-?0,[0-9]+\s*")
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?\s*")
 

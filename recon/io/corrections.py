@@ -165,7 +165,7 @@ def with_corrections(
 def _problems(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> Iterable[Problem]:
-    """Yield one problem for each kind of missing name or frame."""
+    """Yield a problem for each way in which corrections do not belong to the keypoint files."""
     unknown_cameras = {row.camera for row in corrections} - {"", *cameras}
     if unknown_cameras:
         yield Problem(source, "camera", ", ".join(sorted(unknown_cameras))[:100], f"one of {', '.join(cameras)}")

@@ -28,13 +28,13 @@ from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, one_animal, starts_with
 
 MAX_BYTES = 1 << 28
-"""Largest size of a file, bytes."""
+"""Largest size of a MATLAB file that is read, bytes."""
 MAX_UNPACKED = 1 << 28
-"""Largest size of the unpacked elements of a file, bytes."""
+"""Largest size of the unpacked elements of a MATLAB file, bytes."""
 MAX_DEPTH = 12
 """Largest depth of cells and structures nested in each other."""
 MAX_ITEMS = 100_000
-"""Largest number of elements in a file."""
+"""Largest number of elements in a MATLAB file."""
 _MATRIX, _COMPRESSED = 14, 15
 """Type numbers of an array and of a compressed element in MATLAB's format."""
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}

@@ -31,7 +31,7 @@ MAX_RATIO = 1100
 USUAL_RATIO = 100
 """Ratio up to which a dataset may take four times `MAX_UNPACKED`, because tracks of many animals are mostly empty."""
 FILTERS = (1, 2, 3, 32000)
-"""gzip, shuffle, Fletcher's checksum, LZF: the filters of every h5py, with robust decoders."""
+"""Numbers of the HDF5 filters that every h5py has with robust decoders: gzip, shuffle, Fletcher's checksum, LZF."""
 MAX_ATTRIBUTE_BYTES = 1 << 24
 MAX_TEXTS = 100_000
 MAX_DEPTH = 12

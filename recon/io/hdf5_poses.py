@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 PANDAS_KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"
-"""Stated version of pandas; pandas 2 and 3 read it the same way."""
+"""Version of pandas that recon's H5 files state, so that pandas 2 and 3 read them in the same way."""
 
 Label = tuple[str, ...]
 _Table = tuple[Sequence[str | None], list[Label], list[Label], np.ndarray]
@@ -61,7 +61,7 @@ def recognises_deeplabcut(path: Path) -> bool:
 
 
 def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal (see `recon.io.deeplabcut.points_of_table`).
+    """Return the points of one animal in DeepLabCut's H5 file (see `recon.io.deeplabcut.points_of_table`).
 
     Raises InputError, also for several tables, and for cells or labels that are pickled Python objects.
     """
@@ -175,7 +175,7 @@ def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write x, y and likelihood, or x, y and z in metres with z up, with pandas, as DeepLabCut does."""
+    """Write DeepLabCut's H5 of keypoints (x, y, likelihood), or of 3D points (x, y, z in metres with z up)."""
     import pandas as pd
 
     with writing.formats_extra("DeepLabCut H5"):
@@ -370,7 +370,7 @@ def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[
 
 
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write keypoints as x and y in pixels, or 3D points as x, y and z in metres with z up.
+    """Write movement's netCDF of keypoints (x, y in pixels), or of 3D points (x, y, z in metres with z up).
 
     The format requires a confidence, which is NaN for 3D points.
     """
@@ -504,7 +504,7 @@ def _series(path: Path, group: h5py.Group) -> _Series:
 
 
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write NWB of points in pixels or in metres with z up, with pairs of linked joints as the skeleton's edges.
+    """Write an NWB file of points, in pixels or in metres with z up, and of the skeleton's edges.
 
     Raises InputError without a frame rate, or for names that NWB cannot hold.
     """

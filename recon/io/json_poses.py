@@ -67,8 +67,8 @@ def _points(
 ) -> StoredPoints:
     """Return the points of one animal in all frames from its detections in a JSON file of any format.
 
-    `named` states whether the only animal of a file has a name. Raises InputError if detections do not
-    match the names, or if an animal appears twice in a frame.
+    `named` states whether the only animal of a file has a name. Raises InputError if detections do not match
+    the names, or if an animal appears twice in a frame.
     """
     animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
     chosen = animals[common.choose(path, animals, individual)]
@@ -121,7 +121,7 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[str, ...]:
-    """Return the keypoints of the only category that is used."""
+    """Return the names of the keypoints in the only category that annotations use."""
     used = {a.get("category_id") for a in people}
     with_points = [c for c in categories if c.get("keypoints") and (c.get("id") in used or len(categories) == 1)]
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}

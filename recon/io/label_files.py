@@ -70,7 +70,7 @@ class LabelledFrames:
 
     @property
     def file_names(self) -> list[str]:
-        """Return the names of all files except the pictures."""
+        """Return the names of all files to write except the pictures."""
         return [f"{self.table}.csv", f"{self.table}.h5", COCO, ORIGINS]
 
 

@@ -62,7 +62,7 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def write_trc(pose: Pose3D, path: Path) -> None:
-    """Write a trial in metres with x forwards, y up and z to the right, as OpenSim reads it; gaps are empty cells.
+    """Write a TRC file in metres with x forwards, y up and z to the right, as OpenSim reads it; gaps are empty cells.
 
     Raises InputError without a frame rate, or for names with tabs or line breaks.
     """
@@ -213,7 +213,7 @@ def _text(data: bytes) -> str:
 
 
 def write_c3d(pose: Pose3D, path: Path) -> None:
-    """Write a trial in millimetres, with z up.
+    """Write a C3D file in millimetres, with z up.
 
     Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D cannot hold.
     """

@@ -77,7 +77,7 @@ def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
 
 
 def required_fps(fps: float | None, title: str) -> float:
-    """Return the frame rate; raise InputError without one."""
+    """Return the frame rate that a format requires; raise InputError if it is not known."""
     if fps is None:
         detail = "no frame rate, neither given nor in the input"
         raise InputError(Problem("--fps", "fps", detail, f"frames per second, such as 90, which {title} requires"))

@@ -12,7 +12,7 @@ from recon.base.numbers import rough_length
 from recon.check.codes import EFFECTS, WITHOUT_FAULT
 
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
-"""Style of each level of a verdict."""
+"""Style in which rich prints each level of a verdict."""
 TO_DO = {
     "check": (
         "Look at the poses on the video (recon overlay) before use. Reason and warnings state what may be wrong."

@@ -155,7 +155,8 @@ class Overlay:
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
     """Return horizontal unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
 
-    A frame without a direction gets the direction of the last frame that has one, or the x axis if no frame has one.
+    A frame without a direction gets that of the last earlier frame that has one, otherwise that of the first later
+    frame. If no frame has a direction, all get the x axis.
     """
     import pandas as pd  # slow to import
 
@@ -166,10 +167,10 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 
 
 def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
-    """Yield frame number, row among the frames, time stamp (s) and picture for each frame of a clip.
+    """Yield the frame number, the row, the time stamp (s) and the picture of each frame of a clip.
 
-    The row is None for a frame that is not in the clip. The last item is the frame after the clip, if the video has
-    one.
+    The row is the index in `frames`, None for a frame that is not in the clip. The last item is the frame after the
+    clip, if the video has one.
 
     Parameters
     ----------

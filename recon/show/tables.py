@@ -27,7 +27,7 @@ from recon.gait.stances import interval_of
 from recon.io.writing import write_columns, write_rows, write_table
 
 WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"
-"""Files of `recon.show.workbook`."""
+"""Names of the files that `recon.show.workbook` writes."""
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
 ANGLE, PIXEL, SHARE, LENGTH = 5, 2, 3, 7
 """Decimals of angles in rad, pixels, fractions from 0 to 1, and an animal's lengths in metres, in tables of a fit.

@@ -190,7 +190,7 @@ def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
 
 
 def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
-    """Return the rotation (3, 3) of the mean motion to +x, and the point (3,), at height 0, that becomes the origin."""
+    """Return the rotation (3, 3) that turns the mean motion to +x, and the origin (3,), a point at height 0."""
     first, last = joints_m[rows[0]], joints_m[rows[-1]]
     origin = np.append(np.nanmean(first[:, :2], axis=0), 0.0)
     moved_m = (last - first)[np.isfinite(last - first).all(axis=1), :2]
@@ -282,7 +282,7 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
-"""Coordinates to the right and upwards in each view, with x forwards, y left, z up.
+"""Indices of the coordinates to the right and upwards in each view, with x forwards, y left, z up.
 
 The animal faces right in the side and top views, and faces the reader in the front view.
 """
