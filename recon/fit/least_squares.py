@@ -48,6 +48,8 @@ _PIECE_S = 5.5
 
 Solving in pieces changes the states by 1e-6 at most.
 """
+_KEPT = 1 << 24
+"""Largest number of values in the normal equations of a long clip that are kept for a further use: 128 MB."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
 """Smallest expected further decrease of the cost for which a step is extended.
@@ -180,13 +182,15 @@ class LeastSquares:
     def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Callable[[], Iterable[Normal]]:
         """Return a function that gives the normal equations in pieces.
 
-        The pieces are computed again at each call, unless the clip is short.
+        The pieces are computed again at each call if they need much memory.
         """
-        T = len(states)
-        if 2 * self.piece < T:
-            return lambda: self._pieces(states, shared, [*range(self.piece, T - self.piece, self.piece), T])
-        whole = [self.normal(states, shared)]
-        return lambda: whole
+        T, D = states.shape
+        stops = [*range(self.piece, T - self.piece, self.piece), T]
+        P = sum(len(unknown.mean) for unknown in self.shared)
+        if len(stops) > 1 and T * D * ((BANDS + 1) * D + P) > _KEPT:
+            return lambda: self._pieces(states, shared, stops)
+        pieces = [*self._pieces(states, shared, stops)]
+        return lambda: pieces
 
     def _pieces(
         self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int], start: int = 0
