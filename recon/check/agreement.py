@@ -48,10 +48,10 @@ The limit is raised if the other cameras are noisier than expected.
 MAX_NOISE_FACTOR = 2.0
 """Largest factor on the expected errors that is attributed to noise of the detector."""
 MAX_NOISE_FACTOR_OF_TWO = 1.1
-"""Largest factor for two cameras, without a third camera to show that the errors are noise.
+"""Largest factor on the expected errors of only two cameras that is attributed to noise of the detector.
 
-The error ratios of 68 real pairs of cameras are up to 1.5. Two cameras show a rotation of one of them only across the
-line between them.
+There is no third camera to show that the errors are noise. The error ratios of 68 real pairs of cameras are up to 1.5.
+Two cameras show a rotation of one of them only across the line between them.
 """
 EXPLAINED = 0.25
 """Largest fraction of a camera's error ratio that is left when a cause that explains the error is undone."""

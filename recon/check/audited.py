@@ -98,7 +98,7 @@ class AuditedPoints(Brief):
         return np.array([bool(_STANDING.search(name)) or not _WORD.search(name) for name in self.names])
 
     def named(self, indices: Sequence[int] | Index) -> tuple[str, ...]:
-        """Return the names of some points."""
+        """Return the names of the points with the given indices."""
         return tuple(self.names[int(i)] for i in indices)
 
 

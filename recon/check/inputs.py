@@ -237,7 +237,7 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
 SHARE = 0.2
 """Smallest fraction of identical coordinates that is not chance; hand labels in whole pixels have some."""
 FRAMES = 0.05
-"""Smallest relevant fraction of a clip's frames that repeat the frame before; cameras sometimes repeat a few frames."""
+"""Largest fraction of repeated frames that is not reported, because cameras sometimes repeat a few frames."""
 FEWEST = 4
 """Smallest number of identical keypoints in a frame; fewer may be chance."""
 STRAIGHT_PX = 0.01
@@ -527,7 +527,7 @@ class FeetSpeeds:
     slowest_m_s: float
     """Speed below which a foot moves in the fraction `SLOWEST` of all frames; about 0 if standing feet stand still."""
     slide_m_s: float
-    """Median speed of standing feet."""
+    """Median speed of the standing feet over the ground."""
     leg_m: float
     """Height of the trunk above the lowest foot, metres."""
 

@@ -287,7 +287,7 @@ degrees.
 """
 
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
-"""Codes of poses, or their rotations only, that are given from camera to world."""
+"""Codes of findings on poses, or only their rotations, that are given from camera to world."""
 _Alternative = tuple[str, dict[str, Any], View]
 """Hypothesis on a view: the finding's code and numbers, and the view under the hypothesis."""
 
@@ -469,7 +469,7 @@ def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution
 
 
 def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
-    """Yield at most one finding, for the second with the most detections.
+    """Yield at most one finding on the lens, from the second with the most detections.
 
     The finding is about keypoints that were already undistorted, or about a picture that zooms. `noise_px` (T, J) is
     the noise of the fit.
@@ -558,7 +558,7 @@ RATE_STEPS = 8
 NEARLY = 1.02
 """Largest ratio of two frame rates that count as the same."""
 ANOTHER = 1.3
-"""Factor from which the rate at which angles swing suggests a different frame rate.
+"""Smallest factor between the swing of angles in the clip and in the prior that suggests another frame rate.
 
 Animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a rendered clip),
 with a standard deviation of a tenth.

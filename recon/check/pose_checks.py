@@ -20,11 +20,11 @@ from recon.check.track_checks import mean_of_known
 from recon.clip import frame_ranges
 
 LENGTH_SHARE = 0.1
-"""Smallest relevant change of a length, as a fraction of the length."""
+"""Smallest change of a length that counts, as a fraction of the length."""
 LENGTH_SPREADS = 5.0
-"""Smallest relevant change of a length, in units of its usual deviation."""
+"""Smallest change of a length that counts, in units of the length's usual deviation."""
 DRIFT_SHARE = 0.08
-"""Smallest relevant common change of all lengths, as a fraction of them."""
+"""Smallest common change of all lengths that counts, as a fraction of the lengths."""
 DRIFT_FRAMES = 5
 """Number of frames over which the common change is smoothed, by their median."""
 NEAR = 0.02
@@ -46,7 +46,7 @@ SIGMAS = 2.0
 RATIO = 1.5
 """Factor by which the acceleration may differ from gravity, in addition to its uncertainty, without a finding."""
 OWN_MOTION = 0.02
-"""Motion of the trunk relative to the centre of mass in a flight, in leg lengths."""
+"""Assumed motion of the trunk relative to the centre of mass in a flight, in leg lengths."""
 RANGE_DEG: Mapping[str, tuple[float, float]] = {
     "elbow": (-20.0, 165.0),
     "stifle": (-20.0, 170.0),
@@ -55,7 +55,7 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
 }
 """Range of flexion, 0 for a straight joint, of joints that bend to one side only, in mammals from mice to horses."""
 BEYOND_DEG = 15.0
-"""Smallest relevant angle by which a joint bends beyond its range."""
+"""Smallest angle beyond a joint's range of flexion that counts, in degrees."""
 BEYOND_FRAMES = 2
 """Smallest number of frames beyond the range; a single one may be an outlier."""
 

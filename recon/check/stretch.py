@@ -18,7 +18,7 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
 
 USUAL = 0.05
-"""Mean of the estimates in pictures that are not stretched."""
+"""Mean of the estimated logarithms of the stretch in pictures that are not stretched."""
 SPREAD = 0.04
 """Standard deviation of the estimates in unstretched pictures, apart from the errors of the detections."""
 SIGMA_SHARE = 0.5

@@ -24,7 +24,7 @@ AGREES_SIGMAS = 2.0
 GROSS_SIGMAS = 5.0
 """Distance from the expected position, in standard deviations, beyond which a detection is almost certainly wrong."""
 MOST_LISTED = 500
-"""Largest number of rows: more than anybody corrects by hand."""
+"""Largest number of detections in the list, more than anybody corrects by hand."""
 Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
 """Reason for a correction.
 
@@ -42,7 +42,7 @@ class ToCorrect:
     camera: str
     keypoint: str
     found_px: tuple[float, float] | None
-    """Position found by the detector, or None."""
+    """Position found by the detector, or None if there is no detection."""
     likelihood: float
     expected_px: tuple[float, float]
     """Position expected from the pose."""

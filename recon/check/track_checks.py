@@ -31,8 +31,6 @@ APART = 10.0
 """Smallest usual distance or movement, in steps of the resolution, at which two points count as different."""
 BENT = 5.0
 """Median bend of a track, relative to its rounding, above which it is tested for straight parts."""
-STRAIGHT = 0.02
-"""Largest deviation from a line, relative to the track's usual deviation."""
 MOVING = 0.0005
 """Smallest distance, relative to the animal's size, that the other points move while a point is frozen."""
 STANCE = 1.0
@@ -72,13 +70,13 @@ CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 FREEDOM = 3
 """Degrees of freedom of the distribution of the changes of the logarithm of the speed."""
 OUTLIERS = np.array([0.02, 0.1, 0.25])
-"""Fractions of outliers that are tried."""
+"""Fractions of outliers among the changes of the speed that are tried."""
 OUTLIER_RANGE = 5.0
 """Width of the range of changes over which outliers are uniformly distributed."""
 MISSING = np.array([0.1, 0.2, 0.3, 0.4])
 """Fractions of missing frames that are tried."""
 MOST_INTERVALS = 3
-"""Largest number of frame intervals of one step."""
+"""Largest number of frame intervals that a step across missing frames may span."""
 NORMALISED = 1.5
 """Largest coordinate of keypoints given as fractions of the picture."""
 
@@ -177,7 +175,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
         is_straight = bend[:, k] <= rounding
         is_straight &= travel[:, k] > max(APART * rounding, DIGITS)
         bent = bend[np.isfinite(bend[:, k]) & (bend[:, k] > rounding), k]
-        if not is_straight.any() or len(bent) < FEWEST or rounding > max(STRAIGHT, 1 / BENT) * np.median(bent):
+        if not is_straight.any() or len(bent) < FEWEST or rounding > 1 / BENT * np.median(bent):
             continue
         total += int(is_straight.sum())
         first, stop = _longest(is_straight)
@@ -336,7 +334,7 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 
 
 def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
-    """Return the density of changes of the logarithm of the speed."""
+    """Return the probability density of changes of the logarithm of the speed, outliers included."""
     z_squared = (change / sigma) ** 2
     scale = gamma((FREEDOM + 1) / 2) / (gamma(FREEDOM / 2) * np.sqrt(FREEDOM * np.pi))
     density = scale / sigma * (1 + z_squared / FREEDOM) ** (-(FREEDOM + 1) / 2)

@@ -37,17 +37,17 @@ are fitted. With one run left out, that power is 0.34 to 0.52 for clips with all
 RATE_HZ = 60.0
 """Frame rate below which a pose is less certain than the posterior states, under a prior learned from motions."""
 SCALE = -1.30
-"""Constant of the logarithm of the pose's error relative to the trunk.
+"""Constant term in the logarithm of the pose's expected error relative to the trunk.
 
 The fits of November 2026 gave -1.26 (-1.17 to -1.36).
 """
 SPREAD = 0.23
-"""Standard deviation of the logarithm of the pose's error in runs left out, if the pixels show everything.
+"""Standard deviation of the logarithm of the pose's error if the pixels show everything, from runs left out.
 
 The fits of November 2026 gave 0.14 to 0.18. The larger value also holds for clips of 15 frames.
 """
 SPREAD_UNSEEN = 0.45
-"""Standard deviation of the logarithm that is added if the pixels show nothing.
+"""Additional standard deviation of the logarithm of the pose's error if the pixels show nothing.
 
 The fits of November 2026 gave 0.34 to 0.51. The error of a pose from the prior alone is the same in all frames.
 """

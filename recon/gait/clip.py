@@ -240,7 +240,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def flexions(self) -> tuple[JointFlexion, ...]:
-        """Return the flexion of the skeleton's anatomical joints; empty for a skeleton without anatomy."""
+        """Return the flexion of the skeleton's anatomical joints; empty for a skeleton without `[anatomy]`."""
         return joint_flexions(self.motion)
 
     @cached_property

@@ -387,7 +387,7 @@ def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 
 def score(values: np.ndarray) -> _Score:
-    """Return the means of values (T, J) over joints and frames, without NaN."""
+    """Return the means of values (T, J) over joints and over frames, in which NaN is ignored."""
     per_frame = mean_along(values, axis=1)
     return _Score(mean=float(mean_along(per_frame, axis=0)), per_frame=per_frame, per_joint=mean_along(values, axis=0))
 

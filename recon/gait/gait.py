@@ -176,7 +176,7 @@ class Gait(Brief):
     stride_s: float
     """Duration of a stride, from complete strides or from the period of the motion, s; NaN if neither is known."""
     stride_sigma_s: float
-    """Standard deviation of the duration."""
+    """Standard deviation of `stride_s`, s."""
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: _GaitName
@@ -461,5 +461,5 @@ def _first(lag: float) -> str:
 
 
 def _signed(phase: float) -> float:
-    """Return a phase in [-0.5, 0.5)."""
+    """Return a phase, in strides, shifted by whole strides into [-0.5, 0.5)."""
     return (phase + 0.5) % 1.0 - 0.5

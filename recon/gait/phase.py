@@ -116,7 +116,7 @@ class Portrait(Brief):
 
 
 def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward_m: Array) -> tuple[LinkField, ...]:
-    """Return the fields of the J - 2 links of a chain that have a parent link.
+    """Return the vector fields of the J - 2 links of a chain that have a parent link.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward
 def pose_vector_field(
     pose: Pose3D, chain: tuple[str, ...], fps: float, forward: tuple[str, str] = FORWARD
 ) -> tuple[LinkField, ...]:
-    """Return the fields of a chain of a pose's joints.
+    """Return the vector fields of the links along a chain of a pose's joints.
 
     `chain` names the joints in order, such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw); `forward`
     names a rear and a front joint.
@@ -209,7 +209,7 @@ def tips(joints_m: Array, forward_m: Array) -> Array:
 
 
 def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
-    """Return the field with standard deviations by linear propagation.
+    """Return the vector field with standard deviations, computed by linear propagation.
 
     `moved_m_s` (K, T, 3) are the changes of the tip's velocity due to one standard deviation of each of K independent
     errors. The standard deviations are NaN at rest and at radius 0.

@@ -79,7 +79,7 @@ MIN_STANCE_S = 0.02
 SLOPE_SIGMA = 0.1
 """Expected standard deviation of the ground's slopes, in height per distance."""
 HEIGHT_SIGMA_M = 0.03
-"""Standard deviation of a standing foot's marker about the plane."""
+"""Standard deviation of a standing foot's marker about the ground plane."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Tracks(Brief):
     foot_m: Array
     """The positions of the F feet, shape (N, F, 3)."""
     body_m: Array
-    """The position of the body, shape (N, 3)."""
+    """The mean position of the joints that represent the body, shape (N, 3)."""
     foot_speed_m_s: Array
     """The horizontal speeds of the feet, shape (N, F)."""
     foot_speed_sigma_m_s: Array
