@@ -70,7 +70,7 @@ EXPECTED = (
     "reconstruction.json or shots.geojson"
 )
 MAX_SHOTS_BYTES = 1 << 28
-"""Largest size of a reconstruction file, which includes its points."""
+"""Largest size, in bytes, of a reconstruction file, which also holds the model's points."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -111,7 +111,7 @@ class CameraTrack(FramePoses):
 
 
 def _between(a: Array, b: Array, share: Array) -> Array:
-    """Return poses (T, 4, 4) at fractions (T,) between a and b, at constant rotation and velocity of the centre."""
+    """Return poses (T, 4, 4) between poses a and b, at fractions (T,) and with constant rotation rate and velocity."""
     turn = b[:, :3, :3] @ a[:, :3, :3].swapaxes(1, 2)
     rotation = Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(turn).as_rotvec()).as_matrix() @ a[:, :3, :3]
     start, end = inverse(a)[:, :3, 3], inverse(b)[:, :3, 3]

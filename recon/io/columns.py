@@ -88,7 +88,7 @@ class _Layout:
 
 
 def parse_map(text: str) -> dict[str, str]:
-    """Return the column map "frame=Frame, x=X, ..." by role; raise InputError with every problem."""
+    """Return the columns by role in a map such as "frame=Frame, x=X"; raise InputError with every problem."""
     columns: dict[str, str] = {}
     problems = []
     for item in text.split(","):
@@ -197,7 +197,7 @@ def _with_named_index(header: list[str]) -> list[str]:
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
-    """Return the points of one animal in a table of text.
+    """Return the points of one animal in a text table.
 
     `columns` is a map from `parse_map`, if the names are not recognised. Raises InputError for an invalid file.
     """

@@ -43,7 +43,7 @@ class Pose3D(Brief):
     sigma_m: np.ndarray | None = None
     """(T, J, 3): standard deviations of the positions, metres, if they come from a fit."""
     flags: tuple[str, ...] | None = None
-    """(T,): reasons not to trust a frame of a fit."""
+    """(T,): reasons not to trust each frame of a fit, as text."""
 
     def __post_init__(self) -> None:
         if self.xyz_m.shape != (len(self.frames), len(self.names), 3):

@@ -92,9 +92,9 @@ WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
 KEY = 0x50
 INTEL = 84
-"""Kind of processor with little-endian numbers, as in the file's header."""
+"""Code for little-endian numbers in a C3D file, by kind of processor."""
 MIPS = 86
-"""Kind of processor with big-endian numbers, as in the file's header."""
+"""Code for big-endian numbers in a C3D file, by kind of processor."""
 
 Parameters = dict[str, dict[str, Any]]
 """Parameters of a C3D file, as lists of texts or arrays of numbers, by group and name."""

@@ -344,7 +344,7 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
 
 
 def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, shown: Bools | None = None) -> None:
-    """Draw lines along the limbs, or only along limbs that end in a marker of `shown`."""
+    """Draw lines along the limbs, or only those lines that begin or end at a marker in the mask `shown`."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
         pieces = [
@@ -446,9 +446,9 @@ _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
-    """Draw standard deviation and pixels' part of the precision by camera position, with a panel for each camera.
+    """Draw the uncertainty, and the fraction of the precision that comes from the pixels, by camera position.
 
-    Each camera is added to the cameras of the panels before.
+    Each camera has a panel, and is added to the cameras of the panels before.
     """
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]

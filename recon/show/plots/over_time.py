@@ -252,7 +252,7 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
 
 
 SHADES = 60
-"""Number of colours into which a path is divided."""
+"""Number of colours into which the path of a phase portrait is divided."""
 _LEAST = (0.05, 0.5)
 """Half of the smallest range of each axis of a phase portrait, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0

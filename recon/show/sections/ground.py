@@ -25,7 +25,7 @@ def segments_data(motion: Motion) -> list[dict[str, Any]]:
 
 
 def _ground_data(motion: Motion, segment: MotionSegment) -> dict[str, Any] | None:
-    """Return the ground below the middle of the root's path in the segment."""
+    """Return the ground below the middle of the root's path in a segment of the clip."""
     ground, below = segment.ground, motion.below_m(segment)
     if ground is None or below is None:
         return None

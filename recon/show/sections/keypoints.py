@@ -24,7 +24,7 @@ OF_JOINT = ("outliers", "mean_error_px", "noise_px", "mean_weight")
 
 
 def counts(motion: Motion) -> dict[str, Any]:
-    """Return the numbers of keypoints and detections, and the reprojection errors."""
+    """Return a motion's numbers of keypoints and detections, and its reprojection errors."""
     distance_px, present = (_stacked(motion, field) for field in ("distance_px", "present"))
     errors = finite(distance_px)
     best = np.sort(errors)[: math.ceil(BEST_SHARE * len(errors))]
