@@ -248,7 +248,7 @@ The fourth differences of points on a cubic are also below this limit.
 STRAIGHT = 0.02
 """Largest deviation of an interpolated point from the line between its neighbours, relative to the point's path."""
 _CUBIC_FRAMES = 5
-"""Number of frames that lie on one cubic if their fourth difference is 0."""
+"""Number of successive frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
 """Smallest deviation, in pixels, of a point from the line between its neighbours for a test against a cubic.
 

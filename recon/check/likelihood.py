@@ -587,7 +587,7 @@ def frame_rate_finding(
 ) -> Finding | None:
     """Return a finding on the frame rate if a file states another one, or if the angles suggest another one.
 
-    The rate of the swing is compared with the motions of the prior.
+    Angles suggest another rate if they swing faster or more slowly than in the motions of the prior.
 
     Parameters
     ----------
@@ -598,7 +598,7 @@ def frame_rate_finding(
     stated_hz
         Frame rate stated in a file, or None.
     by_motion
-        Whether angles that swing at another rate are a finding as well.
+        Whether the angles may also lead to a finding; otherwise only `stated_hz` does.
     """
     if stated_hz is not None and not 1 / NEARLY < stated_hz / clip.fps < NEARLY:
         return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)

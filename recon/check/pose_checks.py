@@ -310,7 +310,7 @@ def _slide(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _ranges(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the joint that bends furthest beyond its range, in multiples of `BEYOND_DEG`."""
+    """Yield the largest angle by which a joint bends beyond its range, in multiples of `BEYOND_DEG`."""
     left = _left(points)
     if left is None:
         return

@@ -83,7 +83,7 @@ class Evidence:
     """Quantities from which an expected error is computed, means over the frames with a pose."""
 
     trunk_m: float
-    """Length of the trunk."""
+    """Mean length of the trunk."""
     posterior_m: float
     """Mean distance of the joints expected by the posterior, both poses centred, without the error of the size.
 
@@ -92,7 +92,7 @@ class Evidence:
     misfit: float
     """Prior misfit: the factor by which the prior's variances are too small; 1 without a prior."""
     distance_m: float
-    """Distance from the nearest camera."""
+    """Mean distance of the animal from the nearest camera."""
     end_on: float
     """Cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
     unseen: float
