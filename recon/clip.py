@@ -53,7 +53,7 @@ class Keypoints(Brief):
     frames: np.ndarray
     """Original frame numbers, shape (T,), integer, strictly increasing."""
     fps: float | None = None
-    """Frames per second, if known."""
+    """Frame rate of the video, Hz, if known."""
     stated_fps: float | None = None
     """Frame rate stated by the file, Hz, if the user gave another one."""
     image_size_px: tuple[int, int] | None = None
@@ -61,7 +61,7 @@ class Keypoints(Brief):
     individual: str | None = None
     """Name of the animal, if the file has several."""
     source: str | None = None
-    """Path of the file."""
+    """Path of the keypoint file."""
     scorer: str | None = None
     """Name of the network or person that labelled the file; None if the file has none."""
     notes: tuple[str, ...] = ()
@@ -156,15 +156,15 @@ class LeftOut(Brief):
     reasons: tuple[str, ...] = ()
     """Reasons to which `reason` refers."""
     frame: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Frame numbers of the file, shape (N,)."""
+    """Frame number of each detection in its file, shape (N,)."""
     keypoint: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Indices into `names`, shape (N,)."""
+    """Keypoint of each detection, as an index into `names`, shape (N,)."""
     reason: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    """Indices into `reasons`, shape (N,)."""
+    """Reason for leaving out each detection, as an index into `reasons`, shape (N,)."""
     xy_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    """Positions, shape (N, 2), pixels."""
+    """Positions of the detections, shape (N, 2), pixels."""
     confidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """Likelihoods, shape (N,), 0 to 1."""
+    """Likelihoods of the detections, shape (N,), 0 to 1."""
 
     def count(self, reason: str) -> int:
         """Return the number of detections that were left out for a reason."""
@@ -199,9 +199,9 @@ class CleaningReport(Brief):
 
     likelihood_min: float
     frames: tuple[int, int]
-    """Range of frames after cleaning."""
+    """Half-open range of frames after cleaning."""
     frames_dropped: int
-    """Number of rows outside the requested range."""
+    """Number of frames of the file outside the requested range."""
     inserted: tuple[tuple[int, int], ...]
     """Ranges of frames that the file lacks, inserted with all points missing."""
     keypoints: dict[str, dict[str, int]]
@@ -211,7 +211,7 @@ class CleaningReport(Brief):
     constant_px: tuple[float, float] | None = None
     """Constant position, px, that the file stores for missing points with a likelihood, such as (-1, -1), if any."""
     left_out: LeftOut = field(default_factory=LeftOut)
-    """Detections that are not used."""
+    """Detections of the file that the fit does not use."""
 
     def total(self, count: str) -> int:
         """Return the sum of a count, such as "rejected", over the keypoints."""
@@ -452,7 +452,7 @@ class View(Brief):
 
     @property
     def present(self) -> Bools:
-        """Return whether each keypoint was detected in each frame, (T, J)."""
+        """Return a mask of the keypoints that were detected in each frame, (T, J)."""
         return np.isfinite(self.xy_px[..., 0])
 
     @property
@@ -462,7 +462,7 @@ class View(Brief):
 
     @cached_property
     def centre_m(self) -> Array:
-        """Return the centre of projection (T, 3), metres, world frame."""
+        """Return the camera's centre of projection in the world frame, (T, 3), metres."""
         return np.broadcast_to(inverse(self.T_camera_world)[..., :3, 3], (len(self.xy_px), 3))
 
     @property
@@ -601,7 +601,7 @@ def _pose(camera: Camera) -> Array:
 
 
 def still_view(camera: Camera, xy_px: Array, confidence: Array) -> View:
-    """Return the view of a clip with one still camera."""
+    """Return a still camera's view of a clip, in the world that this camera defines on its own."""
     return View(camera, camera_poses([camera])[0], xy_px, confidence)
 
 

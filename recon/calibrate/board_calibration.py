@@ -53,7 +53,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 @dataclass(frozen=True)
 class _FittedBoardView(BoardView):
-    """View of the board with N corners and its fitted pose."""
+    """Picture of a board with N detected corners, and the fitted pose of the board."""
 
     rotation: Array
     """Rotation of X_camera = rotation X_board + translation_m, shape (3, 3)."""
@@ -66,12 +66,12 @@ class _FittedBoardView(BoardView):
 
     @cached_property
     def rms_px(self) -> float:
-        """Return the root mean square error of the corners, px."""
+        """Return the root mean square reprojection error of the corners, px."""
         return math.sqrt((self.residual_px**2).sum(axis=1).mean())
 
     @cached_property
     def max_px(self) -> float:
-        """Return the largest error of a corner, px."""
+        """Return the largest reprojection error of a corner, px."""
         return float(np.linalg.norm(self.residual_px, axis=1).max())
 
     @property
@@ -95,7 +95,7 @@ class Calibration:
 
     @cached_property
     def used(self) -> tuple[_FittedBoardView, ...]:
-        """Return the views that were used."""
+        """Return the views from which the camera was calibrated, without outliers."""
         return tuple(view for view in self.views if view.used)
 
     @cached_property
@@ -248,7 +248,7 @@ Verdict = Literal["ok", "warning", "refused"]
 
 @dataclass(frozen=True)
 class _CalibrationCheck:
-    """Measured value of one quantity, with its limits."""
+    """Measured value of one property of a calibration, with its limits."""
 
     name: str
     quantity: str
@@ -263,7 +263,7 @@ class _CalibrationCheck:
 
     @property
     def verdict(self) -> Verdict:
-        """Return the verdict on the value."""
+        """Return whether the value is within its limits (ok), beyond the first (warning) or the second (refused)."""
         if self._beyond(self.refuse):
             return "refused"
         return "warning" if self._beyond(self.warn) else "ok"

@@ -190,11 +190,11 @@ class BoardView:
     """Picture in which the board was detected."""
 
     name: str
-    """Name of the file, or number of the frame."""
+    """Name of the picture file, or number of the video's frame."""
     ids: Index
-    """Rows of the board's `points_m`, shape (N,)."""
+    """Rows of the board's `points_m` that were detected, shape (N,)."""
     xy_px: Array
-    """Corners, shape (N, 2)."""
+    """Detected corners, shape (N, 2)."""
 
 
 @dataclass(frozen=True)

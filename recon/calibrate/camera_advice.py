@@ -43,7 +43,7 @@ AWAY_LENGTHS = 4.0
 """Default distance of the camera in body lengths."""
 PICTURE_PX = (1920, 1080)
 SAME = 1e-6
-"""Relative difference below which standard deviations count as equal."""
+"""Relative difference below which two positions' standard deviations count as equal."""
 
 
 @dataclass(frozen=True, eq=False)

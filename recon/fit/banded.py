@@ -80,14 +80,14 @@ _NO_PIECE = Normal(*5 * (np.zeros(0),))
 
 @dataclass(frozen=True)
 class Window:
-    """A piece of a clip, n frames, with all frames before it eliminated."""
+    """A piece of n frames of a clip, after all frames before it are eliminated from the normal equations."""
 
     rows: slice
     piece: Normal
     factor: _Factor
     """Columns of L for the n frames, including the rows of the W frames that follow."""
     whitened: Array
-    """(n, D, 1 + P): L^-1 of the gradient and the border."""
+    """(n, D, 1 + P): L^-1 times the gradient and each column of the border."""
     following: Window | None = None
     """The next piece, or its first m frames, which represents all later frames; None for the last piece."""
 
@@ -162,7 +162,7 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If a damped matrix is not positive definite, see `factored`.
+        If a damped matrix is not positive definite (`factored`).
     """
     windows, gradients, kept = list[tuple[Window | Array, Array]](), list[Array](), 0
     shared_gradient: Array | float = 0.0
@@ -276,7 +276,7 @@ class _Factor:
         return _Factor(self.band[:, : n * self.D], self.D)
 
     def whiten(self, right: Array, *, overwrite: bool = False) -> Array:
-        """Return L^-1 b of right-hand sides (T, D, ...), which may be overwritten."""
+        """Return L^-1 b for right-hand sides b (T, D, ...), which may be overwritten."""
         return self._solved(right, "N", overwrite)
 
     def unwhiten(self, white: Array, *, overwrite: bool = False) -> Array:

@@ -27,7 +27,7 @@ def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
     Parameters
     ----------
     solution
-        T frames, metres, z up.
+        Motion of T frames in a world with z up, metres.
     time_s
         Times, shape (T,), seconds.
     speed_m_s

@@ -51,12 +51,12 @@ class Shape:
         return cls(body, tuple(named), tuple(m for m in body.markers if offsets and not follows(m, body)))
 
     def __len__(self) -> int:
-        """Return K, the number of unknowns."""
+        """Return K, the number of unknowns of the body's shape."""
         return len(self.lengths) + 3 * len(self.offsets)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the K unknowns."""
+        """Return the names of the K lengths and offset coordinates that are unknown."""
         return (*self.lengths, *(f"{name}_{axis}" for name in self.offsets for axis in "xyz"))
 
     def expected_precision(self, size_sigma: float) -> Array:
@@ -134,7 +134,7 @@ class Shape:
 
     @cached_property
     def _followers(self) -> frozenset[str]:
-        """Return the names of segments and markers for which `follows` is true."""
+        """Return the names of segments and markers that share the unknowns of their left counterparts."""
         items = (*self.body.tree.segments, *self.body.tree.markers)
         return frozenset(item.name for item in items if follows(item.name, self.body))
 
@@ -158,7 +158,7 @@ class FreeShape:
     """
 
     body: Body
-    """The body whose shape values are all 0."""
+    """Body to whose lengths and keypoints the shape is relative."""
     lengths: Shape
     _shaped: dict[bytes, Body] = field(default_factory=dict, repr=False)
     """Cache of the body that was built last, by the values of its shape."""

@@ -39,13 +39,13 @@ class TrajectoryOptions:
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise, pixels."""
     keypoint_sigma_m: float | None = None
-    """Standard deviation of keypoints about the markers, metres; None for that of the body."""
+    """Standard deviation of keypoints about the markers, metres; None uses that of the body."""
     size_sigma: float | None = None
-    """Relative standard deviation of the size; None for that of the body."""
+    """Relative standard deviation of the animal's size; None uses that of the body."""
     find_offsets: bool = False
-    """Whether the time offsets of all cameras but the first are unknowns."""
+    """Whether the fit estimates the time offsets of all cameras but the first."""
     refine_cameras: bool = False
-    """Whether the poses of all cameras but the first are unknowns."""
+    """Whether the fit refines the poses of all cameras but the first."""
     refine_first: bool = False
     """Whether the first of two cameras is refined as well; each may be turned or moved (`recon.fit.pair_poses`)."""
     focal_sigma: float | None = None
@@ -107,7 +107,7 @@ class ClipProblem:
     The factors adapt the expected spread to that of the animal.
     """
     pose_means: Array | None = None
-    """Means (2, 6) of the priors for the errors of two refined cameras' poses; None for 0."""
+    """Prior means (2, 6) of the errors of two refined cameras' poses, rad and m; None for 0."""
     acceleration_scale: Array | None = None
     """Factors on the expected standard deviations of the states' accelerations, (D,); None for 1."""
 
@@ -129,11 +129,11 @@ class ClipProblem:
         return cls(views, body, prior, fps, options, origin_m, ground_near_zero, constants.TIME_OFFSET_FRAMES)
 
     def __len__(self) -> int:
-        """Return T, the number of frames."""
+        """Return T, the number of frames of the problem."""
         return len(self.views[0].xy_px)
 
     def part(self, frames: slice | Index) -> ClipProblem:
-        """Return the problem of some of the frames."""
+        """Return the problem of only some frames of the clip."""
         known = None if self.known_states is None else self.known_states[frames]
         return replace(self, views=tuple(view.part(frames) for view in self.views), known_states=known)
 
@@ -223,7 +223,7 @@ class ClipProblem:
 
     @property
     def size_sigma(self) -> float:
-        """Return the prior standard deviation of the size, around 1."""
+        """Return the prior standard deviation of the animal's size, whose prior mean is 1."""
         return self.body.size_sigma if self.options.size_sigma is None else self.options.size_sigma
 
     @property
@@ -531,7 +531,7 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
 
 
 class _GroundPlane(NamedTuple):
-    """A plane under F feet in N pairs of frames."""
+    """A plane under F feet, fitted to N pairs of neighbouring frames."""
 
     contact: Array
     """(N, F): weights of the feet, 1 for a slow foot on the plane."""

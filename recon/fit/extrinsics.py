@@ -68,7 +68,7 @@ CLOSE_ENOUGH = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Poses of V cameras in a common world, in metres."""
+    """Estimated poses of V cameras in a common world, with their uncertainty."""
 
     T_camera_world: tuple[Array, ...]
     """Pose of each camera, (4, 4).
@@ -310,7 +310,7 @@ def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
 
 
 def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:
-    """Return twice the decrease of each clip's cost if one camera could move in that clip alone, (C, V): see `Rig`."""
+    """Return twice the decrease (C, V) of each clip's cost if one camera could move in that clip alone."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
     cameras = np.arange(V)

@@ -83,9 +83,9 @@ class Estimate:
     """Values of all unknowns at a minimum, or at an intermediate point of the search, with their cost."""
 
     states: Array
-    """(T, D): states of the frames."""
+    """(T, D): unknowns of each frame."""
     cost: float
-    """Half the squared norm of the residuals under the robust loss."""
+    """Cost of all terms: half the squared norm of the residuals, under the robust loss."""
     iterations: int
     converged: bool
     """Whether the search ended because the cost hardly decreased any more."""
@@ -130,7 +130,7 @@ class LeastSquares:
 
     @cached_property
     def columns(self) -> dict[str, slice]:
-        """Return the columns of each name among all P shared unknowns."""
+        """Return the columns, among those of all P shared unknowns, that belong to each name."""
         ends = np.cumsum([len(unknown.mean) for unknown in self.shared], dtype=int)
         return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
 
@@ -324,7 +324,7 @@ class LeastSquares:
     def spans(
         self, states: Array, shared: Mapping[str, Array], jacobian: bool, rows: slice = slice(None)
     ) -> Iterator[Span]:
-        """Yield the clip, or some of its frames, in spans that overlap by one frame."""
+        """Yield spans of the clip, or of some of its frames, that overlap by one frame."""
         tree = self.tree if self.shape is None else self.shape.applied(shared).detected
         pose = tree.pose_with_jacobian if jacobian else tree.pose
         if not any(isinstance(term, MARKER_TERMS) for term in self.terms):
@@ -588,7 +588,7 @@ def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermR
 
 
 def _together(rows_of_terms: Sequence[TermRows]) -> TermRows:
-    """Return the rows of terms with the same stencil as those of one term."""
+    """Join the rows of terms with the same stencil to those of a single term."""
     if len(rows_of_terms) == 1:
         return rows_of_terms[0]
     counts = [rows.residual.shape[1] for rows in rows_of_terms]

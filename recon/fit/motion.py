@@ -43,7 +43,7 @@ class Picture(Brief):
     reprojected_px: Array
     """Reprojected keypoints, shape (T, J, 2); NaN without a pose."""
     sigma_px: Array
-    """Standard deviation assigned to each detection, shape (T, J)."""
+    """Standard deviation that the fit assigned to each detection, shape (T, J)."""
     weight: Array
     """Weight of each detection, shape (T, J), 0 to 1; NaN if missing.
 
@@ -62,12 +62,12 @@ class Picture(Brief):
 
     @property
     def detected_px(self) -> Array:
-        """Return the detections, (T, J, 2), NaN if missing."""
+        """Return the detected keypoints in this camera's picture, px, (T, J, 2), NaN if missing."""
         return self.source.keypoints.xy_px
 
     @property
     def present(self) -> Bools:
-        """Return which keypoints were detected in each frame, (T, J)."""
+        """Return a mask of the keypoints that were detected in each frame, (T, J)."""
         return self.source.keypoints.present
 
     @cached_property
@@ -82,7 +82,7 @@ class Picture(Brief):
 
     @cached_property
     def outliers(self) -> Bools:
-        """Return which detections are more than `OUTLIER_SIGMAS` from the pose, (T, J)."""
+        """Return a mask of the detections further than `OUTLIER_SIGMAS` from the pose, (T, J)."""
         return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
 
     @cached_property
@@ -93,7 +93,7 @@ class Picture(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Motion:
-    """T frames of an animal with J joints and D unknowns, of which A are angles."""
+    """Motion of an animal over T frames, with J joints and D unknowns, of which A are angles."""
 
     sources: tuple[Source, ...]
     """Keypoints of each camera, in the order of the solution's views.
@@ -210,7 +210,7 @@ class Motion:
         return sample_joints(self.sources, self.solution, self.fps, self.settings, int(n), seed)
 
     def plot(self) -> Figure:
-        """Return a figure of the animal from the side at even steps of the clip (matplotlib).
+        """Return a matplotlib figure of the animal's poses from the side, evenly spaced over the clip.
 
         `figure.savefig("side.pdf")` saves the figure; a notebook shows it.
         """
@@ -274,7 +274,7 @@ class Motion:
 
     @property
     def title(self) -> str:
-        """Return the title of the skeleton, one line."""
+        """Return the title of the skeleton as one line of text."""
         return self.body.title
 
     @property
@@ -289,7 +289,7 @@ class Motion:
 
     @property
     def limbs(self) -> dict[str, tuple[int, ...]]:
-        """Return the joints along each limb, as indices, for drawing."""
+        """Return the indices of the joints along each limb, for drawing."""
         return self.body.limb_rows
 
     @property
@@ -417,7 +417,7 @@ class Motion:
 
     @cached_property
     def _file_names(self) -> dict[str, None]:
-        """Return the keypoints in the files' order, without duplicates."""
+        """Return the names of all files' keypoints in the files' order, without duplicates."""
         return dict.fromkeys(name for source in self.sources for name in source.file_names)
 
     # The states
@@ -444,7 +444,7 @@ class Motion:
 
     @property
     def angles_rad(self) -> Array:
-        """Return the angles, (T, A), in rad."""
+        """Return the root's and the joints' angles in the order of `angle_names`, (T, A), rad."""
         return self.states[:, YAW:]
 
     @property
@@ -462,7 +462,7 @@ class Motion:
 
     @property
     def posture_sigma_rad(self) -> Array:
-        """Return the standard deviations of the posture, (T, P), rad."""
+        """Return the standard deviations of the posture angles, (T, P), rad."""
         return self.solution.angle_sigma_rad[:, PITCH - YAW :]
 
     @property

@@ -122,7 +122,7 @@ def _refit_command(folder: Path) -> str:
 
 
 def _no_motion(folder: Path) -> Problem:
-    """Return the problem that describes a folder without a motion."""
+    """Return the error's description of a folder that contains no motion."""
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
@@ -137,7 +137,7 @@ def _no_motion(folder: Path) -> Problem:
 
 
 def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
-    """Return the joints of a motion as a table, see `Motion.to_dataframe`."""
+    """Return the joints of a motion as the table that `Motion.to_dataframe` describes."""
     import pandas as pd
 
     T, J = len(motion.frames), len(motion.names)
@@ -152,7 +152,7 @@ def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
 
 
 def dataset_of(motion: Motion) -> xr.Dataset:
-    """Return the joints of a motion as a dataset of poses, see `Motion.to_xarray`."""
+    """Return the joints of a motion as the dataset that `Motion.to_xarray` describes."""
     from recon.io import hdf5_poses
 
     dataset = hdf5_poses.dataset_of(motion.upright)
@@ -196,7 +196,7 @@ def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
 
 
 def figure_of(motion: Motion) -> Figure:
-    """Return a figure of the animal from the side at even steps of the clip."""
+    """Return a figure of the animal's poses from the side, evenly spaced over the clip."""
     from recon.show.plots.side_view import side_view
 
     sides = motion.limb_sides

@@ -38,13 +38,13 @@ class PairPoses:
     is_turned: Bools
     """(E, 2, 3): about which axes each of the two cameras is turned, for each of E hypotheses."""
     is_moved: Bools
-    """(E, 2): which camera was moved."""
+    """(E, 2): which camera was moved, if any, under each hypothesis."""
     weight: Array
     """(E,): posterior probabilities of the hypotheses."""
     mean: Array
-    """(E, 12): expected errors, rad and m."""
+    """(E, 12): expected errors under each hypothesis, rad and m."""
     covariance: Array
-    """(E, 12, 12): covariances of the errors."""
+    """(E, 12, 12): covariances of the errors under each hypothesis."""
 
     @classmethod
     def weigh(cls, precision: Array, pull: Array, calibrated_sigma: Array, misplaced_sigma: Array) -> PairPoses:
@@ -74,14 +74,14 @@ class PairPoses:
         return cls(is_turned, is_moved, weight / weight.sum(), mean, covariance)
 
     def covariance_about(self, value: Array) -> Array:
-        """Return the second moments (12, 12) of the errors about a value (12,)."""
+        """Return the second moments (12, 12) of the poses' errors about a value (12,), over all hypotheses."""
         deviation = self.mean - value
         products = self.covariance + deviation[:, :, None] * deviation[:, None]
         return np.asarray(np.einsum("e,eij->ij", self.weight, products))
 
     @property
     def expected(self) -> Array:
-        """Return the expected errors (12,) over all hypotheses."""
+        """Return the errors (12,) of the poses that are expected over all hypotheses, rad and m."""
         return self.weight @ self.mean
 
 

@@ -57,7 +57,7 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, PRIOR_TERMS, SIZE, Re
 from recon.geometry.kinematics import ROOT, YAW
 
 _FIXED = 1e8
-"""Precision that fixes an unknown."""
+"""Precision, in the unknown's own unit, that is large enough to fix the unknown."""
 _NEARLY_FREE = 1e-3
 """Precision of an almost unknown position and heading (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
@@ -96,7 +96,7 @@ class Posterior:
     relative_covariance_m2: Array
     """Covariances of the joints relative to their mean, shape (T, J, 3, 3), for a given size."""
     data_share: Array
-    """Information fraction of each joint (`_data_share`), shape (J,)."""
+    """Information fraction of each joint, 0 to 1, shape (J,)."""
     angle_variance: Array
     """Variances of the root's rotation and the joints' angles for a given size, shape (2, T, D - 3).
 
@@ -177,7 +177,7 @@ class _SharedCurvature(NamedTuple):
     precision: Array
     """Precision of the unknowns, shape (P, P), for the variance of the common bias that the detections show."""
     gradient: Array
-    """Gradient of the cost with respect to the unknowns, shape (P,)."""
+    """Gradient of the cost with respect to these unknowns, shape (P,)."""
     expected_precision: Array
     """Part of the precision that the expected spreads contribute, shape (P,)."""
     excess_bias_m2: Array | float
@@ -360,7 +360,7 @@ class _EquationsByNoise:
 
     @classmethod
     def of_problem(cls, problem: LeastSquares, estimate: Estimate) -> _EquationsByNoise:
-        """Return the normal equations at a solution, with the nuisance unknowns."""
+        """Compute the normal equations at a solution, with the nuisance unknowns, unless the clip is long."""
         if len(estimate.states) > problem.piece:
             return cls(None, None)
         problem = _with_free_nuisance(problem)
@@ -614,7 +614,7 @@ class PriorMisfit:
     level: float
     """Sum of the squared residuals relative to its expectation under a prior that fits; about 1 if the prior fits."""
     freedom: float
-    """Number of unknowns that the pixels determine."""
+    """Number of unknowns of the motion that the pixels determine."""
 
     @property
     def prior_weight(self) -> float:

@@ -41,7 +41,7 @@ LASTING_S = 0.03, 0.08, 0.25, 1.0, 4.0
 NOISE_SHARES = 0.35, 0.5, 0.7, 1.0
 """Candidates for the variance of the detections' noise about deviations, relative to that of the fit."""
 OTHERS = 1.0
-"""Weight of the mean evidence of all keypoints, relative to the keypoint's own, in the choice among the candidates."""
+"""Weight of all keypoints' mean evidence, relative to a keypoint's own, when a candidate is chosen for a keypoint."""
 
 
 def predicted_keypoints(solution: Solution, view: View, fps: float | None = None) -> tuple[Array, Array]:
@@ -143,15 +143,15 @@ class _Residuals:
     error_px: Array
     """(T, J, 2): detections minus projected markers, 0 if missing."""
     by_point: Array
-    """(T, J, 2, 3): derivatives with respect to the markers."""
+    """(T, J, 2, 3): derivatives of the projections with respect to the markers, px/m."""
     noise_px: Array
-    """(T, J): noise of the detections."""
+    """(T, J): standard deviation of the detections."""
     weight: Array
     """(T, J): weights under the robust loss, 0 if missing."""
 
     @classmethod
     def of_view(cls, solution: Solution, number: int) -> _Residuals:
-        """Return the errors of one of the solution's views."""
+        """Return the reprojection errors in one of the solution's views, by the view's number."""
         view, noise_px = solution.views[number], solution.noise_px[number]
         markers_m = solution.markers_m
         projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(markers_m)))

@@ -1,4 +1,4 @@
-"""Define the data of a fit's result: findings, the verdict, and solutions."""
+"""Define the classes that hold the result of a fit: findings, the verdict, and solutions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Finding:
     """Evidence as plain numbers and names; the endings of the names give the units: rad, m, s, px."""
 
     def names(self, number: str) -> tuple[str, ...]:
-        """Return the names stored under a key; an empty tuple without names."""
+        """Return the names among the finding's evidence under a key; empty if there are none."""
         value = self.numbers.get(number, ())
         return value if isinstance(value, tuple) else ()
 
@@ -89,7 +89,7 @@ class Verdict(Brief):
     position_m: ExpectedError | None = None
     """Distance of the mean of all joints from its true position, as a mean over the frames."""
     warned: bool = False
-    """Whether a warning says that errors may be larger than stated."""
+    """Whether a finding warns that errors may be larger than stated."""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -201,17 +201,17 @@ class SolvedShape(Brief):
     Lengths on the right equal those on the left.
     """
     lengths_m: Array
-    """(L,): the estimated lengths, size included."""
+    """(L,): estimated lengths of an animal of the estimated size."""
     lengths_sigma_m: Array
     """(L,): standard deviations of the lengths."""
     expected_lengths_m: Array
-    """(L,): lengths of the skeleton or subject."""
+    """(L,): lengths that the skeleton or the subject's file states."""
     offsets_m: Array
     """(J, 3): keypoints minus markers, in the frames of the markers' segments, size included."""
     offsets_sigma_m: Array
     """(J, 3): standard deviations of the offsets."""
     expected_offsets_m: Array
-    """(J, 3): offsets of the detector; 0 if it was not measured."""
+    """(J, 3): offsets that were measured for the detector; 0 if none were."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,11 +219,11 @@ class ReferencePath(Brief):
     """Path of the reference joint in the world, estimated from all T frames of a clip."""
 
     position_m: Array
-    """Positions, shape (T, 3)."""
+    """Positions of the reference joint, shape (T, 3)."""
     velocity_m_s: Array
-    """Velocities, shape (T, 3)."""
+    """Velocities of the reference joint, shape (T, 3)."""
     acceleration_m_s2: Array
-    """Accelerations, shape (T, 3)."""
+    """Accelerations of the reference joint, shape (T, 3)."""
     covariance: Array
     """Covariances of position, velocity and acceleration, shape (T, 9, 9), without the uncertainty of the size."""
     centre_m: Array
@@ -333,7 +333,7 @@ class TrajectorySolution(Solution):
     """Solution of the trajectory method, which flags "no data", "diverged", "data poor" and "ambiguous depth"."""
 
     size_sigma: float
-    """Posterior standard deviation of the size."""
+    """Posterior standard deviation of the animal's size."""
     size_prior_sigma: float
     """Prior standard deviation of the size around 1."""
     size_from: tuple[str, ...]
@@ -341,14 +341,14 @@ class TrajectorySolution(Solution):
     data_share: Array
     """(J,): information fraction of the joints, the part of their precision from the pixels, 0 to 1."""
     alternative_cost: float
-    """Cost of the second best solution minus that of the best solution."""
+    """Cost of the second-best solution minus that of the best solution."""
     prior: str
     status: Literal["converged", "not_converged"]
     cost_by_term: dict[str, float]
-    """Half the squared norm of the residuals under the robust loss, by term."""
+    """Cost of each term by its name: half the squared norm of its residuals, under the robust loss."""
     iterations: int
     starts: int
-    """Number of starts that were tried."""
+    """Number of starts of the search that were tried."""
     time_offset_frames: Array
     """(V,): delay of each camera's pictures beyond the stated offset; 0 if not estimated."""
     time_offset_sigma_frames: Array

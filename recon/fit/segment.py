@@ -1,4 +1,4 @@
-"""Define a solved segment of a clip, and the round that solves it again."""
+"""Define a solved segment of a clip, and the round in which a segment is solved again."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from recon.fit.terms import LENGTHS, extrinsic_correction, focal_scale, size_of,
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """A solved segment of n frames."""
+    """A segment of n frames of a clip, with its fitted unknowns and noise."""
 
     rows: slice
     """Rows of the clip that the segment covers."""
     estimate: Estimate
     problem: LeastSquares
     noise: Array
-    """(V, J): variances of the detections relative to the expected ones."""
+    """(V, J): variances of the detections of each joint in each view, relative to the expected variances."""
     noise_px: Array
     """(V, n, J): the noise of the detections, px."""
     contact: Array

@@ -46,13 +46,13 @@ CLOSE_ENOUGH = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ShapeFit:
-    """A fitted shape, with its covariance."""
+    """Lengths and keypoint offsets of a body that were fitted to clips, with their covariance."""
 
     shape: Shape
     values: Array
-    """Values of the unknowns, shape (K,)."""
+    """Fitted values of the shape's unknowns, shape (K,)."""
     covariance: Array
-    """Covariance of the unknowns, shape (K, K)."""
+    """Covariance of the shape's unknowns, shape (K, K)."""
     converged: bool
     """Whether the last step of the unknowns was below `CLOSE_ENOUGH`."""
     keypoint_sigma_m: float
@@ -67,7 +67,7 @@ class ShapeFit:
 
     @cached_property
     def sigma(self) -> Array:
-        """Return the standard deviations of the K unknowns, (K,)."""
+        """Return the standard deviations of the shape's unknowns, (K,)."""
         return np.sqrt(np.diagonal(self.covariance))
 
     def length_of(self, names: Sequence[str], prior_size_sigma: float) -> tuple[float, float, float]:

@@ -32,7 +32,7 @@ SCALES = 0.01, 3.0
 _DIFFERENCE = (1.0, -2.0, 1.0)
 """Coefficients of three frames in their second difference."""
 _ROUNDS = 20
-"""Largest number of rounds of the iteration."""
+"""Largest number of rounds in which the factors are estimated."""
 _CLOSE = 0.03
 """Largest relative change of a factor at which the rounds end."""
 _LEAST_FRAMES = 10

@@ -338,7 +338,7 @@ def _estimate_size(
 
 
 def _segment_in_world(clip: ClipProblem, segment: SegmentFit, size: float) -> MotionSegment:
-    """Return a segment's part of the result, with its ground in the world."""
+    """Return the result for one segment, with its ground in the world."""
     ground, misfit = segment.ground and segment.ground.about(clip.origin_m, size), segment.prior_misfit
     level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
     pair_fixed = len(clip.views) == 2 and clip.shows_size and not clip.options.refine_cameras

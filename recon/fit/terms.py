@@ -107,7 +107,7 @@ class Span:
 
     first: int
     states: Array
-    """(n, D): states of the frames."""
+    """(n, D): unknowns of each frame."""
     pose: TreePose
     is_last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
@@ -135,15 +135,15 @@ class PointRows:
     """Residuals of one camera's detections and their derivatives with respect to the markers instead of the states."""
 
     cost: Array
-    """(N,): cost of each frame."""
+    """(N,): cost of the detections in each frame."""
     residual: Array
-    """(N, J, 2): residuals of the detections."""
+    """(N, J, 2): weighted residuals of the detections."""
     by_point: Array
     """(N, J, 2, 3): derivatives with respect to the markers at nominal size."""
     by_shared: dict[str, Array]
     """Derivatives (N, 2J, P) with respect to the size and the camera's unknowns except its keypoint bias, by name."""
     number: int = 0
-    """Index of the view, see `Reprojection`."""
+    """Index of the view among the clip's views."""
     by_bias: Array | None = None
     """(N, J): derivatives of each coordinate with respect to the same coordinate of the joint's keypoint bias.
 
@@ -161,7 +161,7 @@ class ReprojectionErrors(NamedTuple):
     squares: Array
     """(N, J): squared errors in units of the loss."""
     seen: Bools
-    """(N, J): which markers are detected, and in front of the camera."""
+    """(N, J): mask of the markers that are detected, and in front of the camera."""
     confidence: Array
     """(N, J): confidence of the detections, 0 for missing ones."""
     unbiased_px: Array
@@ -206,7 +206,7 @@ class Linear:
         return np.arange(-self.stencil[0], max(T - self.stencil[-1], -self.stencil[0]))
 
     def residual(self, states: Array) -> Array:
-        """Return the residual (N, M) of a whole clip (T, D)."""
+        """Return the residual (N, M) for the states (T, D) of a whole clip."""
         first = -self.stencil[0]
         stop = max(len(states) - self.stencil[-1], first)
         r = np.empty((stop - first, len(self.target)))
@@ -280,7 +280,7 @@ class PoseMixture:
         object.__setattr__(self, "_offset", offset - offset.min())
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost, residual and derivatives: see `Term`."""
+        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
         cost, gradient, precision = self._expanded(span, jacobian)
         if not jacobian:
             return TermRows(cost)
@@ -325,7 +325,7 @@ class Scene:
     """Scene of a camera in N frames of a span, with the shared unknowns applied."""
 
     frames: slice
-    """Frames of the clip."""
+    """Frames of the clip to which the pictures belong."""
     parts: list[tuple[slice, float]]
     """Frames of the span between which each picture was taken, and their interpolation weights."""
     points_m: Array
@@ -334,10 +334,10 @@ class Scene:
     world_m: Array
     """(N, J, 3): the markers in the world."""
     given_view: View
-    """The view without the corrections of its camera."""
+    """The view before its camera is corrected."""
     view: View
     sigma_px: Array
-    """(N, J): noise of the detections."""
+    """(N, J): standard deviation of the detections."""
 
 
 @dataclass(frozen=True)
@@ -370,7 +370,7 @@ class Reprojection:
         return (0, 1) if self.view.offset_frames else (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost, residual and derivatives: see `Term`."""
+        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
         if not jacobian:
             return TermRows(self._errors(self._scene(span), span, jacobian=False).cost)
         points, parts = self.point_rows(span), self._parts(span)
@@ -398,7 +398,7 @@ class Reprojection:
         return self._rows_of(span, scene, self._errors(scene, span, jacobian=True))
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
-        """Return the result of `point_rows` for errors that include derivatives."""
+        """Return the residuals and derivatives of the detections from errors that include derivatives."""
         view, weight = scene.view, self.weights_of(scene, errors)
         by_point = errors.by_point * weight[..., None, None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
@@ -494,7 +494,7 @@ class KnownAngles:
     stencil: tuple[int, ...] = (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost, residual and derivatives: see `Term`."""
+        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
         states = span.states[span.own_rows]
         frames = slice(span.first, span.first + len(states))
         r = np.nan_to_num((states - self.states[frames])[:, YAW:] / self.sigma_rad)
@@ -526,7 +526,7 @@ class Heading:
         return np.array([self.rear, self.front]), replace(self, rear=0, front=1)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost, residual and derivatives: see `Term`."""
+        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
         n = len(span.states) - 1
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
@@ -590,7 +590,7 @@ class StanceVelocity:
         return q * shrink, shrink**2
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost, residual and derivatives: see `Term`."""
+        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
         nominal = np.diff(span.pose.points_m[:, self.feet], axis=0) * self.fps
@@ -637,7 +637,7 @@ class OnGround:
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost, residual and derivatives: see `Term`."""
+        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
         n = len(span.states) - 1
         frames = slice(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]

@@ -61,9 +61,9 @@ FLATTENED_SHARE = 0.1
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses, in the order in which they are used."""
 _FLATTENED_TOLERANCE = 5e-3
-"""Relative decrease of the cost at which the search with one temperature ends."""
+"""Relative decrease of the cost below which the search at one temperature of the mixture ends."""
 _FLATTENED_ITERATIONS = 8
-"""Largest number of iterations of the search with one temperature."""
+"""Largest number of iterations of the search at one temperature of the mixture."""
 _MORE_ROUNDS = 3
 """Number of further rounds if the motion is unlike those of the prior, in which noise and contacts settle again."""
 

@@ -36,7 +36,7 @@ from recon.clip import View
 OUTLIER = 3.5
 """Number of standard deviations from the point's reprojection at which a detection is an outlier."""
 SIGMAS_PX = (0.3, 12.0)
-"""Smallest and largest noise that is estimated, pixels."""
+"""Smallest and largest standard deviation that the noise of a keypoint may get, pixels."""
 LEAST_CROSSING_RAD = np.radians(1.0)
 """Angle between two rays, rad, below which they do not determine a point."""
 BRIDGED_S = 0.2
@@ -61,12 +61,12 @@ _LEAST_KNOTS = 6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Triangulation(Brief):
-    """T frames of J points triangulated from V cameras."""
+    """Points of T frames and J keypoints, triangulated from V cameras."""
 
     points_m: Array
     """(T, J, 3): the points in the world, metres, NaN if unknown."""
     covariance_m2: Array
-    """(T, J, 3, 3): covariances of the points."""
+    """(T, J, 3, 3): covariances of the points along the world's axes."""
     is_used: Bools
     """(V, T, J): whether a camera's detection contributed to the point."""
     error_px: Array
@@ -76,7 +76,7 @@ class Triangulation(Brief):
 
     @property
     def sigma_m(self) -> Array:
-        """Return the standard deviations along the axes, (T, J, 3)."""
+        """Return the standard deviations of the points along the axes, (T, J, 3)."""
         return np.sqrt(np.diagonal(self.covariance_m2, axis1=2, axis2=3))
 
 

@@ -53,7 +53,7 @@ class Camera(Brief):
     matrix: Array
     """Camera matrix K, shape (3, 3), with skew s = K[0, 1]."""
     distortion: Array
-    """Coefficients of the lens `model`, shape (n,)."""
+    """Coefficients of the lens model, in OpenCV's order, shape (n,)."""
     model: str
     """Lens model, one of `LENS_MODELS`."""
     image_size_px: tuple[int, int]
@@ -63,7 +63,7 @@ class Camera(Brief):
     unknown.
     """
     translation_m: Array | None = None
-    """Translation, shape (3,), metres; None if the pose is unknown."""
+    """Translation of T_camera_world, shape (3,), metres; None if the pose is unknown."""
     world_z_up: bool = True
     """Whether the world's z axis points up; False if a calibration board defines the world."""
     tilt_rad: float = 0.0
@@ -230,7 +230,7 @@ class Camera(Brief):
 
     @cached_property
     def lens(self) -> Lens:
-        """Return the lens model with its coefficients."""
+        """Return the lens, which distorts and undistorts rays by the camera's coefficients."""
         return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property

@@ -74,7 +74,7 @@ class Segment:
 
     name: str
     parent: str | None
-    """Name of an earlier segment; None for the root."""
+    """Name of the segment that carries this one, which comes earlier; None for the root."""
     joint: Joint
     """Kind of joint between the segment and its parent."""
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -178,7 +178,7 @@ class _Plan:
         self.outer = _outer_of(tree, base_segments)
         """(K, K): 1 where the first of two rotations turns the axis and the points of the second, otherwise 0."""
         self.gathered = (np.arange(K)[:, None] == self.turning).astype(float)
-        """(K, M): 1 for the pairs of each rotation, otherwise 0."""
+        """(K, M): 1 where a pair has the rotation, otherwise 0."""
 
     def _points_of(self, tree: Tree) -> Array:
         """Return the vectors in every frame whose sum is an origin or a marker, (S + J, 3 (S + 1))."""
@@ -192,7 +192,7 @@ class _Plan:
         return points.reshape(S + J, 3 * (S + 1))
 
     def with_lengths_of(self, tree: Tree) -> _Plan:
-        """Return this plan for a tree that differs only in lengths, see `Tree.use_plan_of`."""
+        """Return this plan for a tree that differs only in lengths (`Tree.use_plan_of`)."""
         plan = copy(self)
         plan.points = self._points_of(tree)
         return plan
@@ -208,7 +208,7 @@ def _paths_of(segments: Sequence[Segment]) -> list[list[int]]:
 
 
 def _sums_of(tree: Tree, paths: Sequence[Sequence[int]]) -> Array:
-    """Return a mask (K + 1, K) of the angles of the state that are part of each rotation's angle, see `_Plan.sums`."""
+    """Return a mask (K + 1, K) of the angles of the state that add up to each rotation's angle."""
     sums = np.eye(len(tree.rotations) + 1, len(tree.rotations))
     for k, (i, axis) in enumerate(tree.rotations):
         for j in paths[i][:-1]:

@@ -31,16 +31,16 @@ _LARGEST_RADIUS = 1e8
 
 
 class Lens:
-    """Base class of lens models: a model with its coefficients."""
+    """Base class of lens models, each of which holds the coefficients of one lens."""
 
     name: ClassVar[str]
-    """Name in recon's own files and options."""
+    """Name of the model in recon's own files and options."""
     coefficients: ClassVar[tuple[str, ...]] = ()
     """All coefficients of the model, in OpenCV's order."""
     counts: ClassVar[tuple[int, ...]] = (0,)
     """Numbers of coefficients that a camera may state; the other coefficients are 0."""
     aliases: ClassVar[tuple[str, ...]] = ()
-    """Names in ROS (`distortion_model`) and other files."""
+    """Names of the model in ROS (`distortion_model`) and other files."""
     colmap: ClassVar[Mapping[str, str]] = {}
     """COLMAP's models of this kind, with their parameters in order: f or fx fy, cx, cy, and names of `coefficients`."""
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
@@ -189,7 +189,7 @@ class _Fisheye(Lens):
 
 
 LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _RadialTangential, _Fisheye)}
-"""All lens models by their names."""
+"""Classes of all lens models by their names."""
 
 
 def lens_named(text: str) -> str | None:

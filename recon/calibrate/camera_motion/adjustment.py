@@ -28,7 +28,7 @@ MIN_PAIRS = 4
 WIDEST = 0.7
 """Largest absolute logarithm of a factor on the focal length that is tried."""
 STEP = 1e-3
-"""Change of the logarithm of the focal length for a numerical derivative."""
+"""Step in the logarithm of the focal length with which derivatives are computed numerically."""
 STEPS = 6
 """Number of iterations to find the focal length."""
 ROUNDS = 4

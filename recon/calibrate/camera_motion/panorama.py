@@ -40,7 +40,7 @@ class _Canvas:
     step: float
     """Angle from one pixel to the next, rad."""
     size_px: tuple[int, int]
-    """Width and height, both even."""
+    """Width and height of the panorama, both even."""
 
     @classmethod
     def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> _Canvas:

@@ -50,7 +50,7 @@ HULL_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """Working picture: grey, and reduced by an integer factor."""
+    """Grey picture in which points are tracked, reduced from the original by an integer factor."""
 
     grey: Image
     scale: int
@@ -227,12 +227,12 @@ class Orientation:
     rotation: Array
     """Rotation from the world to the camera, shape (3, 3)."""
     zoom: float = 1.0
-    """Focal length relative to the camera file's."""
+    """Focal length relative to that in the camera file."""
 
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """Orientation, and how well N points agree with it."""
+    """Orientation of a camera, and how well N points agree with the orientation."""
 
     orientation: Orientation
     weights: Array

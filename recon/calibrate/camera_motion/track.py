@@ -60,25 +60,25 @@ MIN_BACKGROUND = 0.4
 CLEAR_SIGMAS = 3.0
 """Deviation of the focal length from the camera file's, in standard deviations, above which it counts as different."""
 MIN_STILL = 0.4
-"""Fraction of an old keyframe's background that has to be still in position if the camera only turned."""
+"""Smallest fraction of an old keyframe's background that is still in position if the camera only turned."""
 MAX_TORN = 1
 """Largest number of old keyframes that may have a smaller fraction than `MIN_STILL`."""
 PICTURE_FLOOR_PX = 0.1
 """Standard deviation, px, of the error that all points of a picture have in common and their scatter does not show."""
 MIN_PAIR_POINTS = 30
-"""Smallest number of background points that link two pictures for the focal length."""
+"""Smallest number of background points in a pair of pictures that helps to estimate the focal length."""
 
 
 @dataclass(eq=False)
 class _Keyframe:
-    """Frame with which other frames are compared, and N of its points."""
+    """Frame with which other frames are compared, with N of its points."""
 
     number: int
     """Index of the frame among the frames that have an orientation."""
     frame: GreyPicture | None
     """The picture; None if it was removed from memory."""
     points_px: Array
-    """The points, shape (N, 2)."""
+    """Positions of the points in the keyframe, shape (N, 2)."""
     orientation: Orientation
     background: Array
     """How consistently each point has been background, shape (N,), from 0 to 1."""
@@ -93,7 +93,7 @@ class _Keyframe:
 
     @property
     def world_rays(self) -> Array:
-        """Return the rays (N, 3) in the world frame."""
+        """Return unit rays (N, 3) to the keyframe's points in the world frame."""
         return self.rays @ self.orientation.rotation
 
 
@@ -102,7 +102,7 @@ class TurningMotion:
     """Orientations of a camera in the N frames of a video in which they are known."""
 
     frames: Integers
-    """Frame numbers from 0, shape (N,)."""
+    """Numbers of the frames, counted from 0, shape (N,)."""
     orientations: tuple[Orientation, ...]
     """Orientation in each of `frames`."""
     inliers: Integers
@@ -148,7 +148,7 @@ class Tracker:
     supports: list[tuple[int, float]] = field(default_factory=list)
     """Number of agreeing points in each of `frames`, and their root mean square error in px."""
     links: list[FrameLink] = field(default_factory=list)
-    """Links of `frames` to keyframes."""
+    """Measured rotations and zooms between `frames` and keyframes."""
     lost: list[int] = field(default_factory=list)
     """Numbers of the frames that could not be aligned."""
     torn_frames: int = 0
