@@ -182,7 +182,7 @@ def require_separate_pose(path: Path, table: Mapping[str, Any], record: CameraRe
         np.asarray(_block(table[key])) if key is not None and isinstance(table[key], list | Mapping) else np.zeros(0)
     )
     if key is not None and value.size in (12, 16):
-        expected = "R and t, world to camera; for a matrix from camera to world, those of its inverse"
+        expected = "R and t from world to camera; if the matrix is from camera to world, invert it first"
         raise InputError(Problem(path, f"{record.location}{key}", "a pose in one matrix", expected))
 
 

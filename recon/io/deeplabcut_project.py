@@ -107,7 +107,7 @@ def _text(item: str) -> str:
 def bodyparts(project: Project) -> tuple[str, ...]:
     """Return the names of a project's keypoints; raise InputError if it has none."""
     if not project.bodyparts:
-        expected = "the names of the keypoints, under bodyparts, or multianimalbodyparts of several animals"
+        expected = "the names of the keypoints, under bodyparts, or under multianimalbodyparts for several animals"
         raise InputError(Problem(project.config, "bodyparts", "none", expected))
     return project.bodyparts
 

@@ -480,7 +480,7 @@ class _Series(NamedTuple):
 
 
 def _series(path: Path, group: h5py.Group) -> _Series:
-    """Return the positions of one point in all frames; raise InputError if its arrays disagree."""
+    """Return the positions of one point of an NWB file in all frames; raise InputError if its arrays disagree."""
     keys = ("data", "confidence", "timestamps", "starting_time")
     data, stored_confidence, stamps, start = (child(group, name) for name in keys)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")

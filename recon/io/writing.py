@@ -89,7 +89,7 @@ def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: i
     problems = []
     for name in names:
         if match := re.search(forbidden, name):
-            problems.append(Problem(title, "name", f"'{name}', with {match.group()!r} in it", "one without it"))
+            problems.append(Problem(title, "name", f"'{name}', with {match.group()!r} in it", "a name without it"))
         if (size := len(name.encode())) > bytes_max:
             problems.append(Problem(title, "name", f"'{name}', {size} bytes in UTF-8", f"at most {bytes_max}"))
     raise_problems(problems[:10])

@@ -27,7 +27,7 @@ from recon.show.page.quality import keypoint_notes
 LARGEST = 32_000
 """Largest absolute value of a number packed into 16 bits."""
 NOTHING = -32_768
-"""Number of 16 bits that stands for NaN."""
+"""16-bit number that stands for NaN."""
 LARGEST_BYTE = 254
 """Largest number that is packed into a byte."""
 NO_BYTE = 255
@@ -217,7 +217,7 @@ def _detections(picture: Picture) -> dict[str, Any]:
 
 
 def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
-    """Yield panels of curves over time, each with title, unit, group, and a curve for each side."""
+    """Yield panels of curves over time, each with a title, a unit, a group, and a curve for each side."""
     motion = analysis.motion
     if analysis.why_no_speed is None:
         series = analysis.reference_motion.series

@@ -16,7 +16,7 @@ _RULE = (
 
 
 def stride_boundaries(effector: EndEffector, stride: Stride | None = None) -> Figure:
-    """Draw the foot's horizontal position, height and horizontal velocity relative to the body.
+    """Draw a foot's horizontal position, height and horizontal velocity relative to the body.
 
     Lines mark the boundaries between strides, and circles the nearest extrema of the height. The phase portraits show
     the shaded stride.

@@ -58,7 +58,7 @@ from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
 OVERVIEW_ASPECT = 3.0
 """Width of the overview relative to its height."""
 OVERVIEW_RAISED = 0.4
-"""Height of the overview's eye relative to its sideways distance."""
+"""Height of the overview's eye above its target, relative to the horizontal distance between them."""
 VIEW_RAD = np.radians(55.0)
 """Vertical angle of view of rerun's viewer."""
 LINE_OF_LEGEND = 0.1
