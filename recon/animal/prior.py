@@ -91,12 +91,12 @@ class MotionPrior:
 
     @cached_property
     def mixture_whiteners(self) -> Array:
-        """Return the matrix like `pose_whitener` of each component of the mixture, shape (K, A, A)."""
+        """Return L' as in `pose_whitener` for the covariance of each component of the mixture, shape (K, A, A)."""
         return _whitener(self.covariances)
 
     @cached_property
     def acceleration_whitener(self) -> Array:
-        """Return the matrix like `pose_whitener` of the accelerations' noise, shape (A, A)."""
+        """Return L' as in `pose_whitener` for the covariance of the accelerations' noise, shape (A, A)."""
         return _whitener(self.acceleration_covariance)
 
     def with_accelerations(self, scale: Array) -> MotionPrior:

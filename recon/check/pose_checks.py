@@ -26,7 +26,7 @@ LENGTH_SPREADS = 5.0
 DRIFT_SHARE = 0.08
 """Smallest common change of all lengths that counts, as a fraction of the lengths."""
 DRIFT_FRAMES = 5
-"""Number of frames over which the common change is smoothed, by their median."""
+"""Number of frames whose median smooths the common change of all lengths."""
 NEAR = 0.02
 """Weight of a pair's length relative to its variation in the search for bones.
 

@@ -44,7 +44,7 @@ A fit's own noise estimate can hide a misfit. Correct views have 0.5 to 1.4, als
 missing; frames in random order have 5 to 9. The limit is about twice the largest.
 """
 UNEXPLAINED_SHARE = 0.1
-"""Fraction of outliers above which a motion that is unlike the prior's is not that of an animal.
+"""Fraction of outliers above which a motion that the prior does not contain cannot be an animal's.
 
 A gait that the prior does not contain has misfits of up to 5, but hardly more outliers (running dogs, with a prior of
 walking dogs).

@@ -85,7 +85,7 @@ class Evidence:
     trunk_m: float
     """Mean length of the trunk."""
     posterior_m: float
-    """Mean distance of the joints expected by the posterior, both poses centred, without the error of the size.
+    """Mean error of the joints that the posterior expects, both poses centred, without the error of the size.
 
     The error of the size moves all joints together, and is usually smaller than stated.
     """
