@@ -461,7 +461,7 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write DeepLabCut's CSV of keypoints (x, y, likelihood), or of 3D points (x, y, z in metres with z up)."""
+    """Write DeepLabCut's CSV file of keypoints (x, y, likelihood), or of 3D points (x, y, z in metres with z up)."""
     from recon.io.writing import deeplabcut_layout, write_table
 
     header, frames, values = deeplabcut_layout(data)

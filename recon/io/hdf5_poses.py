@@ -175,7 +175,7 @@ def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write DeepLabCut's H5 of keypoints (x, y, likelihood), or of 3D points (x, y, z in metres with z up)."""
+    """Write DeepLabCut's H5 file of keypoints (x, y, likelihood), or of 3D points (x, y, z in metres with z up)."""
     import pandas as pd
 
     with writing.formats_extra("DeepLabCut H5"):
@@ -370,7 +370,7 @@ def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[
 
 
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write movement's netCDF of keypoints (x, y in pixels), or of 3D points (x, y, z in metres with z up).
+    """Write movement's netCDF file of keypoints (x, y in pixels), or of 3D points (x, y, z in metres with z up).
 
     The format requires a confidence, which is NaN for 3D points.
     """

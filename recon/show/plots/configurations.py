@@ -401,7 +401,7 @@ def _frame(axes: Axes) -> None:
 
 _ROW_MM, _REST_MM = 3.3, 34.0
 _SHARES = (
-    f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly from the prior"
+    f"fraction of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly from the prior"
 )
 
 

@@ -201,7 +201,7 @@ def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str],
 
 
 FILLED = 0.8
-"""Fraction of a panel above which a band only shows that the value is unknown."""
+"""Fraction of a panel's height above which a band counts as filling it, which means that the value is unknown."""
 
 
 def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
