@@ -184,13 +184,27 @@ class LeastSquares:
 
         The pieces are computed again at each call if they need much memory.
         """
-        T, D = states.shape
-        stops = [*range(self.piece, T - self.piece, self.piece), T]
+        (T, D), stops = states.shape, self._stops(len(states))
         P = sum(len(unknown.mean) for unknown in self.shared)
         if len(stops) > 1 and T * D * ((BANDS + 1) * D + P) > _KEPT:
             return lambda: self._pieces(states, shared, stops)
         pieces = [*self._pieces(states, shared, stops)]
         return lambda: pieces
+
+    def middle_piece(self, states: Array, shared: Mapping[str, Array]) -> tuple[slice, Normal]:
+        """Return the rows of the piece in the middle of a clip, and its normal equations."""
+        T, stops = len(states), self._stops(len(states))
+        if len(stops) == 1:
+            return slice(0, T), self.normal(states, shared)
+        i = next(i for i, stop in enumerate(stops) if stop > T // 2)  # 1 at least
+        start, stop = stops[i - 1], stops[i]
+        # the terms of the frame before the piece read its first frame
+        _, piece = self._pieces(states, shared, [start, stop], start - _FRAMES_AT_ONCE)
+        return slice(start, stop), piece
+
+    def _stops(self, T: int) -> list[int]:
+        """Return the ends of the pieces of T frames; the last piece is up to twice as long as the others."""
+        return [*range(self.piece, T - self.piece, self.piece), T]
 
     def _pieces(
         self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int], start: int = 0

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.fit.banded import Normal, factored
+from recon.fit.banded import factored
 from recon.fit.least_squares import LeastSquares
 from recon.fit.terms import ACCELERATION_TERMS
 from recon.geometry.kinematics import ROOT
@@ -65,7 +65,9 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
     accelerations = [term for term in problem.linear if term.name in ACCELERATION_TERMS]
     inverse_sigma = np.sum([np.abs(term.slots[0]).sum(axis=0) for term in accelerations], axis=0)
     expected_weight = inverse_sigma * scale
-    normal, states = _middle_piece(problem, states, shared)
+    rest = [term for term in problem.linear if term.name not in ACCELERATION_TERMS]
+    rows, normal = replace(problem, linear=rest, shared=(), nuisance=()).middle_piece(states, shared)
+    states = states[rows]
     T = len(states)
     for _ in range(_ROUNDS):
         weight = expected_weight / scale
@@ -86,18 +88,6 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
         if is_close:
             break
     return scale
-
-
-def _middle_piece(problem: LeastSquares, states: Array, shared: Mapping[str, Array]) -> tuple[Normal, Array]:
-    """Return the normal equations without acceleration terms, and the states (n, D), of the middle piece of a clip."""
-    rest = [term for term in problem.linear if term.name not in ACCELERATION_TERMS]
-    start = 0
-    for piece in replace(problem, linear=rest, shared=(), nuisance=()).normals(states, shared)():
-        stop = start + len(piece.gradient)
-        if stop > len(states) // 2:
-            return piece, states[start:stop]
-        start = stop
-    raise AssertionError("the pieces do not reach the middle of the clip")
 
 
 def _second_difference(states: Array) -> Array:

@@ -270,6 +270,22 @@ def test_pieces_that_are_computed_again_are_the_same(monkeypatch):
             np.testing.assert_array_equal(getattr(second, name), getattr(part, name))
 
 
+def test_the_middle_piece_is_that_of_the_clip(monkeypatch):
+    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
+    problem, states = replace(seen_late(shared=True), piece=2), some_states()
+    shared = some_shared(problem)
+    rows, middle = problem.middle_piece(states, shared)
+    assert 0 < rows.start <= T // 2 < rows.stop
+    parts = [*problem.normals(states, shared)()]
+    starts = np.cumsum([0, *(len(part.gradient) for part in parts)]).tolist()
+    part = parts[starts.index(rows.start)]
+    for name in ("blocks", "gradient", "border", "corner", "shared_gradient"):
+        np.testing.assert_array_equal(getattr(middle, name), getattr(part, name))
+    rows, whole = replace(problem, piece=T).middle_piece(states, shared)
+    assert rows == slice(0, T)
+    np.testing.assert_array_equal(whole.blocks, problem.normal(states, shared).blocks)
+
+
 def test_minimum_of_a_linear_problem_takes_one_step():
     """The minimum of a linear problem takes one step, and is the closed form of least squares."""
     D = BODY.n_state
