@@ -42,6 +42,8 @@ _MOST_WEIGHT = 0.99
 """Largest weight w of a detection in the formulas of the module; larger weights are reduced to this value."""
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, which bounds the memory."""
+_FRAMES_KEPT = 5000
+"""Number of frames of a clip up to which the normal equations are kept for the derivative; they need 19 kB a frame."""
 _RELATIVE_STEP = 1e-4
 """Step of the numerical derivative of the covariance: e G relative to H, in the module's notation."""
 
@@ -177,12 +179,13 @@ def _covariance_and_derivative(
     (N, D, D) of some frames. Only these values are kept, because Z, Q and G of a long clip need much memory.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
+    kept = [*normals()] if len(estimate.states) <= _FRAMES_KEPT else None
     values, largest = list[Array](), 1e-12
-    for frames, Z in _covariances(normals(), problem.ahead):
+    for frames, Z in _covariances(kept or normals(), problem.ahead):
         largest = max(largest, float(np.einsum("tab,tba->t", Z, curvature(frames)).max()))
         values.append(of_states(frames, Z))
     step = _RELATIVE_STEP / largest
-    stiffened = _covariances(_stiffened(normals(), step, curvature), problem.ahead)
+    stiffened = _covariances(_stiffened(kept or normals(), step, curvature), problem.ahead)
     derivatives = [(value - of_states(frames, Z)) / step for value, (frames, Z) in zip(values, stiffened, strict=True)]
     return np.concatenate(values), np.concatenate(derivatives)
 

@@ -48,8 +48,6 @@ _PIECE_S = 5.5
 
 Solving in pieces changes the states by 1e-6 at most.
 """
-_KEPT = 1 << 24
-"""Largest number of values in the normal equations of a long clip that are kept for a further use: 128 MB."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
 """Smallest expected further decrease of the cost for which a step is extended.
@@ -182,14 +180,13 @@ class LeastSquares:
     def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Callable[[], Iterable[Normal]]:
         """Return a function that gives the normal equations in pieces.
 
-        The pieces are computed again at each call if they need much memory.
+        The pieces are computed again at each call, unless the clip is short.
         """
-        (T, D), stops = states.shape, self._stops(len(states))
-        P = sum(len(unknown.mean) for unknown in self.shared)
-        if len(stops) > 1 and T * D * ((BANDS + 1) * D + P) > _KEPT:
+        stops = self._stops(len(states))
+        if len(stops) > 1:
             return lambda: self._pieces(states, shared, stops)
-        pieces = [*self._pieces(states, shared, stops)]
-        return lambda: pieces
+        whole = [self.normal(states, shared)]
+        return lambda: whole
 
     def middle_piece(self, states: Array, shared: Mapping[str, Array]) -> tuple[slice, Normal]:
         """Return the rows of the piece in the middle of a clip, and its normal equations."""

@@ -41,6 +41,12 @@ def test_a_fit_states_what_corrections_would_gain(solved: Motion):
     assert np.nanmin(gain_m2) >= 0
 
 
+def test_the_equations_of_a_longer_clip_are_computed_again(solved: Motion, monkeypatch):
+    kept = gains(solved)
+    monkeypatch.setattr("recon.fit.correction_gain._FRAMES_KEPT", 0)
+    np.testing.assert_array_equal(gains(solved), kept)
+
+
 def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: Motion):
     solution = solved.solution
     assert isinstance(solution, TrajectorySolution)

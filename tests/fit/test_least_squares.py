@@ -255,21 +255,6 @@ def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
         np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
 
 
-def test_pieces_that_are_computed_again_are_the_same(monkeypatch):
-    """Pieces that need much memory are computed at every use, others are kept, and both are the same."""
-    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
-    problem, states = replace(seen_late(shared=True), piece=2), some_states()
-    kept = problem.normals(states, some_shared(problem))
-    monkeypatch.setattr(module, "_KEPT", 0)
-    computed = problem.normals(states, some_shared(problem))
-    assert [*map(id, kept())] == [*map(id, kept())]
-    for part, first, second in zip(kept(), computed(), computed(), strict=True):
-        assert first is not second
-        for name in ("blocks", "gradient", "border", "corner", "shared_gradient"):
-            np.testing.assert_array_equal(getattr(first, name), getattr(part, name))
-            np.testing.assert_array_equal(getattr(second, name), getattr(part, name))
-
-
 def test_the_middle_piece_is_that_of_the_clip(monkeypatch):
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
     problem, states = replace(seen_late(shared=True), piece=2), some_states()
