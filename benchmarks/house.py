@@ -127,7 +127,7 @@ class Syntax(NamedTuple):
     local: list[ast.AST]
     """Nodes inside functions, without the functions and classes themselves."""
     top: list[ast.stmt]
-    """Statements of the module."""
+    """Statements at the top level of the module."""
 
     @classmethod
     def read(cls, path: Path) -> Syntax:
@@ -148,7 +148,7 @@ FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def function_word_names(syntax: Syntax) -> list[tuple[int, str]]:
-    """Return the lines and names of bindings that are function words."""
+    """Return the line and the name of each variable, function or class that is named by a function word."""
     return [(line, name) for node in syntax.nodes for line, name in bound(node) if name in FUNCTION_WORDS]
 
 
@@ -319,7 +319,7 @@ def imported_by(module: str, source: str, is_package: bool, modules: Mapping[str
 
 
 def _called(function: ast.expr) -> str:
-    """Return the name of a called function, without the object that it is an attribute of."""
+    """Return the name of a called function, without the object on which it is called."""
     return (
         function.id if isinstance(function, ast.Name) else function.attr if isinstance(function, ast.Attribute) else ""
     )

@@ -113,7 +113,7 @@ def needed(commands: list[Command], words: list[str]) -> list[Command]:
 
 
 def run_commands(plan: Path) -> None:
-    """Run a list of commands in this process, each into a folder below the working folder."""
+    """Run a list of commands in this process, each of which writes into its own folder below the working folder."""
     from importlib import import_module
 
     for target in (*PLAYBACKS, *FIGURES):
@@ -153,7 +153,7 @@ class Comparison:
 
 
 def compare_files(old: Path, new: Path, name: str) -> Comparison:
-    """Compare a file of two folders of results."""
+    """Compare one file in two folders of results."""
     if not ((old / name).is_file() and (new / name).is_file()):
         return Comparison(name, 0, f"only in {'OLD' if (old / name).is_file() else 'NEW'}")
     was, now = values_of(old / name), values_of(new / name)

@@ -23,7 +23,7 @@ def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[st
     Parameters
     ----------
     options
-        Names in `COMMON`.
+        Names of the common options (`COMMON`) that the script has.
     kind
         Kind of recordings whose folder can be given; the default is the folder of $RECON_SHARED_DATA.
     only

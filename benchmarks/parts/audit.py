@@ -375,7 +375,7 @@ def is_right(file: File, code: str) -> bool:
 
 
 def named_by(values: Mapping[str, float], limits: Mapping[str, float]) -> set[str]:
-    """Return the codes whose measures exceed these limits."""
+    """Return the codes of the findings whose measured values exceed these limits."""
     codes = {code for code, value in values.items() if value > limits[code]}
     return codes - {later for code in codes for later in CONSEQUENCES.get(code, ())}
 
@@ -398,11 +398,11 @@ def chosen_limits(untouched: Sequence[Mapping[str, float]], faulty: Mapping[str,
 
 
 Values = dict[str, float]
-"""Measures of a file, by the code of their finding."""
+"""Measured values of a file, by the code of their finding."""
 
 
 def untouched_values(all_files: Sequence[File]) -> dict[str, Values]:
-    """Return the measures of files without a planted fault; those of real leaps and jumps are left out."""
+    """Return the measured values of files without a planted fault, except those of real leaps and jumps."""
     untouched = {file.name: values_of(file.points) for file in all_files}
     for file in all_files:
         leaping = with_leap(file.points)
@@ -414,7 +414,7 @@ def untouched_values(all_files: Sequence[File]) -> dict[str, Values]:
 
 
 def planted_values(all_files: Sequence[File], seed: int) -> dict[str, list[tuple[File, Values]]]:
-    """Return the measures of files with each fault planted, by fault."""
+    """Plant each fault in all files that allow it, and return the files with their measured values, by fault."""
     planted: dict[str, list[tuple[File, Values]]] = {name: [] for name in FAULTS}
     for f, (name, (fault, _)) in enumerate(FAULTS.items()):
         for i, file in enumerate(all_files):

@@ -135,7 +135,7 @@ def with_poses(run: Run, cameras: Iterable[int], body: Body) -> ClipProblem:
 
 
 def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
-    """Return the states (T, D) of the reference, relative to an origin."""
+    """Return the states (T, D) of the skeleton in the reference reconstruction, relative to an origin (3,), metres."""
     states = solve_points(body_of(run.subject), run.truth_m)[0]
     states[:, ROOT] -= origin_m
     return states
@@ -208,7 +208,7 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
 
 
 def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -> list[dict]:
-    """Leave out every camera once, and compare the reprojection of the others' pose in it with the truth's.
+    """Leave out each camera in turn, and project the pose from the other cameras, and the truth, into this camera.
 
     Both are compared with the same detections. `known` states the source of the keypoint bias, as in `body_with_bias`.
     """

@@ -97,7 +97,7 @@ def detector_of(runs: Sequence[Run], bodies: dict[Run, Body]) -> Body:
 
 
 def plate_run(folder: Path) -> Run:
-    """Return a run as `run_of` does, for cameras in separate files."""
+    """Load a run whose cameras are in separate files; otherwise as `run_of`."""
     cameras, given = meta_of(folder)["cameras"], []
     for number in cameras:
         one = FitSettings(

@@ -53,7 +53,7 @@ def measured(run: Path) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
 
 
 def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str, float]]:
-    """Return a row for each measured stance that the clip contains."""
+    """Return a row of force errors for each stance on a plate that the clip contains."""
     force, stance = measured(run)
     d, rows, impulses = found.dynamics, [], force.sum() / fps
     if d is None or found.gait is None:

@@ -117,7 +117,7 @@ def shown(row: dict[str, float]) -> dict[str, str]:
 
 
 def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
-    """Return a row for each clip, with the rig that is estimated from all clips together."""
+    """Estimate one rig from all clips, and return a row for each clip with the errors of rig and pose."""
     cameras = cameras_of(clips[0])["all"]
     views = [[run.views[camera] for camera in cameras] for run in clips]
     bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]

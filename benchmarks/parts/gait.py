@@ -200,7 +200,7 @@ CANDIDATES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 
 def held_out_rows(runs: Sequence[Path]) -> list[dict]:
-    """Choose the fraction for each kind of recordings on the other kinds, and test it on that kind.
+    """Choose `SPEED_ERROR` for each kind of recordings on the other kinds, and test the choice on that kind.
 
     The criteria are the number of missed stances and the error of the median duration.
     """
@@ -290,7 +290,7 @@ def view_rows(runs: Sequence[Path]) -> list[dict]:
 
 @cache
 def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
-    """Return each clip, its gait by the markers, and its fit from one camera at the side."""
+    """Return each clip of the dog, the gait computed from its markers, and its fit from one camera at the side."""
     folder, found = recordings("dog-mocap"), []
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):

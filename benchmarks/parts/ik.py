@@ -201,7 +201,10 @@ def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
 
 
 def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
-    """Return the smallest closure of any joint after the turns on a circle, in angle / in the plane with the rate."""
+    """Return as text the smallest closure of any joint after the turns on a circle, for the angle and in the plane.
+
+    The plane is that of angle and rate.
+    """
     method = methods(chain).get(name)
     if method is None:
         return ""
@@ -213,7 +216,7 @@ def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
 
 
 def circle(chain: SerialChain, q: Array) -> Array:
-    """Return a closed circle (POINTS + 1, dim) from the end's position at q."""
+    """Return a closed circle (POINTS + 1, dim), metres, that begins at the end effector's position at q."""
     angle, start = np.linspace(0, 2 * np.pi, POINTS + 1), chain.end(q)
     u, v = np.array([1.0, 0.0, 0.0])[: chain.dim], np.array([0.0, 0.8, 0.6])[: chain.dim]
     path = start + RADIUS_M * ((np.cos(angle) - 1)[:, None] * u + np.sin(angle)[:, None] * v)
@@ -224,9 +227,9 @@ def circle(chain: SerialChain, q: Array) -> Array:
 def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
     """Classify what the extended Jacobian does with a cost on the circle, from the cost's optimum.
 
-    The result is "convergent" if the angles after every turn equal those at its beginning; "singular" if the matrix was
+    The motion is "convergent" if the angles after every turn equal those at its beginning; "singular" if the matrix was
     singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away; otherwise
-    "drifting". It also states how many joints reached a limit.
+    "drifting". The text also states how many joints reached a limit.
     """
     method = ExtendedJacobian(cost)
     q = to_null_space_optimum(chain, q, cost)[0]
@@ -418,7 +421,7 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A leg's stride, with its frames and its run."""
+    """A run's leg with one stride, and the known frames of this stride."""
 
     leg: Leg
     stride: StridePath

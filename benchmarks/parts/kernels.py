@@ -49,7 +49,7 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Kernel:
-    """A computation on all frames, with the operations and bytes that it needs at least for one frame."""
+    """A computation on all frames, with the least number of operations and bytes that one frame needs."""
 
     name: str
     run: Callable[[], object]

@@ -241,7 +241,7 @@ def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
 
 
 def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
-    """Return the results of a case on a view.
+    """Fit a view with the fault of a case, and return the row of results, which has these columns among others.
 
     - kind_right: a finding of the right kind names the right keypoints
     - frames_right: the frames of this finding overlap the changed frames by at least half

@@ -105,7 +105,7 @@ def table(title: str, rows: Rows) -> None:
 
 
 def compared(cases: Sequence[Case], priors: Sequence[MotionPrior], plain: MotionPrior) -> Iterator[dict]:
-    """Yield a row for each prior of each case."""
+    """Fit each case with independent angles (`plain`) and with each prior, and yield a row for each prior."""
     for case in cases:
         alone_mm = errors_mm(case, fitted(case, plain))
         for prior in priors:

@@ -68,7 +68,7 @@ def panned(view: View, fps: float) -> tuple[View, View, int]:
 
 
 def _median(rays: np.ndarray) -> np.ndarray:
-    """Return the median of rays as (T, 3), NaN if nothing is seen."""
+    """Return the median ray (T, 3) of each frame, NaN if nothing is seen."""
     middle = np.full((len(rays), 3), np.nan)
     seen = np.isfinite(rays[..., 0]).any(axis=1)
     middle[seen] = np.nanmedian(rays[seen], axis=1)

@@ -124,7 +124,7 @@ def drawn(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
 
 @cache
 def recorded_motions(animal: str) -> list[Motion]:
-    """Return complete recorded motions."""
+    """Return the recorded motions of an animal, without frames that lack a point."""
     if animal == "dog":
         body, prior = model(dog.SKELETON)
         clips = ((clip.fps, clip.markers(body)) for clip in dog.read_clips(recordings("dog-mocap")))

@@ -30,7 +30,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import Estimate
 
 LOWER = 1.0
-"""Decrease of the cost that counts; two searches that end in the same minimum differ by less."""
+"""Smallest decrease of the cost that counts; two searches that end in the same minimum differ by less."""
 
 
 def windows_of(run: Run) -> list[tuple[bool, ClipProblem]]:
@@ -48,7 +48,7 @@ def windows_of(run: Run) -> list[tuple[bool, ClipProblem]]:
 
 
 def approached(clip: ClipProblem, constant: str) -> list[Estimate]:
-    """Return the starts of a window without a constant's effect."""
+    """Approach a window with a constant made infinite, so that it has no effect, and return the estimates."""
     with patch.object(starts, constant, np.inf):
         return starts.approach(clip)
 

@@ -116,7 +116,7 @@ class IkSettings(Settings):
 
     @property
     def parameters(self) -> str:
-        """Return the origin of the methods' parameters, in words."""
+        """Return in words where the methods' parameters come from."""
         return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property

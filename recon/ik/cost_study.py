@@ -20,7 +20,7 @@ from recon.ik.methods import ExtendedJacobian
 from recon.ik.null_space import to_null_space_optimum
 
 NEAR_RAD = 1e-6
-"""Difference between the two starts in every joint."""
+"""Difference of every joint between the two starts whose paths are compared."""
 CLOSED_RAD = 1e-3
 """Largest change of a joint over one turn for which the path counts as closed."""
 GROWTH = 1e3
@@ -33,7 +33,7 @@ class CostOutcome:
     """Behaviour of the extended Jacobian with one cost on a closed path."""
 
     outcome: str
-    """Convergent, singular, chaotic or drifting."""
+    """Kind of the motion: convergent, singular, chaotic or drifting."""
     stationary: str
     """Kind of the stationary point at the start, or the reason why none was reached."""
     drift_rad: float

@@ -56,7 +56,7 @@ class JointRates(NamedTuple):
     singular: bool = False
     """Whether the rates are damped because the end effector cannot move in some direction."""
     note: str = ""
-    """Rates that were reduced or damped, in words; empty if none were."""
+    """Sentence on the rates that were reduced or damped; empty if there were none."""
     along: Array | float = 0.0
     """Additional rates along the null space, rad/s, which are added as far as the limits allow."""
 

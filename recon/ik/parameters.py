@@ -46,7 +46,7 @@ PARAMETERS = {
     "damped": ("lambda_m",),
     "selectively-damped": ("gamma_max_rad",),
 }
-"""Column names of the methods that have one parameter, by method."""
+"""Column of the parameter table for each method that has one parameter, by method."""
 
 
 @dataclass(frozen=True, eq=False)

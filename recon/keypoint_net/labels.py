@@ -42,7 +42,7 @@ class Labels:
 
     names: tuple[str, ...]
     xy_px: Array
-    """Labels, NaN where a point is not labelled, shape (N, K, 2)."""
+    """Positions of the labels, pixels, NaN where a point is not labelled, shape (N, K, 2)."""
     numbers: Integers
     """Frame numbers, from the ends of the image names, shape (N,)."""
     images: tuple[str, ...]

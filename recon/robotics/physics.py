@@ -280,12 +280,12 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     motion : RobotMotion
         The motion to follow.
     strides : int
-        Number of repetitions.
+        Number of times that the motion is repeated.
 
     Returns
     -------
     time_s : (K,)
-        Times.
+        Times of the simulated samples, seconds.
     off_m : (K,)
         Distance of the base from its position in the motion, metres.
     """

@@ -68,7 +68,7 @@ class RobotLeg:
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
-        """Return the distance (..., n) of each angle from its nearer limit, rad; negative outside, NaN for NaN."""
+        """Return the distance (..., n) of each angle from its nearer limit, rad, negative outside; NaN stays NaN."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:

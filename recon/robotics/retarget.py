@@ -78,7 +78,7 @@ class Reference:
     advance_m: Array | None = None
     """Displacement from the first to the last sample of a closed stride, shape (2,), metres; None for a clip.
 
-    The two samples are equal otherwise.
+    Except for this displacement, the two samples are equal.
     """
 
 

@@ -120,18 +120,18 @@ class UnknownsChain(Chain):
         return local_state
 
     def local_joints(self, state: Array) -> Array:
-        """Return joints (N, J, 3) relative to the root in UVW, metres, for states (N, D)."""
+        """Return the joints' positions (N, J, 3) relative to the root in UVW, metres, for states (N, D)."""
         size = state[:, self.base_index] / self.nominal_base_length_m
         return self.body.tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
 
     def pose(self, state: Array) -> ChainPose:
-        """Return the joints in the camera frame for states (N, D), without Jacobians."""
+        """Return the joints' positions in the camera frame for states (N, D), without Jacobians."""
         R = euler_rotation(state[:, self.euler_slice])
         p = self.local_joints(state) + state[:, None, self.position_slice]
         return ChainPose(state, R, p @ R.transpose(0, 2, 1))
 
     def pose_with_jacobian(self, state: Array) -> ChainPose:
-        """Return the joints in the camera frame for states (N, D), with exact Jacobians."""
+        """Return the joints' positions in the camera frame for states (N, D), with exact Jacobians."""
         N, J, A = len(state), len(self.joints), self.n_angles
         tree = self.body.tree.pose_with_jacobian(self._local_state(state))
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m

@@ -69,7 +69,7 @@ class FrameOptions:
     initial_damping: float | None = None
     """Initial damping of a search (`recon.thesis.levenberg`); None to let MINPACK choose."""
     damping_factor: float = 10.0
-    """Factor by which the damping changes."""
+    """Factor by which the damping changes after each step."""
     tolerance: float = 1e-8
     """Relative change of cost, step and gradient at which a search ends."""
     max_evaluations: int = 400
@@ -238,7 +238,7 @@ class DirectionPrior(Objective):
     axis: int
     """Axis of the root: 0 is forward, U; 2 is lateral, W."""
     components: Array
-    """Rows (M, 3) onto which the difference is projected."""
+    """Directions (M, 3) onto which the difference between the axis and the expected axis is projected."""
     expected: Array | None
     """Expected unit vectors (T, 3) in the camera frame, NaN where the residuals are 0.
 

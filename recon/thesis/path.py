@@ -29,7 +29,7 @@ ACCELERATION_LASTS_S = 0.05
 ERRORS_LAST_S = 0.06
 """Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
 LEAST_SIGMA_M = 0.02
-"""Smallest standard deviation of a frame's position: the reference joint is not a fixed point of the animal."""
+"""Smallest standard deviation of a frame's position, because the reference joint is not fixed on the animal."""
 _FIRST_POSITION_M = 100.0
 """Standard deviation of the position before the first frame, large enough to leave the position free."""
 _FIRST_SPEED_M_S = 30.0

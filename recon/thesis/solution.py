@@ -97,7 +97,7 @@ class FrameSolution(Solution):
     chain_states: Array
     """States as published (`recon.thesis.chain`), shape (T, D); NaN if a frame has no data or its pose diverged."""
     reports: tuple[_FrameReport | None, ...]
-    """Reports of the frames; None for a frame without data."""
+    """Report on the optimisation of each frame; None for a frame without data."""
     travel: Travel
     """Direction of travel at the start of the search."""
     objectives: tuple[str, ...]

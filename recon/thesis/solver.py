@@ -35,7 +35,7 @@ from recon.thesis.start import estimate_travel, geometric_start, parse_start_ang
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares after which a tolerance was met."""
 MOST_SIZE = 10.0
-"""Ratio of the base length to the expected length, or its inverse, beyond which a result is not an animal."""
+"""Ratio of the base length to its expected value, or the inverse, above which a pose counts as diverged."""
 _WIDE_MAX = 50.0
 """Largest factor by which the noise is raised during the approach from a distant start."""
 _WIDE_UNSEEN = 10.0
@@ -155,7 +155,7 @@ class FrameProblem:
 
     @property
     def pixels(self) -> JointReprojection:
-        """Return the objective f1."""
+        """Return the objective f1, which holds the reprojection errors."""
         first = self.terms[0]
         assert isinstance(first, JointReprojection)
         return first

@@ -214,7 +214,7 @@ class _Pace(FileTable):
 
 
 class Recipe(FileTable):
-    """A climb: robot, stance, step, footfalls and fields."""
+    """Description of a climb: robot, initial stance, step, footfalls and fields."""
 
     robot: str
     """Name of the robot."""
@@ -410,7 +410,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
 
 
 def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Array) -> Array:
-    """Return the force in world axes and the moment about the centre of mass in body axes (N, 6) of N torsos.
+    """Return the force (world axes) and the moment about the centre of mass (body axes) for N poses, shape (N, 6).
 
     Parameters
     ----------
@@ -445,11 +445,11 @@ def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Ar
 def equilibrium(
     fields: Fields, hips_m: Array, feet_m: Array, without: int, start: Array, free: tuple[int, ...]
 ) -> tuple[Array, int, bool]:
-    """Return the torso of lowest energy near the start, the number of evaluations, and whether the search converged.
+    """Search for the torso's pose of lowest energy near the start.
 
-    The search applies Newton's method to forces and moments, with the absolute values of the stiffness's eigenvalues.
-    `free` holds the indices of the free coordinates among x, y, z, roll, pitch and yaw. The other parameters are those
-    of `wrench`.
+    Returns the pose, the number of evaluations, and whether the search converged. The search applies Newton's method to
+    forces and moments, with the absolute values of the stiffness's eigenvalues. `free` holds the indices of the free
+    coordinates among x, y, z, roll, pitch and yaw. The other parameters are those of `wrench`.
     """
     columns, n, torso = list(free), len(free), start
     nudges = np.zeros((2 * n + 1, 6))
