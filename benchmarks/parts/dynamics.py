@@ -241,7 +241,10 @@ SHARES = 200
 
 
 def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
-    """Return the row of a run seen by one camera, with feet that divide the impulse as stated."""
+    """Fit a simulated gait seen by one camera, and return the row of its force errors.
+
+    The feet divide the impulse among them as the model states.
+    """
     body, rng, rows = load_skeleton("cheetah-24"), np.random.default_rng(0), []
     with tempfile.TemporaryDirectory() as written:
         for seed in range(VIEWS):

@@ -76,7 +76,7 @@ def _median(rays: np.ndarray) -> np.ndarray:
 
 
 def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
-    """Return the standard deviations of the joints within the pose and of their position, metres, RMS over all."""
+    """Return the stated standard deviations of pose and of position, metres, RMS over all joints and frames."""
     return np.array(
         [
             np.sqrt(np.nanmean(np.trace(covariance, axis1=2, axis2=3)))

@@ -54,7 +54,7 @@ def recon(*arguments: str) -> list[str]:
 
 
 def modules_of(command: list[str], folder: str) -> list[str]:
-    """Return the modules that a command of Python imports, in the order in which their imports end."""
+    """Return the modules that a Python command imports, in the order in which their imports finish."""
     traced = [command[0], "-X", "importtime", *command[1:]]
     stderr = subprocess.run(traced, cwd=folder, capture_output=True, text=True, check=True).stderr
     names = re.findall(r"^import time:.*\| +(\S+)$", stderr, re.MULTILINE)

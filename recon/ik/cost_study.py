@@ -39,7 +39,7 @@ class CostOutcome:
     drift_rad: float
     """Largest change of a joint from the start to the end of any turn."""
     growth: float
-    """Factor by which the distance between two close starts grows."""
+    """Factor by which the distance between the paths from two close starts grows."""
     singular_steps: int
     worst_error_m: float
     """Largest distance of the end effector from the path, metres."""

@@ -276,7 +276,9 @@ def _notes(done: Retargeting) -> list[str]:
         if part.short.any():
             feet = ", ".join(label for label, short in zip(LEGS, part.short.T, strict=True) if short.any())
             share = 100 * part.short.any(axis=1).mean()
-            notes.append(f"{name}: {feet} out of reach for {share:.0f} % of the time; moved into reach there")
+            notes.append(
+                f"{name}: {feet} out of reach for {share:.0f} % of the time; these positions were moved into reach"
+            )
         fast = [joint for joint, share in zip(part.robot.joints, part.rate_share, strict=True) if share > 1 + 1e-9]
         if fast:
             worst = part.rate_share.max()

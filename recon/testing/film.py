@@ -325,7 +325,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
 
 
 def _project_moving(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
-    """Return the clip with detections by the camera of each frame."""
+    """Return the clip with the detections that the moving camera makes in each frame."""
     keypoints = clip.keypoints
     xy_px = np.empty(keypoints.xy_px.shape)
     for t, points_m in enumerate(clip.truth_m):

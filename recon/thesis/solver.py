@@ -495,7 +495,7 @@ def precision_shares(C: Array, J_data: Array) -> Array:
     """Return the fraction (D,) of each unknown's precision that comes from the pixels.
 
     Since C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
-    not negative. The result is the fraction of the first part, and NaN where C is NaN.
+    not negative. The returned fraction is that of the first part, and NaN where C is NaN.
 
     Parameters
     ----------
