@@ -140,7 +140,7 @@ def learned(body: Body, segments: Sequence[tuple[str, np.ndarray, float]], name:
 
 
 def segments_of(folder: Path) -> list[tuple[str, np.ndarray, float]]:
-    """Return the name, states and frame rate of each segment."""
+    """Read the name, the states and the frame rate of each recorded segment of a running cheetah."""
     body = trajectory.body_of("phantom")
     poses = read_pose_segments(folder / "training_positions.csv")
     rates = json.loads((folder / "segments.json").read_text())["fps"]

@@ -50,7 +50,7 @@ class Labels:
     clip: Integers
     """Index of each picture's clip in `clips`, shape (N,)."""
     clips: tuple[str, ...]
-    """Folders of the project, or the video."""
+    """Names of the clips: folders of the project, or the video."""
     pictures: tuple[Image, ...]
     """N pictures (height, width, 3) with the channels blue, green, red, of the same size within a clip."""
     source: str

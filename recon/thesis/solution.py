@@ -103,7 +103,7 @@ class FrameSolution(Solution):
     objectives: tuple[str, ...]
     fps: float
     size_sigma: float | None = None
-    """Posterior standard deviation of the size factor; None if no frame has a pose."""
+    """Posterior standard deviation of the animal's size relative to the skeleton; None if no frame has a pose."""
     path: Path | None = None
     """Path to which the reference joint is tied; None if every frame was solved on its own."""
     path_sigma_m: float = 0.01
