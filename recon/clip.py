@@ -222,7 +222,12 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     """Parse the frame range "A:B" into (A, B).
 
     Either side may be empty (None). B is not included, as in a Python slice. A and B are the file's frame numbers, not
-    row indices. Raises InputError if the text is not such a range.
+    row indices.
+
+    Raises
+    ------
+    InputError
+        If the text is not such a range.
     """
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
@@ -325,7 +330,10 @@ def leave_out(
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
     """Return the rows with frame numbers in the half-open range (A, B); None means no limit.
 
-    Raises InputError if no row is left.
+    Raises
+    ------
+    InputError
+        If no row is left.
     """
     start, stop = frames or (None, None)
     keep = keypoints.frames >= (-np.inf if start is None else start)
@@ -379,7 +387,17 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
     """Insert rows of missing points for absent frame numbers, so that frames are equally spaced in time.
 
-    Also returns the half-open ranges of inserted frames. Raises InputError if the gaps are far too long.
+    Returns
+    -------
+    keypoints : Keypoints
+        Keypoints in consecutive frames.
+    inserted : tuple of (int, int)
+        Half-open ranges of the inserted frame numbers.
+
+    Raises
+    ------
+    InputError
+        If the gaps are far too long.
     """
     frames, (t, k) = keypoints.frames, keypoints.confidence.shape
     span = int(frames[-1]) - int(frames[0]) + 1

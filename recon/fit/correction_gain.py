@@ -173,10 +173,10 @@ def _covariance_and_derivative(
     curvature: Callable[[slice], Array],
     of_states: Callable[[slice, Array], Array],
 ) -> tuple[Array, Array]:
-    """Return a linear function `of_states` of the blocks of Z, and the same function of those of Q, (T, ...) each.
+    """Return the values (T, ...) of a linear function for every frame's block of Z, and those for its block of Q.
 
-    `curvature` returns the curvature G of some frames (N, D, D). `of_states` returns an array (N, ...) from the blocks
-    (N, D, D) of some frames. Only these values are kept, because Z, Q and G of a long clip need much memory.
+    `of_states` is this function. It returns an array (N, ...) from the blocks (N, D, D) of N frames. Only its values
+    are kept, because Z, Q and G of a long clip need much memory. `curvature` returns the blocks (N, D, D) of G.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
     kept = [*normals()] if len(estimate.states) <= _FRAMES_KEPT else None

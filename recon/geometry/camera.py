@@ -112,8 +112,12 @@ class Camera(Brief):
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
         """Return a pinhole camera with a given horizontal field of view.
 
-        Pixels are square and the principal point is central. Raises ValueError if the field of view is not between 0
-        and 180 degrees.
+        Pixels are square and the principal point is central.
+
+        Raises
+        ------
+        ValueError
+            If the field of view is not between 0 and 180 degrees.
         """
         if not 0 < hfov_deg < 180:
             raise ValueError(f"the horizontal field of view must lie between 0 and 180 degrees, got {hfov_deg}")

@@ -95,7 +95,7 @@ def up_by_marks(
 
 
 def read_marks(path: Path) -> tuple[LevelMark, ...]:
-    """Read marks from a CSV table of `COLUMNS`.
+    """Read marks on the horizon and on upright objects from a CSV table with the columns `COLUMNS`.
 
     Raises
     ------

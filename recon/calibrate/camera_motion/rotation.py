@@ -37,7 +37,7 @@ MAX_UNLIKE = 3.0
 point is hidden.
 """
 LEAST_UNLIKE = 8.0
-"""Difference of a point's surroundings, grey levels, up to which the point is never hidden."""
+"""Difference of a point's surroundings between two pictures, grey levels, up to which it never counts as hidden."""
 ORB_POINTS = 700
 """Number of points per picture for which descriptors are computed."""
 MIN_SAME = 20
