@@ -138,7 +138,10 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
 
 
 def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
-    """Return the summary of a clip, as docs/gait.md describes it; `results` is the name of its folder."""
+    """Return the summary of a clip, as docs/gait.md describes it.
+
+    `results` is the name of its folder.
+    """
     reference = analysis.reference_motion
     net, net_sigma = analysis.net_acceleration_m_s2
     run = analysis.motion.solution.constant_velocity_m_s

@@ -153,7 +153,10 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
     model_of, cameras_of = cache(read_model), cache(read_clip_cameras)
 
     def read_once(settings: FitSettings) -> SharedInputs:
-        """Return the body, the prior and the cameras of a clip; inputs that several clips share are read only once."""
+        """Return the body, the prior and the cameras of a clip.
+
+        Inputs that several clips share are read only once.
+        """
         numbers = [str(i) for i, _ in enumerate(settings.keypoints)]
         numbered = replace(settings, keypoints=numbers, individual=None, frames=None)
         # If no cameras are named, the names of the keypoint files decide which cameras are used.
@@ -166,7 +169,10 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 
 
 def distinct_problems(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
-    """Return each distinct problem once, with the indices of its clips; problems may differ in the file name."""
+    """Return each distinct problem once, with the indices of its clips.
+
+    Problems may differ in the file name.
+    """
     indices_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
     for index, problems in enumerate(problems_by_clip):
         for problem in problems:

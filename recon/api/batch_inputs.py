@@ -137,7 +137,10 @@ def find_clips(
     problems: list[Problem] = []
 
     def collected(make: Callable[[], T], default: T) -> T:
-        """Call a function and return its result; if it raises InputError, keep the problems and return the default."""
+        """Call a function and return its result.
+
+        If it raises InputError, keep the problems and return the default.
+        """
         try:
             return make()
         except InputError as error:

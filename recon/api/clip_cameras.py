@@ -124,7 +124,10 @@ def _lens_of_track(camera: Camera, settings: FitSettings, index: int) -> Camera:
 
 
 def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
-    """Return the cameras of a clip with several keypoint files; a track's file name contains its camera's name."""
+    """Return the cameras of a clip with several keypoint files.
+
+    A track belongs to the camera whose name is in the track's file name.
+    """
     from recon.api.rigs import problems_of_several
 
     cameras = _cameras_in_file(settings, tracks)

@@ -43,9 +43,9 @@ At a lower rate a whole stride fits between two frames, and nothing connects the
 animal's acceleration between frames.
 """
 FEW_OF_SKELETON = 0.25
-"""Smallest fraction of the skeleton's keypoints in a file whose names are taken to be the skeleton's."""
+"""Smallest fraction of the skeleton's keypoints that a file must have for its names to count as the skeleton's."""
 FEW_OF_FILE = 0.5
-"""Smallest fraction of a file's keypoints that are in the skeleton, if the file's names are taken to be the skeleton's.
+"""Smallest fraction of a file's keypoints that must be in the skeleton for its names to count as the skeleton's.
 
 A file is refused only if it is below this fraction and below `FEW_OF_SKELETON`: a file may have many further points, or
 only a few points of a large skeleton.

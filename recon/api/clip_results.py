@@ -169,7 +169,10 @@ def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> d
 
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
-    """Return the input files by the setting that names them; built-in skeletons and priors are not files."""
+    """Return the input files by the setting that names them.
+
+    Built-in skeletons and priors are not files.
+    """
     first, *more_paths = settings.keypoints
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(more_paths, start=2)}
     files |= {f"camera {i}" if i > 1 else "camera": path for i, path in enumerate(settings.camera or (), start=1)}
@@ -396,7 +399,10 @@ def _read_config(config: Path) -> dict[str, Any]:
 
 
 def setting_in_folder(folder: Path, name: str, value: T) -> T:
-    """Return the value of a setting read from a file in a folder; paths in it are relative to that folder."""
+    """Return the value of a setting read from a file in a folder.
+
+    Paths in the value are relative to that folder.
+    """
     return with_paths(name, value, lambda path: existing_path(os.path.normpath(folder.absolute() / path)))
 
 
@@ -491,7 +497,7 @@ def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]
 
 
 def with_corrections_in(folder: Path, settings: FitSettings) -> FitSettings:
-    """Return the settings of a fit with the corrections in its results folder, unless others are given."""
+    """Return the settings of a fit, with the corrections file of its results folder unless they name another file."""
     path = folder / CORRECTIONS
     has_corrections = settings.corrections is None and path.is_file() and not path.is_symlink()
     return replace(settings, corrections=path.absolute()) if has_corrections else settings

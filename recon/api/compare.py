@@ -432,7 +432,8 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     """Return the quantities of a clip with the standard deviations that `recon analyse` gives.
 
     `_sigma` contains all errors. `_own_sigma` leaves out the error of the animal's size, which other clips share.
-    `_measurement_sigma` also leaves out the scatter of the strides; `_run_sigma` is its part that all cameras share.
+    `_measurement_sigma` also leaves out the scatter of the strides. `_run_sigma` is the part of `_measurement_sigma`
+    that all cameras of a run share.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
     row |= shared_sigma_columns(analysis.motion)

@@ -98,7 +98,10 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
 
 
 def _no_figure(name: str, analysis: ClipAnalysis, drawn: Sequence[str]) -> Problem:
-    """Return the problem with a figure that the analysis does not have; `drawn` are the names of its figures."""
+    """Return the problem with a figure that the analysis does not have.
+
+    `drawn` are the names of the figures that the analysis has.
+    """
     if name == _STRIDE_FIGURE and analysis.gait is not None and not analysis.gait.strides:
         names = ", ".join(figure for figure in DEFAULT_FIGURES if figure in drawn)
         return Problem(

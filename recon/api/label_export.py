@@ -83,7 +83,10 @@ class CorrectedClip:
         return cls(settings, motion, number, rows, names, file)
 
     def keypoints(self) -> Keypoints:
-        """Return the keypoint file with its corrections, under its own names; a corrected likelihood is 1."""
+        """Return the keypoint file with its corrections, under its own names.
+
+        A corrected likelihood is 1.
+        """
         camera, rows = self.motion.cameras[self.number].name, self._rows_as_in_file()
         (corrected,) = with_corrections([self.file], [camera], rows, self._corrections_file)
         return corrected

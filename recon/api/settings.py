@@ -365,7 +365,10 @@ def setting_with_relative_paths(folder: Path, name: str, value: T) -> T:
 
 
 def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
-    """Return a setting's value with its paths changed; other values are returned unchanged."""
+    """Return a setting's value with its paths changed.
+
+    Other values are returned unchanged.
+    """
     if isinstance(value, list):
         return cast("T", [with_paths(name, element, change) for element in value])
     if isinstance(value, str) and name in SETTINGS and SETTINGS[name].is_file(value):
@@ -395,7 +398,10 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def _other_method_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield problems with settings that the method does not read; the method may have any type, as read from a file."""
+    """Yield problems with settings that the method does not read.
+
+    The method may have any type, as read from a file.
+    """
     method = values.get("method", SETTINGS["method"].default)
     for name, value in values.items():
         info = SETTINGS.get(name)

@@ -564,7 +564,10 @@ def _bending_m(parts: Sequence[_Part], distances: _Distances) -> float:
 def _segment(
     part: _Part, parts: Sequence[_Part], labels: Sequence[str], turned_m: Array, offsets_m: Array, fps: float
 ) -> dict[str, Any]:
-    """Return a segment's table for the skeleton file; its angles vary as the line to its farthest point did."""
+    """Return a segment's table for the skeleton file.
+
+    The angles of the segment vary as the direction of its farthest point did in the clip.
+    """
     table: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
     if part.parent:
         table |= {"parent": part.parent.name(labels), "at_m": _rounded(offsets_m[part.parent.origin, part.origin])}
@@ -587,7 +590,10 @@ def _rounded(position_m: Array) -> list[float]:
 
 
 def head_text(comments: Iterable[str], title: str, origin: str, **values: Any) -> str:
-    """Return the beginning of a skeleton file; `origin` names the source of the draft, `values` its other fields."""
+    """Return the beginning of a skeleton file.
+
+    `origin` names the source of the draft, `values` its other fields.
+    """
     values = {"name": title, "title": f"{title}, drafted from {origin} of its keypoints", **values}
     return table_text("\n".join(f"# {line}" for line in comments), values)
 

@@ -112,7 +112,10 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = ANY_FILE) -> None:
-    """Raise InputError unless a path is a file; reading a pipe, for example, could block for ever."""
+    """Raise InputError unless a path is a file.
+
+    Reading a pipe, for example, could block for ever.
+    """
     with damage_as_input_error(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))

@@ -337,7 +337,10 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, kind: str | None = None) -> None:
-    """Write the manifest of the files in a folder; `kind` is the command that wrote them."""
+    """Write the manifest of the files in a folder.
+
+    `kind` is the command that wrote them.
+    """
     paths = [path for path in sorted(folder.iterdir()) if path.name != MANIFEST and path.is_file()]
     manifest = Manifest(folder, {path.name: (path.stat().st_size, sha256_of(path)) for path in paths}, kind)
     (folder / MANIFEST).write_text(manifest.text, encoding="utf-8", newline="\n")

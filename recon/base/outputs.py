@@ -411,7 +411,10 @@ def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -
 
 
 def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
-    """Record files as written by a command of this kind; `digests` are their SHA-256 by name, from another record."""
+    """Record files as written by a command of this kind.
+
+    `digests` are the files' SHA-256 by name, from another record.
+    """
     with committing(folder):
         written = read_record(folder)
         for name, sha256 in digests.items():

@@ -83,7 +83,10 @@ def available_cores() -> int:
 
 
 def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, Any]:
-    """Run a task and return its outcome: "failed" for an InputError or OSError; other exceptions are raised."""
+    """Run a task and return its outcome: "failed" for an InputError or OSError.
+
+    Other exceptions are raised.
+    """
     began = time.perf_counter()
     try:
         outcome = work(task, progress)

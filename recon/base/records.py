@@ -33,7 +33,7 @@ from recon.base.field_problems import problems_of
 
 RECORD = "record"
 SMALL = 64
-"""Largest number of elements of an array that is stored in the text; an archive of many tiny files is slow to read."""
+"""Largest number of elements of an array that is stored in the JSON text, since many tiny files are slow to read."""
 CLASS = "class"
 """The key of a subclass's tag."""
 Classes = Mapping[str, Callable[[], type]]

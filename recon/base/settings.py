@@ -173,7 +173,10 @@ class SettingInfo:
         return f"{kind} {limit}" if limit.startswith(("greater", "less")) else kind
 
     def plain(self, value: object) -> object:
-        """Return the value as TOML and JSON types; a tuple of one value becomes this value."""
+        """Return the value as TOML and JSON types.
+
+        A tuple of one value becomes this value.
+        """
         if isinstance(value, tuple | list):
             values = [self.plain(item) for item in value]
             return values[0] if self.is_many and len(values) == 1 else values

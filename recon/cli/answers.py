@@ -233,7 +233,10 @@ def duration_text(seconds: float) -> str:
 
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **fields: Any) -> Answer:
-    """Return the answer of a fit; `page` is its page, if there is one, and `fields` are added to the JSON."""
+    """Return the answer of a fit.
+
+    `page` is its page, if there is one, and `fields` are added to the JSON.
+    """
     from recon.api.clip_results import PLAYBACK, VIDEO_PLAYBACK
     from recon.show.console import console_summary
     from recon.show.report import is_unsolved

@@ -324,7 +324,10 @@ class _Group(TyperGroup):
         return make_command(name, self.functions[name]())
 
     def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
-        """Return the called command's name, the command, and the remaining arguments; a name has one or two words."""
+        """Return the called command's name, the command, and the remaining arguments.
+
+        A name has one or two words.
+        """
         two_words = " ".join(args[:2])
         name, command, rest = super().resolve_command(
             ctx, [two_words, *args[2:]] if two_words in self.commands else args
@@ -427,7 +430,10 @@ _NO_MEMORY = re.compile(
 
 
 def main() -> None:
-    """Run the command line; a user's error ends with one message and exit code 2."""
+    """Run the command line.
+
+    A user's error ends with one message and exit code 2.
+    """
     console = terminal(stderr=True, soft_wrap=True)
     try:
         app()

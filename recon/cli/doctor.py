@@ -79,7 +79,10 @@ def doctor(progress: Progress) -> Answer:
 
 
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
-    """Return the results of all checks; no problem raises an exception."""
+    """Return the results of all checks.
+
+    No problem raises an exception.
+    """
     checks: list[_Check] = []
     for i, check_part in enumerate((versions, packages, viewer, self_test)):
         progress(check_part.__name__, i / 4)

@@ -166,7 +166,10 @@ def _require_length(frames: Integers, video: Path, start: int) -> None:
 
 
 def _decode(frames: Integers, video: Path, start: int, folder: Path, console: Console) -> None:
-    """Write every frame of the clip as a picture named after its row; report if the video ends before the clip."""
+    """Write every frame of the clip as a picture named after its row.
+
+    A message reports a video that ends before the clip.
+    """
     try:
         for _, row, _, picture in clip_frames(frames, video, start):
             if row is not None:

@@ -191,7 +191,10 @@ def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
 
 
 def _enlarged(xy_px: Array, zoom: int) -> Array:
-    """Return pixel coordinates enlarged by a factor; pixel centres are whole numbers before and after."""
+    """Return pixel coordinates enlarged by a factor.
+
+    Pixel centres are whole numbers before and after.
+    """
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
