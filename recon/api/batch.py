@@ -146,7 +146,7 @@ def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
 
 
 def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
-    """Return the input problems of each clip, all of which its fit would raise before solving.
+    """Return, for each clip, all problems with its inputs that its fit would raise before solving.
 
     If `shared_only` is true, only problems with cameras, skeletons, subjects and priors are returned.
     """

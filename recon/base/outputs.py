@@ -369,9 +369,9 @@ class Output:
             _remove_made_from(folder)
 
     def _is_removable(self, name: str, written: _Written) -> bool:
-        """Return whether to remove an existing file that this run does not write.
+        """Return whether a file of an earlier run is stale and is removed.
 
-        Earlier files of this kind are removed, and so are files that were made from them.
+        Files of this kind that this run does not write are stale, and so are files that were made from them.
         """
         entries = written[name]
         if self._is_input(name) or not os.path.lexists(self.folder / name):

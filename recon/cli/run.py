@@ -122,7 +122,7 @@ class _Job:
     settings: FitSettings
     """Settings of the fit; its keypoints are the given file, or the file that the network writes."""
     threads: int | None = None
-    """Number of threads of the network."""
+    """Number of CPU threads of the network; None for as many as the process may use."""
 
     @property
     def fit(self) -> FitSettings:

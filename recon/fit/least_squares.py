@@ -156,7 +156,10 @@ class LeastSquares:
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
-        """Return the sum of the squared residuals of linear terms in all frames, and of other terms in some rows."""
+        """Return the sum of the squared residuals.
+
+        Linear terms count in all frames, other terms in the frames `rows`.
+        """
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
         jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
         for span in self.spans(states, self.expected() if shared is None else shared, jacobian, rows):

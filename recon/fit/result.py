@@ -66,7 +66,7 @@ class ExpectedError(Brief):
         A lower end close to zero is left out.
         """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
-        cause = f", as the finding {self.widened_by} may be right" if self.widened_by else ""
+        cause = f", because the finding {self.widened_by} may be right" if self.widened_by else ""
         ends = error.expected, error.low, error.high
         return interval(*ends, unit, level="90 %", least=_NOTHING * error.high, remark=cause)
 

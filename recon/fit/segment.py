@@ -49,7 +49,7 @@ class SegmentFit:
 
     @property
     def size(self) -> float:
-        """Return the factor on the body's lengths."""
+        """Return the animal's size in this fit, a factor on the body's lengths."""
         return size_of(self.estimate.shared)
 
     def shared_values(self, name: str, count: int = 1) -> Array:

@@ -442,7 +442,7 @@ class Reprojection:
         return np.sqrt(np.where(errors.seen, errors.confidence / (1.0 + errors.squares), 0.0)) / scene.sigma_px
 
     def _scene(self, span: Span) -> Scene:
-        """Return the markers when the pictures were taken, and the camera with its corrections."""
+        """Return the markers at the times at which the pictures were taken, and the camera with its corrections."""
         parts = self._parts(span)
         points_m = reduce(np.add, (share * span.pose.points_m[part] for part, share in parts))
         frames = slice(span.first, span.first + len(points_m))
