@@ -19,7 +19,6 @@ from recon.api.inside_picture import require_inside
 from recon.api.settings import UNITS_M, FitSettings
 from recon.base.arrays import mean_along
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.check.sights import triangulated_m
 from recon.clip import (
     Keypoints,
     Source,
@@ -161,6 +160,8 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
     views = views_of(inputs.sources)
     if len(views) < 2 or not all(view.camera.has_extrinsics for view in views):
         return
+    from recon.check.sights import triangulated_m  # fits of one camera do not import it
+
     shows_unit = np.mean(np.sum([view.present for view in views], axis=0) > 1, axis=1) >= KNOWN_FOR_UNIT
     rows = densest_window(shows_unit, FRAMES_FOR_UNIT)
     points_m = triangulated_m([view.part(rows) for view in views], settings.trajectory_options().sigma_px, 0.0)
