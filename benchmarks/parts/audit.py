@@ -110,7 +110,10 @@ def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
 
 
 def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least: int, inside: int = 2) -> slice:
-    """Return the rows of a stretch away from the ends: a fraction of the frames, but at least `least` frames."""
+    """Return the rows of a random stretch, at least `inside` frames away from both ends.
+
+    Its length is a fraction of the frames, but at least `least` frames.
+    """
     T = len(points.frames)
     length = min(max(least, round(share * T)), T - 2 * inside)
     first = int(rng.integers(inside, T - length - inside + 1))

@@ -223,7 +223,7 @@ def batch_of_copies(clips: int, folder: Path) -> Path:
 
 
 def run(args: argparse.Namespace, folder: Path) -> None:
-    """Compare `recon run` with a command for each stage, and with a second run."""
+    """Compare the time of `recon run` with that of one command for each stage, and of a second `recon run`."""
     if args.model is None:
         raise SystemExit("--model: a network that `recon train` made on the rendered film")
     settings = (*FILM_FIT, "--set", "likelihood-min=0")  # accept all points, however good the network is

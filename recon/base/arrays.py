@@ -29,7 +29,7 @@ SMALL = 12
 
 
 class Brief:
-    """Base class of dataclasses with large parts (`repr=False`), which shows them in one line."""
+    """Base class of dataclasses with large fields; its `repr` fits one line and shortens large fields."""
 
     def __repr__(self) -> str:
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]

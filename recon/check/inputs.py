@@ -250,9 +250,9 @@ STRAIGHT = 0.02
 _CUBIC_FRAMES = 5
 """Number of successive frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
-"""Smallest deviation, in pixels, of a point from the line between its neighbours for a test against a cubic.
+"""Smallest distance, in pixels, from the line between its neighbours at which a point is tested for lying on a cubic.
 
-Points on a straight line are on a cubic, too.
+Points on a straight line also lie on a cubic, but need not have been interpolated.
 """
 LONG = 1.45
 """Length of a step relative to the steps around it above which the step is long.

@@ -273,8 +273,9 @@ def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
 def jumps(view: View, permutation: Index) -> Array:
     """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
 
-    The difference between the points of a pair follows a straight line for a few frames. The gain is minus infinity if
-    one of these frames has no detection, or if all pairs jump about as far as the distance between their points.
+    The difference between the points of a pair is assumed to follow a straight line for a few frames. The gain is
+    minus infinity if one of these frames has no detection, or if all pairs jump about as far as the distance between
+    their points.
     """
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(permutation) if j < k]
     differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]

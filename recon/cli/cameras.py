@@ -96,8 +96,8 @@ class _ExtrinsicsSettings(Settings):
     cameras_by: Annotated[str, Option(metavar="auto|PATTERN")] = "auto"
     """How to join the files of one clip, as for recon batch."""
     level_deg: Annotated[Number, Field(ge=0.01, le=90)] | None = None
-    """Expected deviation of each camera from level or from its tilt, in degrees; 1 if set up with a bubble level.
-    (default: 5)
+    """Expected deviation of each camera from level, or from --tilt-deg, in degrees. Give 1 for cameras that were set
+    up with a bubble level. (default: 5)
     """
     overwrite: bool = False
     """Replace the file."""

@@ -122,7 +122,7 @@ def _at_frame_times(view: View) -> View:
 
 
 def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
-    """Triangulate views with a given noise (J,) of the keypoints, pixels, and leave out outliers."""
+    """Triangulate the keypoints of several views, given their noise (J,) in pixels, and leave out outliers."""
     present = np.array([view.present for view in views])
     points = _best_of_pairs(views, present, sigma)
     for _ in range(_CAUCHY_ROUNDS):

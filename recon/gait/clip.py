@@ -518,7 +518,10 @@ def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
 
 
 def _by_size(motion: Motion) -> Array:
-    """Return the errors of joints (T, J, 3) due to the animal's size, which scales the distance from the camera."""
+    """Return the errors of joints (T, J, 3), in metres, due to the uncertainty of the animal's size.
+
+    The size scales the distance from the camera.
+    """
     solution = motion.solution
     size_sigma = getattr(solution, "size_sigma", None) or 0.0
     return np.asarray(size_sigma / solution.size * (solution.joints_m - solution.views[0].centre_m[:, None]))

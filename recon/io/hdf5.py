@@ -29,7 +29,10 @@ A larger dataset may take the size that it has in the file, or `MAX_RATIO` times
 MAX_RATIO = 1100
 """Largest ratio of a dataset's size to its size in the file; gzip reaches 1032."""
 USUAL_RATIO = 100
-"""Ratio up to which a dataset may take four times `MAX_UNPACKED`, because tracks of many animals are mostly empty."""
+"""Largest ratio of a dataset's size to its size in the file at which it may take four times `MAX_UNPACKED`.
+
+Tracks of many animals are mostly empty, and therefore large when unpacked.
+"""
 FILTERS = (1, 2, 3, 32000)
 """Numbers of the HDF5 filters that every h5py has with robust decoders: gzip, shuffle, Fletcher's checksum, LZF."""
 MAX_ATTRIBUTE_BYTES = 1 << 24

@@ -245,7 +245,7 @@ def _even_count(times_s: np.ndarray, rounded: bool) -> tuple[np.ndarray, float] 
 
 
 def _off_frames(frames: np.ndarray, times_s: np.ndarray) -> float:
-    """Return the largest distance of a time from that of its frame at a constant rate, in frames."""
+    """Return the largest deviation of the times from evenly spaced times, in frames."""
     period_s, start_s = np.polyfit(frames, times_s, 1)
     return float(np.abs((times_s - start_s) / period_s - frames).max())
 

@@ -191,7 +191,7 @@ def camera_files(cameras: Sequence[str]) -> list[str]:
 
 
 def reprojection_files(folder: Path) -> list[str]:
-    """Return the files of a folder that are reprojection tables, by their names."""
+    """Return the names of the reprojection tables in a folder, sorted."""
     return sorted(path.name for path in folder.glob("reprojection_*.csv"))
 
 
@@ -254,7 +254,7 @@ Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
 """Names of a table's columns, and its rows."""
 Columns = dict[str, np.ndarray]
-"""Columns by name, of a table with a row for each frame or sample."""
+"""Columns of a table by name; the table has one row for each frame or sample."""
 
 
 def joints(analysis: ClipAnalysis) -> Table:

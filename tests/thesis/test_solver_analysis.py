@@ -86,7 +86,7 @@ def test_tables(frame, tmp_path):
     assert {*frames["optimizer_message"]} <= {*EXIT_FLAGS.values()}
     assert frames["rates_passed"].sum() == frame.active["rates"].sum()
     assert unknowns["rates_passed"].sum() == frames["rates_passed"].sum()
-    assert unknowns.loc[14:, "rates_passed"].sum() == 0  # angles come first
+    assert unknowns.loc[14:, "rates_passed"].sum() == 0  # only the first 14 unknowns, the angles, have limited rates
     np.testing.assert_allclose(unknowns["column_norm_median"], np.median(frame.column_norm, axis=0))
     assert search["cost"].tolist() == pytest.approx(frame.search.costs.tolist())
     assert search["step"].iloc[:-1].tolist() == pytest.approx(frame.search.step_norms.tolist())

@@ -113,7 +113,7 @@ class Log:
         self.fix(entity, kind.from_fields(**style))
 
     def plot(self, plot: TimePlot) -> None:
-        """Write a plot, in which a NaN breaks the line, and a row is empty if all its values are NaN."""
+        """Write a plot over time; a NaN interrupts its line, and a row whose values are all NaN is empty."""
         is_known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
         columns = rr.Scalars.columns(scalars=plot.values[is_known].ravel())
         style = {"names": plot.names, "colors": plot.colours, "widths": [1.8] * count}
