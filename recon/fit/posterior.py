@@ -43,6 +43,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dtrmm
+from scipy.special import fdtri
 
 from recon.animal.body import Body
 from recon.animal.prior import ANGLES
@@ -643,8 +644,6 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 
 DEGREES_OF_FREEDOM = 7.0
 """Degrees of freedom nu that are most likely for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
-_RADII = {0.05: 0.05492551177905092, 0.9: 1.6012111690094373, 0.95: 1.9984722470678757}
-"""Radii in one dimension by their level, stored because every fit needs them and scipy.special is slow to import."""
 _ROUNDING_M2 = 1e-12
 """Variance, m^2, added to covariances because that of a pose relative to its own middle may be singular."""
 
@@ -654,10 +653,6 @@ def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) ->
 
     The radius is the square root of e' V^-1 e at the region's edge.
     """
-    if (dimensions, nu) == (1, DEGREES_OF_FREEDOM) and level in _RADII:
-        return _RADII[level]
-    from scipy.special import fdtri  # slow to import
-
     return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
 
 

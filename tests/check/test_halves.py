@@ -8,19 +8,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from recon.animal.prior import load_prior
 from recon.check.halves import foreign_half, halves_finding, hind_markers
-from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.motion import Motion
-from recon.fit.result import TrajectorySolution
-
-
-def solved(path) -> tuple[ClipProblem, TrajectorySolution]:
-    motion = Motion.load(path)
-    solution = motion.solution
-    assert isinstance(solution, TrajectorySolution)
-    prior = load_prior(solution.prior, motion.body)
-    return ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, TrajectoryOptions()), solution
+from recon.fit.clip_problem import ClipProblem
 
 
 def later(clip: ClipProblem, half: np.ndarray, frames: int) -> ClipProblem:
@@ -32,8 +21,8 @@ def later(clip: ClipProblem, half: np.ndarray, frames: int) -> ClipProblem:
 
 
 @pytest.mark.parametrize(("late", "is_named"), [(0, False), (2, True)])
-def test_a_hind_half_of_a_later_animal_is_named(whole_results, late, is_named):
-    clip, solution = solved(whole_results)
+def test_a_hind_half_of_a_later_animal_is_named(sample_fit, late, is_named):
+    clip, solution = sample_fit
     is_hind, names = hind_markers(clip), np.array(clip.body.markers)
     assert {"tail_base", "l_hip", "l_back_paw"} < {*names[is_hind]}
     assert not {"nose", "l_shoulder", "l_front_paw"} & {*names[is_hind]}
@@ -46,8 +35,8 @@ def test_a_hind_half_of_a_later_animal_is_named(whole_results, late, is_named):
         assert item.numbers["foreign"] == "hind half"
 
 
-def test_the_foreign_half_is_the_one_that_disagrees_with_the_pose(whole_results):
-    clip, solution = solved(whole_results)
+def test_the_foreign_half_is_the_one_that_disagrees_with_the_pose(sample_fit):
+    clip, solution = sample_fit
     is_hind = hind_markers(clip)
     everywhere = np.ones_like(is_hind)
     halves = [foreign_half(later(clip, half, 6), solution) for half in (is_hind, ~is_hind, everywhere)]

@@ -64,7 +64,6 @@ def test_a_fit_imports_what_it_uses(tmp_path):
         "scipy.interpolate",
         "scipy.optimize",
         "scipy.spatial",
-        "scipy.special",
         "recon.api.batch",
         "scipy.ndimage",
         "urllib.request",

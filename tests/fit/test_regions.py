@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from recon.fit.posterior import _RADII, DEGREES_OF_FREEDOM, radius, sigmas
+from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.testing.coverage import coverage, cumulative
 
 
@@ -15,15 +15,6 @@ def test_intervals_are_those_of_students_t_with_the_stated_variance():
     # The tails are heavier than a Gaussian's, so the 90 % radius is a little larger and the 50 % radius smaller.
     assert 1.0 < radius(0.9, 3) / np.sqrt(chi2.ppf(0.9, 3)) < 1.05
     assert 0.85 < radius(0.5, 3) / np.sqrt(chi2.ppf(0.5, 3)) < 0.95
-
-
-def test_the_radii_that_are_not_computed_are_those_of_f():
-    from scipy.special import fdtri  # slow to import
-
-    nu = DEGREES_OF_FREEDOM
-    for level in _RADII:
-        assert radius(level) == pytest.approx(np.sqrt(fdtri(1, nu, level) * (nu - 2) / nu), rel=1e-14)
-        assert radius(level, nu=nu + 1) != radius(level) != radius(level, dimensions=2)
 
 
 def test_regions_hold_errors_of_their_covariance_as_often_as_said():
