@@ -37,13 +37,13 @@ SUMMARY = "analysis.json"
 FOLDER = "analysis"
 """Name of the analysis folder inside the results folder, by default."""
 FIGURES_BEGIN = 0.5
-"""Fraction of an analysis that is reported as done when the first figure begins."""
+"""Progress of an analysis, 0 to 1, when the first figure begins."""
 MOST_REASONS = 3
-"""Largest number of excluded strides whose reasons are listed one by one."""
+"""Maximum number of excluded strides for which the notes list each reason."""
 
 
 MORE_TABLES = {"csv": (), "xlsx": (WORKBOOK,), "long": (LONG, DICTIONARY)}
-"""Files that each choice of --format adds."""
+"""Files that each value of --format adds to the CSV tables."""
 
 
 class AnalyseSettings(Settings):
@@ -73,7 +73,7 @@ class AnalyseSettings(Settings):
     """Replace an earlier analysis."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield a problem if decimal commas are requested for tables that do not have them."""
+        """Yield a problem if decimal commas are requested without --format long."""
         if self.decimal_comma and self.tables_format != "long":
             yield Problem("--decimal-comma", "table", f"--format {self.tables_format}", "--format long as well")
 
@@ -138,9 +138,9 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
 
 
 def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
-    """Return the summary of a clip, as docs/gait.md describes it.
+    """Return the content of analysis.json, described in docs/gait.md.
 
-    `results` is the name of its folder.
+    `results` is the name of the results folder.
     """
     reference = analysis.reference_motion
     net, net_sigma = analysis.net_acceleration_m_s2

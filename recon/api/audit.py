@@ -26,7 +26,7 @@ from recon.io.formats import Format, as_keypoints, read_points, recognised
 from recon.io.positions import PER_METRE, in_metres
 
 LIKELIHOOD_MIN = 0.5
-"""Detections below this likelihood are left out, as in a fit."""
+"""Likelihood below which an audit leaves out a detection, as a fit does."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Audit:
     points: AuditedPoints
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
-    """Notes on assumptions made while reading the file, and on a file that is too short."""
+    """Assumptions made while reading the file, and a note if the file has too few frames to audit."""
 
     def table(self) -> pd.DataFrame:
         """Return one row per finding: code, severity, points, frames, measure, limit, and sentence."""
@@ -118,7 +118,7 @@ def _has_points(path: Path) -> bool:
 
 
 def _folder_problem(folder: Path) -> Problem:
-    """Return the problem with a folder that is not a result, and name a result or a file in it that can be audited."""
+    """Return the problem with a folder without results, which names a file or a results folder inside to audit."""
     inside = sorted(path.parent for path in folder.glob(f"*/{MOTION}"))
     if inside:
         content = f"a folder of {counted(len(inside), 'result')}"
@@ -139,7 +139,7 @@ def audit_points(
     up: str | None,
     likelihood_min: float,
 ) -> Audit:
-    """Audit points that were read from a file; the other parameters are those of `audit_file`."""
+    """Audit points that were read from a file, with the parameters of `audit_file`."""
     findings = []
     rate = fps or stored.fps
     if fps is not None and stored.fps is not None and abs(fps / stored.fps - 1) > 0.01:

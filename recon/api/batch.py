@@ -54,7 +54,7 @@ from recon.show.page.own_page import SUMMARY_PAGE
 from recon.show.report import is_unsolved, warnings
 
 BATCH = "batch"
-"""Manifest kind of the files that the batch itself writes."""
+"""Command under which the manifest lists the batch's own files, such as summary.csv."""
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]
 RESULTS = (
@@ -72,7 +72,7 @@ _TEXTS = ("keypoints", "out", "error", "verdict", "reason", "settings_hash", "in
 _CELLS: dict[str, Any] = {name: (str | None if name in _TEXTS else float | None, None) for name in COLUMNS}
 _CELLS |= {"clip": (str, ...), "status": (str, ...)}
 _Row = create_model("_Row", **_CELLS)
-"""Row of the summary, with the types of its cells."""
+"""Row of summary.csv, with the types of its cells."""
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """Status of a clip. Unsolved: fitted, but no frame has a pose. Pending: not tried, because the batch was interrupted.
 """
@@ -108,8 +108,8 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     Raises
     ------
     InputError
-        If a folder holds any other results and `overwrite` is false; and in any case if it holds files that no fit
-        wrote, or that were changed after the fit.
+        If a folder holds other results and `overwrite` is false. Also if a fit would replace files that no fit wrote,
+        or that were changed after the fit, even if `overwrite` is true.
     """
     summary_output(out).require((SUMMARY, SUMMARY_PAGE))
     record = Record(out / RECORD)
@@ -131,7 +131,7 @@ def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan
         raise InputError(Problem(out, "folder", "results that no batch has written", expected))
     earlier_keypoints = setting_in_folder(out.parent, "keypoints", row.get("keypoints", ()))
     same_names = {*earlier_keypoints} & {*map(str, clip.settings.keypoints)}
-    if not same_names and not _keypoints(row["identity"]) & _keypoints(made_from):
+    if not same_names and not _keypoint_digests(row["identity"]) & _keypoint_digests(made_from):
         raise InputError(Problem(out, "folder", f"results of {', '.join(earlier_keypoints)}", expected))
     if reason or "row" not in row:
         output.require(names)
@@ -140,8 +140,7 @@ def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan
     return ClipPlan(clip, out, "done", "", made_from, row["row"])
 
 
-def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
-    """Return the digests of the keypoint files that could be read."""
+def _keypoint_digests(made_from: Mapping[str, Any]) -> set[str]:
     return {sha256 for role, sha256 in made_from["inputs"].items() if role.split()[0] == "keypoints" and sha256}
 
 
@@ -169,9 +168,9 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 
 
 def distinct_problems(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
-    """Return each distinct problem once, with the indices of its clips.
+    """Return each distinct problem once, with the indices of the clips that have it.
 
-    Problems may differ in the file name.
+    Problems that differ only in the file name count as one, which names the first file and the number of others.
     """
     indices_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
     for index, problems in enumerate(problems_by_clip):

@@ -41,15 +41,15 @@ SEPARATORS = "-_. "
 """Characters that may separate the camera's name from the rest of a file name."""
 _MANIFEST = "a CSV table with columns keypoints, camera and fps"
 MOST_BYTES = 240
-"""Longest clip name, in bytes: file systems allow 255, and a number may be appended."""
+"""Maximum length of a clip's name in bytes. File systems allow 255, and a number may be appended."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file systems do not allow in names."""
 CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
 MAX_SQUARE_M = 1.0
-"""Side of a calibration board's square, metres, that no board has: from here on, the file is in another unit."""
+"""Side of a calibration board's square, m, above which an Anipose session must be in another unit than metres."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
-"""Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
+"""Default names of the folders of 2D poses in an Anipose session, by key in config.toml, the preferred one first."""
 EXPERIMENT = "run", "animal", "group"
 """Columns of a manifest that `recon compare --design` reads."""
 SQUARE = "board_square_side_length"
@@ -256,7 +256,7 @@ def _why_left_out(path: Path) -> str:
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
-    """Leave out drafts whose file or frames an earlier draft already has, even if reached by another path.
+    """Return the drafts without repeats of an earlier draft's files, even if they were given by another path.
 
     All rows of a manifest are kept.
     """
@@ -353,9 +353,10 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def is_manifest(path: Path) -> bool:
-    """Return whether a file is a CSV table with a `keypoints` column, or with a `camera` column if that is misspelt.
+    """Return whether a file is a manifest: a CSV table with a column `keypoints`.
 
-    A keypoint file with a `camera` column is not a manifest.
+    A table with a column `camera` is also a manifest, so that a misspelt `keypoints` is reported, unless it is a
+    keypoint file.
     """
     try:
         header = _header(path) if path.suffix.lower() == ".csv" and os.path.isfile(path) else ()
@@ -415,7 +416,7 @@ def _joined(
     camera_name: str | Sequence[str] | None,
     camera_names: Callable[[_Draft], Sequence[str]],
 ) -> Drafts:
-    """Join the drafts of one clip that several cameras filmed, keeping the order of the drafts.
+    """Join the drafts of each clip that several cameras filmed into one, keeping the order of the drafts.
 
     Files in one folder belong to one clip if their names are equal after the part that matches the pattern, or the
     camera's name, is removed. The rows of a manifest list their own files and are never joined.
@@ -488,7 +489,7 @@ def _draft_of_clip(files: Sequence[_FileOfClip], any_joined: bool) -> _Draft:
 
 
 def _joining_note(clips: Sequence[Sequence[_FileOfClip]]) -> str:
-    """Return the note on clips of several files, and on the rule that joined them."""
+    """Return a note that states how many files were joined to clips, and by which rule."""
     rules = dict.fromkeys(file.with_camera.rule for files in clips for file in files)
     rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
     alternative = f" ({OPTION} {NONE} fits each file separately)" if OPTION not in rules else ""
@@ -581,7 +582,7 @@ def _camera_names_by_draft(
 
 def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str]:
     """Return a note on joined clips that lack cameras which other clips have."""
-    all_cameras: dict[Any, dict[str, None]] = {}  # per project, since each project names its cameras
+    all_cameras: dict[Any, dict[str, None]] = {}  # by the project's pattern, because projects name cameras differently
     by_name = [(name, draft) for name, draft in zip(names, drafts, strict=True) if draft.rule]
     for _, draft in by_name:
         all_cameras.setdefault(draft.cam_regex, {}).update(dict.fromkeys(draft.row["camera_name"]))

@@ -71,7 +71,7 @@ class CameraMotionSettings(Settings):
     """Replace the track."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield a problem if the level is given in two ways."""
+        """Yield a problem if both a tilt and level marks are given."""
         if self.tilt_deg is not None and self.level_marks is not None:
             yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} with {self.level_marks}", "only one of the two")
 
@@ -150,7 +150,7 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
 
 
 def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
-    """Raise InputError for a cut, too little background, or a camera that did not only rotate."""
+    """Raise InputError if the video has a cut or too little background, or if the camera did more than rotate."""
     if motion.cut is not None:
         actual = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
         raise InputError(Problem(s.video, "video", actual, "one take: cut the video there"))
@@ -185,7 +185,10 @@ def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], time
 
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
-    """Return keypoints (K, 2), px, by frame number of the video, for frames that have any; NaN for unlikely ones."""
+    """Return the keypoints (K, 2), px, of each frame that has any, by frame number of the video.
+
+    Unlikely keypoints are NaN.
+    """
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
     shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
@@ -258,7 +261,7 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """Return focal lengths, px: that of the camera file, and the background's estimate with its standard deviation."""
+    """Return the camera file's focal length, and the one estimated from the background with its sigma, px."""
     file_px = float(lens.matrix[0, 0])
     background_px = file_px * float(np.exp(focal[0]))
     return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

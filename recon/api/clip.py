@@ -41,12 +41,12 @@ CHECKS_BEGIN = 0.9
 
 @dataclass(frozen=True)
 class _Fit:
-    """A clip after one stage of its fit."""
+    """State of a fit after one of its stages."""
 
     sources: tuple[Source, ...]
     """Keypoints of each camera that this stage uses."""
     options: TrajectoryOptions
-    """Options of the solver; whether cameras are refined can change between stages."""
+    """Options of the solver, which stages can change."""
     solution: TrajectorySolution
     findings: tuple[Finding, ...]
 
@@ -337,9 +337,17 @@ def _file_facts(
 ) -> tuple[list[str | None], float | None, bool, tuple[Camera, ...]]:
     """Return the facts about files and settings that `input_findings` needs.
 
-    The four values are: by keypoint file, another camera that its name contains, or None; the frame rate that a file
-    states, if it differs from the given one; whether to look for swaps; and the other cameras of the camera file that
-    may have filmed the only keypoint file, none if its name contains a camera.
+    Returns
+    -------
+    named : list of str or None
+        For each keypoint file, another camera that its name contains, or None.
+    stated_hz : float or None
+        Frame rate that a file states, Hz, if it differs from the given rate.
+    seeks_swaps : bool
+        Whether to look for left-right swaps.
+    possible : tuple of Camera
+        Other cameras of the camera file that may have filmed the only keypoint file. Empty if there are several
+        keypoint files, or if the file's name contains a camera.
     """
     named: list[str | None] = []
     possible: tuple[Camera, ...] = ()

@@ -50,9 +50,9 @@ A file is refused only if it is below this fraction and below `FEW_OF_SKELETON`:
 only a few points of a large skeleton.
 """
 KNOWN_FOR_UNIT = 0.5
-"""Smallest fraction of the markers that several cameras see in a frame that is used to check the calibration's unit."""
+"""Minimum fraction of markers that two cameras have to see for a frame to count in the check of the unit."""
 FRAMES_FOR_UNIT = 480
-"""Largest number of frames that are used to check the calibration's unit, which is the same throughout a clip."""
+"""Maximum number of frames that are used to check the calibration's unit."""
 LOG_SIZE_OF_UNIT = math.log(2.0)
 """Largest |log(size / expected size)| of the animal at which a unit of the calibration is plausible."""
 LEAST_BETWEEN_UNITS = 50.0
@@ -68,7 +68,7 @@ The proportions of animals of one species differ.
 HEIGHT_SIGMA_OF_NO_SPECIES = 0.15
 """Relative standard deviation of a size computed from the height with a skeleton of no particular species.
 
-For dogs with the skeleton quadruped, such a size is 13 % off.
+Proportions differ more between species than within one. The value is a rough allowance.
 """
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
@@ -203,7 +203,7 @@ def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
-    """Return the named keypoints in the given order; those that the file lacks are missing in all frames."""
+    """Return the named keypoints in the given order, as missing in all frames if the file lacks them."""
     T = len(keypoints.frames)
     xy, confidence = np.full((T, len(names), 2), np.nan), np.zeros((T, len(names)))
     for column, name in enumerate(names):
@@ -214,7 +214,7 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
 
 
 def read_clips(settings: FitSettings) -> list[Keypoints]:
-    """Return the keypoints of all files, with the given frame rate or that of the file.
+    """Return the keypoints of all files, each with the given frame rate or the one stated in the file.
 
     Raises
     ------

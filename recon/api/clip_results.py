@@ -44,7 +44,7 @@ WRITING_BEGINS = 0.9
 """Fraction of the time of `recon fit` after which the files are written."""
 T = TypeVar("T")
 FIT = "fit"
-"""Manifest kind of the files of a fit."""
+"""Command under which the manifest lists the files of a fit."""
 CONFIG = "config.toml"
 CORRECTIONS = "corrections.csv"
 """File of corrections by hand in a results folder."""
@@ -58,7 +58,7 @@ VIDEO_PLAYBACK = "playback.rrd"
 MAX_PLAYED_FRAMES = 2000
 """Largest number of frames for which a fit writes the playback by default: a minute at the viewer's usual speed."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CONFIG, MANIFEST)
-"""Every output file for a clip with one camera; with several cameras there is one `REPROJECTION` per camera."""
+"""Names of all output files for a clip of one camera. A clip of several cameras has one `REPROJECTION` per camera."""
 
 
 def output_files(settings: FitSettings, out: Path) -> list[str]:
@@ -194,7 +194,7 @@ def input_digests(settings: FitSettings) -> dict[str, str | None]:
 
 
 def require_same_inputs(settings: FitSettings, sha256: _Digests) -> None:
-    """Raise InputError for input files whose content differs from these digests."""
+    """Raise InputError for input files whose content no longer has the given digests."""
     changed = [path for role, path in input_files(settings).items() if file_sha256(path) != sha256[role]]
     expected = "a file that does not change during the fit: fit the clip again"
     raise_problems(Problem(path, "content", "a file that changed during the fit", expected) for path in changed)
@@ -333,7 +333,7 @@ class Record:
 
 
 def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return the digests of files in a folder, by their path relative to it."""
+    """Return the digests of files, keyed by their path relative to the folder."""
     return {path.absolute().relative_to(folder.absolute()).as_posix(): sha256_of(path) for path in paths}
 
 
@@ -484,7 +484,7 @@ def problem_of(motion: Motion, folder: Path) -> ClipProblem:
 
 
 def replaced_files(config: Path, options: Mapping[str, Any], settings: FitSettings) -> list[Path]:
-    """Return the files named in a config.toml whose content has changed since it was written."""
+    """Return the input files whose content has changed since config.toml was written, except those given as options."""
     table = read_toml(config, "a config.toml of an earlier run").get("recon", {}).get("sha256", {})
     known = table if isinstance(table, dict) else {}
     files = _named(options, settings).items()

@@ -62,7 +62,7 @@ QUANTITIES = {
     "stride_frequency_hz": ("stride frequency (Hz)", False),
     "duty_factor": ("duty factor", False),
 }
-"""Compared quantities by column: the title, and whether the quantity is proportional to the animal's size."""
+"""Title of each compared quantity, and whether the quantity is proportional to the animal's size, by column."""
 WITH_SIZE = {name: with_size for name, (_, with_size) in QUANTITIES.items()}
 SPEED_NAMES = "speed", SPEED
 """Names of the covariate that is the speed of the run itself."""
@@ -134,7 +134,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Results:
-    """Results given to a comparison, by name: those that are used, and the reasons why others are left out."""
+    """Results that a comparison uses, keyed by name, and those that it leaves out, with notes on the reasons."""
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]
@@ -200,7 +200,7 @@ def _parquet(name: str) -> str:
 
 
 def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
-    """Return the folders of results by name: the paths themselves, or those of batches.
+    """Return the results folders by name, from paths of results folders and of batches.
 
     Raises
     ------
@@ -475,7 +475,7 @@ def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float,
     x, variance = values[known], np.maximum(sigmas[known], 1e-12) ** 2
     if not len(x):
         return np.nan, np.nan, np.nan
-    # The variance between clips by the method of moments (DerSimonian and Laird 1986), from the mean without it.
+    # Method of moments (DerSimonian and Laird 1986). The first mean has weights without the variance between clips.
     w = 1 / variance
     fixed = np.average(x, weights=w)
     degrees_of_freedom = len(x) - 1

@@ -35,15 +35,15 @@ IDLE_S = 2.0
 class CorrectionSession:
     """Corrections of one result, which are saved with every change and used in a new fit.
 
-    The fit runs while the editor is used: `wait_for_fit` waits for the next one. After a change, the fit begins at the
-    present motion, which takes a fraction of the time. After some time without a change, the clip is fitted from the
-    start, as `recon fit --corrections` does.
+    The fit runs in the background, and `wait_for_fit` waits until it ends. After a change, the fit begins at the
+    present motion, which takes a fraction of the time. After `IDLE_S` seconds without a change, the clip is fitted from
+    the start, as `recon fit --corrections` does.
     """
 
     folder: Path
     """Folder of the corrected result, whose files of the fit are not changed."""
     out: Path
-    """File of the corrections; the session begins with the corrections that it already contains."""
+    """File of the corrections. The session begins with the corrections in the file, if it exists."""
     motion: Motion
     """The latest fit."""
     camera: int = 0
@@ -72,7 +72,7 @@ class CorrectionSession:
         return session
 
     def _of_this_clip(self, corrections: list[Correction]) -> list[Correction]:
-        """Return corrections with the names of their cameras; raise InputError for those of another clip."""
+        """Return corrections with the camera's name filled in, or raise InputError if one is of another clip."""
         names = [camera.name for camera in self.motion.cameras]
         named = [replace(row, camera=names[0]) if not row.camera and len(names) == 1 else row for row in corrections]
         frames = {int(frame) for frame in self.motion.frames}
@@ -92,7 +92,7 @@ class CorrectionSession:
 
     def __post_init__(self) -> None:
         self.before = _summary(self.motion)
-        self._suggested_from = self.motion  # the latest fit from the start: its detections are suggested for correction
+        self._suggested_from = self.motion  # fits that begin at the present motion do not change the suggestions
         self._saved = digest(self.out)
         self._change = threading.Condition()
         self._is_due, self._is_running = False, False
@@ -201,7 +201,7 @@ class CorrectionSession:
         return Correction(frame, row["camera"], str(keypoint), was_px, now_px, reason)
 
     def _fit(self) -> None:
-        """Fit with the saved corrections until no new ones come; the last fit begins from the start."""
+        """Fit with the saved corrections until no more are saved, the last time from the start."""
         while True:
             with self._change:
                 if not self._is_due and self.is_whole:
@@ -240,7 +240,7 @@ def _is_point(value: object) -> bool:
 
 
 def _summary(motion: Motion) -> dict[str, object]:
-    """Return the verdict and the errors as text and numbers."""
+    """Return the verdict, the expected error (mm), the median distance of the detections (px), and the outliers."""
     verdict = motion.verdict
     distances_px = np.concatenate([picture.distance_px.ravel() for picture in motion.pictures])
     known_px = distances_px[np.isfinite(distances_px)]

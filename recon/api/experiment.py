@@ -224,7 +224,7 @@ def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object
 
 
 def _shared_errors(clips: pd.DataFrame, with_size: bool) -> tuple[Array, Array, Array]:
-    """Return three relative standard deviations (C,) for C clips: size, its expectation, and effect of the lens."""
+    """Return relative standard deviations (C,) of each clip's size, of its expected size, and from its lens."""
     total = clips["size_sigma"].to_numpy(float) * with_size
     zeros = np.zeros(len(clips))
     focal = clips["focal_sigma"].to_numpy(float) * with_size if "focal_sigma" in clips else zeros
@@ -259,7 +259,7 @@ def joint_posterior(
 
     Notes
     -----
-    A size has the standard deviation s, and p before the pictures were seen. Its error has two parts: -(s^2 / p^2) d,
+    A size has the standard deviation s, or p before the pictures were seen. Its error has two parts: -(s^2 / p^2) d,
     where d is the deviation of the animal from the expected size, which all cameras share; and an independent error of
     variance s^2 (1 - s^2 / p^2) from the pictures. Given the covariance of all errors, the generalised mean is the mode
     of the joint posterior in which the expectation of the size counts once. Negative weights, which would extrapolate
@@ -326,13 +326,17 @@ class QuantityModel:
         return row | self._counts(groups)
 
     def _counts(self, groups: Sequence[str]) -> dict[str, int]:
-        """Return the numbers of animals, runs, clips and strides in some groups."""
+        """Return the numbers of animals, runs, clips and strides in the given groups together."""
         table = self.run_table[self.run_table["group"].isin(groups)]
         counts = {"animals": table["animal"].nunique(), "runs": len(table)}
         return counts | {name: int(table[name].sum()) for name in ("clips", "strides")}
 
     def sigmas_row(self) -> dict[str, object]:
-        """Return standard deviations by level, the intraclass correlation, and the smallest detectable change."""
+        """Return the quantity's row of variances.csv.
+
+        The row has the standard deviations between animals, runs and strides and of the measurement, the intraclass
+        correlation, and the smallest detectable change.
+        """
         sigmas = self.model.sigmas
         row: dict[str, object] = {"quantity": self.name, "mean": float(np.mean(self.model.effects[: len(self.groups)]))}
         row |= {f"{level}_sd": getattr(sigmas, level) for level in ("animal", "run", "stride", "measurement")}

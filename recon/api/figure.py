@@ -55,7 +55,7 @@ _BODY_FIXED_STEPS = {
     WHOLE_CLIP: "the clip, which has no complete stride,",
     "return": "the time after which the end effector returns,",
 }
-"""Parts of the captions of clips without a complete stride."""
+"""Words in captions for the time that a body-fixed figure shows, if that is not a stride."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class PrintedFigure:
 
 
 def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float, results: str = "") -> PrintedFigure:
-    """Draw figures of an analysis for a paper; several are stacked and lettered.
+    """Draw figures of an analysis for a paper, stacked and lettered if there are several.
 
     Parameters
     ----------

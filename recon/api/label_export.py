@@ -45,7 +45,7 @@ class CorrectedClip:
     corrections: tuple[Correction, ...]
     """The corrections of this camera."""
     names: Mapping[str, str]
-    """Names in the keypoint file, by their names in the fit."""
+    """Name of each keypoint in the keypoint file, keyed by its name in the fit."""
     file: Keypoints
     """The keypoint file without corrections."""
 
@@ -83,9 +83,9 @@ class CorrectedClip:
         return cls(settings, motion, number, rows, names, file)
 
     def keypoints(self) -> Keypoints:
-        """Return the keypoint file with its corrections, under its own names.
+        """Return the keypoints of the file, with its names and with the corrections.
 
-        A corrected likelihood is 1.
+        Corrected keypoints have the likelihood 1.
         """
         camera, rows = self.motion.cameras[self.number].name, self._rows_as_in_file()
         (corrected,) = with_corrections([self.file], [camera], rows, self._corrections_file)
