@@ -24,18 +24,19 @@ from recon.io.label_files import LabelledFrames, require_label_names, write_labe
 from recon.io.video import probe, read_frames
 
 THUMBNAIL_PX = 24
-"""Longer side of the small pictures that are compared."""
+"""Longer side of the reduced pictures by which `choose_frames` compares frames, px."""
 MOST_COMPARED = 600
-"""Largest number of frames of a video that are compared."""
+"""Number of frames that `choose_frames` compares in a long video, approximately."""
 SEED = 0
 Point = tuple[float, float]
 
 
 def choose_frames(video: Path, count: int) -> list[int]:
-    """Return numbers of frames that differ: those nearest to the centres of `count` groups of pictures.
+    """Return the numbers of `count` frames whose pictures differ from each other.
 
-    The groups are those of k-means on small pictures. If pictures are equal and there are fewer groups than `count`,
-    evenly spaced frames are added. The same video gives the same frames.
+    The pictures, reduced in size, are divided into `count` groups by k-means, and the frame nearest to the centre of
+    each group is chosen. If there are fewer groups because pictures are equal, evenly spaced frames are added. The same
+    video gives the same frames.
 
     Raises
     ------
@@ -69,10 +70,11 @@ def choose_frames(video: Path, count: int) -> list[int]:
 
 
 def frames_by_gain(motion: Motion, camera: int, count: int) -> list[int]:
-    """Return frame numbers of a camera's keypoint file whose labels would lower the expected error of the pose most.
+    """Return the frames whose labels would lower the expected error of the pose most, the most useful first.
 
-    The gain of a frame is the sum over its keypoints. Errors last for about `ERROR_TIME_S`, so each frame lowers the
-    gain that remains nearby. Fewer than `count` numbers are returned if no further frame has a gain.
+    Frames are numbered as in the camera's keypoint file. The gain of a frame is the sum over its keypoints. Errors last
+    for about `ERROR_TIME_S`, so a chosen frame lowers the gain of the frames around it. There are fewer than `count`
+    frames if no further frame has a gain.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def _spread(numbers: Sequence[int], count: int) -> list[int]:
 
 @dataclass(eq=False)
 class LabelSession:
-    """Labels of chosen frames of a video; every change is saved in DeepLabCut's label files."""
+    """Labels of chosen frames of a video, which are saved in DeepLabCut's label files at every change."""
 
     video: Path
     names: tuple[str, ...]
@@ -116,7 +118,7 @@ class LabelSession:
     edges: tuple[tuple[int, int], ...] = ()
     """Pairs of keypoints joined by a bone, as indices."""
     points_px: dict[tuple[int, int], Point] = field(default_factory=dict)
-    """Labels by frame and keypoint's index."""
+    """Labelled positions (x, y), keyed by frame number and index of the keypoint."""
 
     @classmethod
     def open(
@@ -201,7 +203,7 @@ class LabelSession:
         }
 
     def picture(self, frame: int) -> Path | None:
-        """Return the file of a frame's picture, or None for another frame."""
+        """Return the file of a frame's picture, or None if the session does not have the frame."""
         path = self.output.folder / self._labels().picture(frame)
         return path if frame in self.frames and path.is_file() else None
 

@@ -145,8 +145,14 @@ def _solved_segments(
 ) -> tuple[list[Segment], list[float | None], dict[Path, float]]:
     """Fit the body to the segments of pose files, which are also divided where the frame numbers jump.
 
-    Returns three values: the segments, with their name in the file, the file's name in `names`, or both; the body's
-    misfit to each segment, mm; and the factor on the body's lengths by file.
+    Returns
+    -------
+    segments : list of Segment
+        Segments, named after the segment in the file, the file's name in `names`, or both.
+    misfits_mm : list of float or None
+        Root mean square distance of the body's markers from each segment's, mm; None without frames to compare.
+    sizes : dict
+        Factor on the body's lengths, by file.
     """
     segments: list[Segment] = []
     misfits_mm: list[float | None] = []
@@ -242,7 +248,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
 
 
 def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
-    """Yield problems with files with too few markers, and with frame rates that are neither one nor one per segment."""
+    """Yield problems with files that have too few markers, and with a wrong number of frame rates."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
         count_known = sum(marker in names for marker in body.markers)

@@ -100,7 +100,8 @@ def with_poses(
 def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     """Return keypoints resampled to the frame rate of the clip.
 
-    The interpolation is linear and keeps frame 0; the confidence of a slower camera is reduced in proportion.
+    The interpolation is linear, and frame 0 stays at the same time. The confidence of a slower camera is reduced in
+    proportion to its frame rate.
 
     Raises
     ------
@@ -156,8 +157,14 @@ def sources_with_z_up(
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
     """Turn cameras so that z is up and the ground is at z = 0, as estimated from standing feet.
 
-    `sources` are on the frames of the clip, `sources_apart` on each camera's own frames. Returns the sources on their
-    own frames, and a note; both are unchanged if the feet do not show the ground.
+    `sources` are on the frames of the clip, `sources_apart` on each camera's own frames.
+
+    Returns
+    -------
+    sources : tuple of Source
+        `sources_apart` with turned cameras, or unchanged if the feet do not show the ground.
+    findings : tuple of Finding
+        A finding that names the upward direction, or none if the cameras were not turned.
     """
     views = [
         replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))

@@ -365,10 +365,7 @@ def setting_with_relative_paths(folder: Path, name: str, value: T) -> T:
 
 
 def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
-    """Return a setting's value with its paths changed.
-
-    Other values are returned unchanged.
-    """
+    """Return a setting's value with `change` applied to each path; a value without paths is unchanged."""
     if isinstance(value, list):
         return cast("T", [with_paths(name, element, change) for element in value])
     if isinstance(value, str) and name in SETTINGS and SETTINGS[name].is_file(value):
@@ -398,9 +395,9 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def _other_method_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield problems with settings that the method does not read.
+    """Yield problems with settings that the chosen method does not read.
 
-    The method may have any type, as read from a file.
+    The values were read from a file and are not validated, so the method may be of any type.
     """
     method = values.get("method", SETTINGS["method"].default)
     for name, value in values.items():

@@ -47,13 +47,13 @@ REAR = ("tail_base", "l_hip", "spine")
 FRONT = ("neck_base", "withers", "l_shoulder", "nose")
 """Markers of the quadruped at which a skeleton's `forward` may end, the preferred one first."""
 FEWEST_FRAMES = 20
-"""Smallest number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
+"""Minimum number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID = 0.01
 """Standard deviation of the distance of two keypoints, in lengths of the animal, up to which it counts as constant."""
 NOISE = 2.0
-"""Factor on the noise of the keypoints; the product replaces `RIGID` as the limit if it is larger."""
+"""Limit for constant distances as a multiple of the keypoints' noise, used instead of `RIGID` if it is larger."""
 TOO_MUCH = 0.02
-"""Largest accepted limit for constant distances, in lengths of the animal; keypoints that need more are too noisy."""
+"""Limit for constant distances above which the keypoints are too noisy for a draft, in lengths of the animal."""
 TAIL = 0.05
 """Fraction of frames at either end of a distance's range that may be errors.
 
@@ -79,13 +79,13 @@ SWING_HZ = (0.5, 8.0)
 WIDER = 1.5
 """Factor on the observed swing, to allow for other clips."""
 LOW = 0.3
-"""Fraction of the animal's height below which no trunk lies."""
+"""Fraction of the animal's height below which a rigid body cannot be the trunk."""
 FLAT = 0.12
-"""Height, in lengths of the animal, within which feet reach the ground."""
+"""Height above the lowest keypoint up to which a keypoint without a foot's name can be a foot, in animal lengths."""
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base", "sacrum": "tail_base"}
-"""Keypoints whose markers are near enough for a draft, but not for a fit."""
+"""Marker used in a draft for a keypoint nearby, whose position differs too much for a fit."""
 
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
 _REAR_WORDS = re.compile("tail|rump|croup|sacrum|hip|pelvis", re.IGNORECASE)
@@ -155,7 +155,7 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
 
 
 def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
-    """Draft a skeleton from several cameras; raise InputError also for cameras without poses or an upward direction."""
+    """Draft a skeleton from several cameras, whose poses and upward direction have to be known."""
     options = ("keypoints", "camera", "fps", "up", "individual", "camera_name", "camera_unit")
     fit_settings = FitSettings(**picked(settings, *options))
     files, cameras = collect_problems(lambda: read_clips(fit_settings), lambda: read_clip_cameras(fit_settings))
@@ -265,7 +265,7 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Part:
-    """A segment: its number, the point where it begins, its parent, its points, and the line along it."""
+    """Segment of a drafted skeleton, with the indices of its points and of the points on the line along it."""
 
     number: int
     origin: int
@@ -287,11 +287,11 @@ class _Distances:
     changes_m: Array
     """Standard deviation of each distance over the frames, (K, K), from its range without `TAIL` at each end."""
     same_m: float
-    """Variation below which a distance counts as constant."""
+    """Standard deviation below which a distance counts as constant."""
     length_m: float
-    """Largest entry of `usual_m`."""
+    """Largest median distance between two keypoints."""
     longest_m: float
-    """Largest distance between two keypoints, without `TAIL` of the frames; the length of the animal."""
+    """Length of the animal: the largest distance between two keypoints, without `TAIL` of the frames."""
 
 
 def draft_from_points(
@@ -592,7 +592,7 @@ def _rounded(position_m: Array) -> list[float]:
 def head_text(comments: Iterable[str], title: str, origin: str, **values: Any) -> str:
     """Return the beginning of a skeleton file.
 
-    `origin` names the source of the draft, `values` its other fields.
+    `origin` names the source of the draft, `values` are further fields at the top of the file.
     """
     values = {"name": title, "title": f"{title}, drafted from {origin} of its keypoints", **values}
     return table_text("\n".join(f"# {line}" for line in comments), values)

@@ -35,7 +35,7 @@ LEAST_SIZE_SIGMA = 0.01
 
 
 def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
-    """Yield the measured values: lengths in metres, offsets in millimetres."""
+    """Yield a row for each measured length, in metres, and each measured offset, in millimetres."""
     shape, values, sigma = fit.shape, fit.values, fit.sigma
     for name in shape.lengths:
         length_m, sigma_m, _ = fit.length_of((name,), size_sigma)
@@ -165,7 +165,7 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
 
 
 def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
-    """Return the least-squares problem of a clip; raise InputError if the clip does not show the animal's lengths."""
+    """Return the least-squares problem of a clip, or raise InputError if the clip cannot show the animal's lengths."""
     if settings.method != "trajectory":
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
     inputs = prepare(settings)

@@ -44,7 +44,7 @@ class TriangulatedClip(Brief):
     cameras: tuple[str, ...]
     """Names of the V cameras."""
     knows_up: bool
-    """Whether the cameras' poses define the upward direction; otherwise z is up if the first camera is level."""
+    """Whether the cameras' poses define the upward direction. If not, z is up only if the first camera is level."""
     result: Triangulation
     is_smoothed: bool = False
 

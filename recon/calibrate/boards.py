@@ -62,7 +62,7 @@ Corners = tuple[Index, Array]
 
 @dataclass(frozen=True)
 class Board:
-    """Chessboard or ChArUco board; the latter has markers in the light squares."""
+    """Chessboard, or ChArUco board with markers in its light squares."""
 
     columns: int
     """Number of inner corners in a row, or of squares for a board with markers."""
@@ -173,8 +173,8 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     """Return corners (N, 2), px, refined to the nearest intersection of edges.
 
     This halves the detectors' errors. The half-width of the window is `reach` times the distance between corners,
-    because the window must contain neither the board's edge nor another corner. On real chessboards the errors are
-    smallest at a reach of 0.3; from 0.4 on, outer corners drift. A corner that would leave the window is not moved.
+    because the window must contain neither the board's edge nor another corner. A corner that would leave the window is
+    not moved.
     """
     distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
     # The window has the same size for all corners, determined by the far corners of a tilted board.

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 LEAST_SHARE = 0.03
-"""Fraction of the work that is done before the remaining time is shown."""
+"""Fraction of the work that has to be done before the remaining time is shown."""
 LEAST_S = 2.0
-"""Seconds that pass before the remaining time is shown."""
+"""Seconds that have to pass before the remaining time is shown."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Answer:
     """
 
     def show(self, console: Console, as_json: bool) -> None:
-        """Print the answer; raise `typer.Exit` if its exit code is not 0."""
+        """Print the answer, and end the command if the exit code is not 0."""
         if as_json:
             typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
         for line in () if as_json else self.lines:
@@ -213,7 +213,7 @@ class RemainingTime:
         self._clock, self._began_s = clock, clock()
 
     def text(self, share: float) -> str:
-        """Return the time left, such as "2 min 10 s left"; nothing while too little is known, or nothing is left."""
+        """Return the remaining time, such as "2 min 10 s left", or "" if it is not yet known or the work is done."""
         passed_s = self._clock() - self._began_s
         if share < LEAST_SHARE or passed_s < LEAST_S or share >= 1:
             return ""

@@ -1,4 +1,4 @@
-"""Define the command line: the list of commands, how a command is called, and how errors end."""
+"""Define the command line: the list of commands, how a command is called, and how errors are reported."""
 
 from __future__ import annotations
 
@@ -313,7 +313,10 @@ GROUPS = {
 
 
 class _Group(TyperGroup):
-    """A group of commands, each imported only when it is called; `functions` maps names to import functions."""
+    """Group of commands, each of which is imported only when it is called.
+
+    `functions` has the function that imports each command, by the command's name.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -324,10 +327,7 @@ class _Group(TyperGroup):
         return make_command(name, self.functions[name]())
 
     def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
-        """Return the called command's name, the command, and the remaining arguments.
-
-        A name has one or two words.
-        """
+        """Return the name of the called command, which has one or two words, the command, and the other arguments."""
         two_words = " ".join(args[:2])
         name, command, rest = super().resolve_command(
             ctx, [two_words, *args[2:]] if two_words in self.commands else args
@@ -337,7 +337,7 @@ class _Group(TyperGroup):
 
 
 class _Commands(_Group):
-    """The group of all commands of `COMMANDS`; Ctrl-C ends each with one line and exit code 130."""
+    """Group of all commands of `COMMANDS`, which Ctrl-C ends with one line and exit code 130."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -364,7 +364,7 @@ class _Commands(_Group):
             stop()
         finally:
             interrupts.in_command = False
-            # a library turned Ctrl-C into another exception, or swallowed it
+            # A library may have swallowed Ctrl-C, or turned it into another exception.
             if interrupts.received and not interrupts.announced:
                 stop()
 

@@ -76,7 +76,7 @@ class _BatchSettings(Settings):
     overwrite: Annotated[bool, Option(panel=_WORK)] = False
     """Fit everything again, and replace results of other fits unless they were changed by hand."""
     dry_run: Annotated[bool, Option(panel=_WORK)] = False
-    """Fit nothing: list what would be done, and any problems of the inputs."""
+    """Fit nothing: list what would be done, and any problems with the inputs."""
     strict: Annotated[bool, Option(panel=_WORK)] = False
     """Exit with code 1 if any clip failed or is unsolved."""
 
@@ -173,7 +173,7 @@ def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summar
 
 
 def _table(summary: Summary) -> list[Table | str]:
-    """Return a table of the clips, beginning with those that need attention; none for a single clip."""
+    """Return a table of the clips, beginning with those that need attention, or nothing for a single clip."""
     rank = {level: order for order, level in enumerate(LEVELS)}
     rows = sorted(summary.rows.values(), key=lambda row: (rank.get(row["verdict"] or "", -1), row["clip"]))
     if len(rows) < 2:
@@ -192,7 +192,7 @@ def _table(summary: Summary) -> list[Table | str]:
 
 
 def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
-    """Return the actions planned for each clip, and the problems of the inputs."""
+    """Return the actions planned for each clip, and the problems with the inputs."""
     rows: list[dict[str, Any]] = [
         {
             "clip": planned.clip.name,

@@ -74,7 +74,7 @@ class SettingsCommand(TyperCommand):
     """All settings by name, those of another class first."""
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
-        """Parse arguments; raise InputError for settings that are not options, and say how to give them."""
+        """Parse arguments, or raise InputError that says how to give settings that are not options."""
         rare = {info.on_command_line: info.field for info in self.infos.values() if not info.option.common}
         prefix = len("--set ")
         field_by_option = {written[prefix:]: (field, f"{written}=VALUE") for written, field in rare.items()}
@@ -114,7 +114,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
     parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
 
     def call(as_json: bool, quiet: bool, **arguments: Any) -> None:
-        """Run the function; raise InputError with everything that is wrong with the command's own settings."""
+        """Run the function with its settings, or raise InputError with all problems of these settings."""
         keep_freed_memory()
         console = terminal(quiet=quiet, stderr=as_json)
         keywords: dict[str, Any] = {"console": console} if "console" in takes else {}

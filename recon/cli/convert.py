@@ -137,7 +137,7 @@ def _require_content(source: Path, data: Keypoints | Pose3D, motion: Motion | No
 
 
 def _with_missing_points(keypoints: Keypoints) -> tuple[Keypoints, list[str]]:
-    """Return keypoints without points that stand for missing ones, and notes on them."""
+    """Return keypoints in which placeholders for missing points, such as (0, 0), are missing, and notes on them."""
     keypoints, missing = mark_missing(keypoints)
     stored = {"missing_zero_zero": "(0, 0)", "missing_constant": "one constant"}
     counts = {text: missing[name].sum() for name, text in stored.items()}
@@ -187,7 +187,7 @@ def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path,
 
 
 def _pose_of(motion: Motion) -> Pose3D:
-    """Return the joints of a fit with z up, and their frame rate and limbs."""
+    """Return the joints of a fit with z up, with the verdict as notes, uncertainties, and flags of frames."""
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up, because the camera file does not have the camera's pose.",)

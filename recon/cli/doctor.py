@@ -93,7 +93,7 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
 def versions() -> Iterator[_Check]:
     """Check the versions of recon and of Python."""
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
-    # the files of the distribution installed last have replaced those of the other
+    # If two distributions with a package named recon are installed, the later one has replaced files of the earlier.
     with suppress(metadata.PackageNotFoundError):
         state = f"the package recon {metadata.version('recon')} is installed too, and its files have the same names"
         hint = f"{pip_command()} uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"

@@ -18,7 +18,7 @@ from recon.ik.cost_study import GROWTH, TURNS
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
-"""Smallest closure of a joint's angle over a stride, in percent, that counts as closed."""
+"""Smallest closure of a joint's angle over a stride, in percent, at which the outcome of a method is "closes"."""
 LEAST_CLOSURE = "least_closure_angle_percent"
 OFF_PATH_M = 0.02
 """Distance of the foot from the stride's path, in metres, above which a method counts as failed."""

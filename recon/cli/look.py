@@ -43,7 +43,7 @@ from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
 
 SLOW_FPS = 30.0
-"""Highest frame rate of an overlay unless a speed is given; every frame is shown."""
+"""Maximum frame rate of an overlay. Faster clips are slowed down to this rate unless a speed is given."""
 RATE_SAME = 0.01
 """Relative difference below which frame rates count as equal, such as 29.97 and 30."""
 MIN_WIDTH_PX = 640
@@ -92,12 +92,14 @@ def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
-    """Return the index of the named camera; without a name, of the camera in the video's file name, or of the first.
+    """Return the index of the camera with the given name, or of the camera that the video's file name contains.
+
+    Without a name and a video, the index is that of the first camera.
 
     Raises
     ------
     InputError
-        If no camera has the given name.
+        If no camera has the given name, or the file name does not show which of several cameras made the video.
     """
     names = [camera_of_clip.name for camera_of_clip in motion.cameras]
     if camera is None and video is not None and len(names) > 1:
@@ -228,7 +230,7 @@ def rate_note(video: Path, fps: float | None) -> str | None:
 
 
 def bars_note(video: Path | None) -> str | None:
-    """Return a note if a video has black bars: a calibration on videos without bars then has the wrong focal length."""
+    """Return a note if a video has black bars, because a calibration on videos without bars does not apply to it."""
     if video is None:
         return None
     sides = zip(probe(video).bars_px, ("on the left and right", "at the top and bottom"), strict=True)

@@ -1,7 +1,7 @@
 """Run all stages from a video to a page.
 
 A stage is skipped if it was done before with the same inputs. `run.jsonl` in the folder records the inputs and the
-files of each stage; a stage that began and did not end is repeated. A folder of videos is run as a batch.
+files of each stage. A stage that began and did not end is repeated. A folder of videos is run as a batch.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def _model_file(path: Path) -> Path:
 def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     """Return the job of a video.
 
-    `options` holds settings of the fit by name; the frame rate is that of the video unless it is given.
+    `options` holds the given settings of the fit by name. Without a frame rate, the video's frame rate is used.
 
     Raises
     ------
@@ -430,7 +430,7 @@ def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:
-    """Return the keypoint file of a video in a folder: it has the video's name, or the name that DeepLabCut gives it.
+    """Return the file in a folder that has the video's name, or the name that DeepLabCut gives a video's keypoints.
 
     If the same keypoints exist in two formats, the last one is used.
 

@@ -22,9 +22,9 @@ from recon.geometry.camera import Camera
 ADJUST_STEPS = 4
 """Number of Gauss-Newton steps in which all frames are adjusted together."""
 MAX_PAIRS = 60
-"""Number of pairs of pictures that determine the focal length, those with the largest rotations."""
+"""Maximum number of pairs of pictures, those with the largest rotations, that determine the focal length."""
 MIN_PAIRS = 4
-"""Smallest number of pairs of pictures from which a focal length is estimated."""
+"""Minimum number of pairs of pictures required to estimate the focal length."""
 WIDEST = 0.7
 """Largest absolute logarithm of a factor on the focal length that is tried."""
 STEP = 1e-3

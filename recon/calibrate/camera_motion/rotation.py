@@ -37,13 +37,13 @@ MAX_UNLIKE = 3.0
 point is hidden.
 """
 LEAST_UNLIKE = 8.0
-"""Difference of a point's surroundings between two pictures, grey levels, up to which it never counts as hidden."""
+"""Difference of a point's surroundings between two pictures, grey levels, up to which no point counts as hidden."""
 ORB_POINTS = 700
 """Number of points per picture for which descriptors are computed."""
 MIN_SAME = 20
-"""Smallest number of matching descriptors of two pictures that count as the same scene."""
+"""Minimum number of matching descriptors for two pictures to count as the same scene."""
 MIN_ALIKE = 0.7
-"""Smallest correlation of two reduced pictures that count as similar."""
+"""Minimum correlation of two reduced pictures for the pictures to count as similar."""
 HULL_MARGIN = 0.15
 """Margin around the animal's points, as a fraction of their extent."""
 
@@ -209,7 +209,7 @@ CANDIDATES = 10
 MIN_APART = 0.12
 """Minimum distance between the two points that define a trial rotation, as a fraction of the picture's diagonal."""
 MIN_POINTS = 15
-"""Smallest number of points that have to agree with a rotation."""
+"""Minimum number of points that have to agree with a rotation."""
 MIN_SPREAD = 0.2
 """Smallest spread of the agreeing points over the picture, as `cover_and_spread` returns it."""
 FINAL_LIMIT = 0.5

@@ -29,15 +29,16 @@ from recon.io.video import Image
 LIMIT = 1 / 320
 """Largest error of a point that agrees with a rotation, as a fraction of the picture's longer side."""
 MIN_CORNERS = 40
-"""Smallest number of corners in the background of a keyframe."""
+"""Minimum number of corners in the background of a keyframe."""
 NEW_KEY_LIKENESS = 0.7
 """Overlap with the nearest keyframe below which a frame becomes a keyframe."""
 MIN_LIKENESS = 0.25
 """Smallest overlap with a keyframe at which a frame is compared with it."""
 NEW_KEY_SUPPORT = 0.6
-"""Support of a rotation, relative to the best since the last keyframe, below which a frame becomes a keyframe."""
+"""`AgreedOrientation.spread`, relative to the largest since the last keyframe, below which a frame becomes a keyframe.
+"""
 MIN_SUPPORT = 0.25
-"""Support of a rotation, relative to the best since the last keyframe, below which a frame is lost."""
+"""`AgreedOrientation.spread`, relative to the largest since the last keyframe, below which a frame is lost."""
 BY_ZOOM = 5.0
 """Reduction of the overlap of two pictures per unit of difference in log zoom."""
 KEYS_AT_ONCE = 3
@@ -62,7 +63,7 @@ CLEAR_SIGMAS = 3.0
 MIN_STILL = 0.4
 """Smallest fraction of an old keyframe's background that is still in position if the camera only turned."""
 MAX_TORN = 1
-"""Largest number of old keyframes that may have a smaller fraction than `MIN_STILL`."""
+"""Maximum number of old keyframes whose background may be below `MIN_STILL` if the camera only turned."""
 PICTURE_FLOOR_PX = 0.1
 """Standard deviation, px, of the error that all points of a picture have in common and their scatter does not show."""
 MIN_PAIR_POINTS = 30
