@@ -43,15 +43,16 @@ from scipy.linalg.lapack import dtbtrs, dtrtri
 from recon.base.arrays import Array, Integers
 
 _UNKNOWN = 1e-9
-"""Precision added to an unknown whose covariance is lost to rounding, relative to its own precision."""
+"""Relative increase of the diagonal of H if H is not positive definite to rounding (`factored` with `bounded`)."""
 _IN_BLOCKS = 8
-"""Number of right-hand sides from which matrix products are faster than LAPACK's solver, which takes them one by
-one.
+"""Minimum number of right-hand sides for which matrix products replace LAPACK's solver.
+
+LAPACK solves for one right-hand side after the other, which is slower for many of them.
 """
 _FRAMES_AT_ONCE = 64
-"""Number of frames whose blocks are rearranged at once: few enough for the processor's cache."""
+"""Number of frames whose blocks are rearranged at once, few enough for the processor's cache."""
 _KEPT = 1 << 24
-"""Largest number of values in the windows that are kept until the shared unknowns are known: 128 MB."""
+"""Maximum number of values (128 MB) in the windows that are kept until the shared unknowns are solved."""
 
 
 @dataclass(frozen=True)
@@ -59,15 +60,15 @@ class Normal:
     """Normal equations of a clip, or of a piece of T frames, with P >= 0 shared unknowns."""
 
     blocks: Array
-    """(T, W+1, D, D): the blocks of H; [t, k] is in block row t + k and block column t."""
+    """Blocks of H, shape (T, W+1, D, D); [t, k] is in block row t + k and block column t."""
     gradient: Array
-    """(T, D): the gradient with respect to the frames' unknowns."""
+    """Gradient of the cost with respect to the frames' unknowns, shape (T, D)."""
     border: Array
-    """(T, D, P): the curvature between frames and shared unknowns."""
+    """Mixed curvature of the cost between frames and shared unknowns, B, shape (T, D, P)."""
     corner: Array
-    """(P, P): the curvature of the shared unknowns."""
+    """Curvature of the cost with respect to the shared unknowns, C, shape (P, P)."""
     shared_gradient: Array
-    """(P,): the gradient with respect to the shared unknowns."""
+    """Gradient of the cost with respect to the shared unknowns, shape (P,)."""
 
     def without_shared(self) -> Normal:
         """Return the normal equations of the frames alone, with the shared unknowns fixed."""
@@ -87,13 +88,13 @@ class Window:
     factor: _Factor
     """Columns of L for the n frames, including the rows of the W frames that follow."""
     whitened: Array
-    """(n, D, 1 + P): L^-1 times the gradient and each column of the border."""
+    """Solutions z of L z = b for the gradient and each column of the border, shape (n, D, 1 + P)."""
     following: Window | None = None
     """The next piece, or its first m frames, which represents all later frames; None for the last piece."""
 
     @property
     def rows_with_following(self) -> slice:
-        """Return the clip's rows of the n frames of this window and the m frames of the next piece."""
+        """Return the slice of the clip's frames in this window and in the next piece."""
         last = self if self.following is None else self.following
         return slice(self.rows.start, last.rows.stop)
 
@@ -263,12 +264,12 @@ class _Factor:
     """Cholesky factor L of H, for all or the first T frames of a piece; `factored` creates it."""
 
     band: Array
-    """((W+1)D, TD): L in LAPACK's lower band storage."""
+    """L in LAPACK's lower band storage, shape ((W+1)D, TD)."""
     D: int
 
     @property
     def width(self) -> int:
-        """Return the number of rows of a block of L so large that only neighbouring blocks are coupled."""
+        """Return the number of rows of L in W frames, or in one frame if W is 0."""
         return max(len(self.band) - self.D, self.D)
 
     def first_frames(self, n: int) -> _Factor:
@@ -280,7 +281,7 @@ class _Factor:
         return self._solved(right, "N", overwrite)
 
     def unwhiten(self, white: Array, *, overwrite: bool = False) -> Array:
-        """Return x = L^-T z of z (T, D, ...): for a white z, the covariance of x is the inverse of H."""
+        """Return x = L^-T z for z (T, D, ...). If z is white noise, the covariance of x is H^-1."""
         return self._solved(white, "T", overwrite)
 
     def _solved(self, right: Array, transposed: Literal["N", "T"], overwrite: bool) -> Array:
@@ -315,7 +316,7 @@ class _Factor:
                 block[:] = dtrsm(1.0, factor, block.T, side=1, lower=1).T
 
     def below(self, column: int) -> Array:
-        """Return the block of L below its diagonal block that begins at a column, (width, width)."""
+        """Return the block (width, width) of L below the diagonal block whose first column is given."""
         down = self._rows_below
         is_in_band = down < len(self.band)
         columns = column + np.arange(self.width)
@@ -327,14 +328,14 @@ class _Factor:
 
     @cached_property
     def _rows_below(self) -> Integers:
-        """Return the distances of the entries of `below` from the diagonal, in rows, (width, width)."""
+        """Return the distance, in rows, of each entry of `below` from the diagonal, (width, width)."""
         return self.width + np.subtract.outer(np.arange(self.width), np.arange(self.width))
 
     def marginal_blocks(self, later: Array | None = None) -> Array:
         """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).
 
-        [t, k] is the covariance of frame t + k (rows) with frame t (columns). The covariances of single frames are [:,
-        0]; blocks with t + k >= T are zero, unless the covariance (WD, WD) of the W frames after the last one is given.
+        Block [t, k] is the covariance of frame t + k (rows) with frame t (columns); k = 0 is the covariance of frame t.
+        Blocks with t + k >= T are zero, unless `later` gives the covariance (WD, WD) of the W frames that follow.
         """
         return self._marginals(later)[0]
 
@@ -374,9 +375,9 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
     Parameters
     ----------
     blocks
-        (T, W+1, D, D): the blocks of H, as in `Normal`.
+        Blocks of H, shape (T, W+1, D, D), as in `Normal`.
     damping
-        (T, D), (D,) or a number that is added to the diagonal.
+        Values added to the diagonal of H, shape (T, D) or (D,), or one number for all of it.
     bounded
         Whether to give undetermined unknowns a very large variance instead of raising an error.
 

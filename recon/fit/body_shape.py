@@ -17,18 +17,20 @@ from recon.base.arrays import Array
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
 
 LENGTH_SIGMA = 0.05
-"""Relative standard deviation of a single length of an animal about the skeleton's length times the animal's size."""
+"""Relative standard deviation of a segment's length about the skeleton's length, scaled to the animal's size."""
 OFFSET_SIGMA_M = 0.01
 """Standard deviation of a keypoint's offset from its marker along each axis, m.
 
-Real offsets are larger, but the body's lengths are fitted as well and absorb a part of them. In runs that were
-left out of the choice, single cameras estimate the published poses best with this value (docs/benchmarks.md).
+Real offsets are larger, but the body's lengths are fitted as well and absorb a part of them.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
+    """Unknown shape of a body: the lengths of its segments and the offsets of its keypoints.
+
+    The K unknowns are the logarithms of factors on the lengths, followed by the coordinates of the offsets, m.
+    """
 
     body: Body
     lengths: tuple[str, ...] = ()
@@ -45,7 +47,7 @@ class Shape:
 
     @classmethod
     def of_body(cls, body: Body, lengths: bool = True, offsets: bool = False) -> Shape:
-        """Return the unknown shape of a body: all its lengths, the offsets of all its keypoints, or both."""
+        """Return the shape of a body with all its lengths, the offsets of all its keypoints, or both as unknowns."""
         items = (*body.tree.segments[1:], *body.tree.markers) if lengths else ()
         named = (item.name for item in items if any(item.offset_m) and not follows(item.name, body))
         return cls(body, tuple(named), tuple(m for m in body.markers if offsets and not follows(m, body)))
@@ -62,7 +64,7 @@ class Shape:
     def expected_precision(self, size_sigma: float) -> Array:
         """Return the prior precision (K, K) of the unknowns.
 
-        Lengths share the animal's size, about which each of them deviates slightly.
+        The prior correlates the lengths through the animal's size; each length also varies slightly on its own.
         """
         n = len(self.lengths)
         covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
@@ -70,7 +72,7 @@ class Shape:
         return np.linalg.inv(covariance)
 
     def applied(self, body: Body, values: Array) -> Body:
-        """Return a body with the lengths and keypoint offsets that values (K,) of the unknowns give it."""
+        """Return a body whose lengths and keypoint offsets are changed by values (K,) of the unknowns."""
         factors = dict(zip(self.lengths, np.exp(values[: len(self.lengths)]), strict=True))
         shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
 
@@ -102,7 +104,7 @@ class Shape:
 
     @cached_property
     def _markers_of_lengths(self) -> dict[tuple[str, int, int], list[int]]:
-        """Return the markers that move with the offset of each segment or marker.
+        """Return the indices of the markers that each unknown length moves.
 
         Each key holds the name of that segment or marker, the index of the segment that carries it, and the column of
         its length.
@@ -158,7 +160,7 @@ class FreeShape:
     """
 
     body: Body
-    """Body to whose lengths and keypoints the shape is relative."""
+    """Body whose lengths and keypoint offsets the shape changes."""
     lengths: Shape
     _shaped: dict[bytes, Body] = field(default_factory=dict, repr=False)
     """Cache of the body that was built last, by the values of its shape."""

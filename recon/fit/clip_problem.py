@@ -20,9 +20,15 @@ from recon.geometry.kinematics import ROOT, YAW
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
-"""Smallest distance of a point from a camera, m, for which the scale of the image is computed."""
+"""Minimum distance from the camera, m, for which the image scale (px/m) is computed.
+
+Closer points are given the scale at this distance, so that the scale stays finite.
+"""
 _SAME_CENTRE_M = 1e-6
-"""Distance from the origin, m, below which a camera counts as being at the origin."""
+"""Maximum distance of a camera from the scene's origin, m, at which it counts as being there.
+
+The value only exceeds rounding errors.
+"""
 
 
 @dataclass(frozen=True)
@@ -33,41 +39,43 @@ class TrajectoryOptions:
     """
 
     fast: bool = False
-    """Whether to try fewer starts, solve only one of them to the end, and use looser tolerances."""
+    """Whether the search is shorter: fewer starts, only one of them solved to the end, and looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
-    """auto assumes that standing feet do not move and are on one plane; none assumes nothing about the feet."""
+    """Assumption about the feet: "auto" keeps standing feet still and on one plane; "none" makes no assumption."""
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise, pixels."""
     keypoint_sigma_m: float | None = None
-    """Standard deviation of keypoints about the markers, metres; None uses that of the body."""
+    """Standard deviation of the distance of keypoints from their markers, m; None for the body's value."""
     size_sigma: float | None = None
-    """Relative standard deviation of the animal's size; None uses that of the body."""
+    """Relative standard deviation of the animal's size; None for the body's value."""
     find_offsets: bool = False
     """Whether the fit estimates the time offsets of all cameras but the first."""
     refine_cameras: bool = False
     """Whether the fit refines the poses of all cameras but the first."""
     refine_first: bool = False
-    """Whether the first of two cameras is refined as well; each may be turned or moved (`recon.fit.pair_poses`)."""
+    """Whether the pose of the first of two cameras is refined as well (`recon.fit.pair_poses`)."""
     focal_sigma: float | None = None
     """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 
-    Several cameras estimate the focal lengths; with one camera they only add to the uncertainty.
+    With several cameras, the fit estimates the focal lengths. With one camera, their errors only add to the
+    uncertainty.
     """
     cameras_known: bool = False
-    """Whether the poses of two cameras are exact; otherwise usual errors of the second one add to the uncertainty."""
+    """Whether the poses of two cameras are exact; if not, the usual errors of the second pose add to the uncertainty.
+    """
     lengths_known: bool = False
-    """Whether the body's lengths and the keypoints' offsets are fixed; otherwise several cameras estimate them."""
+    """Whether the body's lengths and keypoint offsets are exact; if not, a fit of several cameras estimates them."""
 
     def keypoint_noise_m(self, body: Body) -> float:
-        """Return the standard deviation of a body's keypoints about its markers."""
+        """Return the standard deviation of the distance of a body's keypoints from its markers, m."""
         return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
 
 
 def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
-    """Return the relative standard deviation of focal lengths that follows from the settings; None if they are exact.
+    """Return the relative standard deviation of focal lengths under the settings of a fit; None if they are exact.
 
-    `settings` are those of a fit, by name. Several cameras, which estimate focal lengths, and moving cameras have a
-    standard deviation only if it is given.
+    Only a single, fixed camera has a default. Several cameras, or a moving one, have exact focal lengths unless the
+    settings give `focal_sigma`.
     """
     sigma: float | None = settings.get("focal_sigma")
     if sigma is not None or cameras > 1 or settings.get("camera_track") is not None:
@@ -94,17 +102,17 @@ class ClipProblem:
     time_offset_frames: float
     """Standard deviation of the pictures' time offset, in frames, if the offset is not estimated."""
     prior_weight: float = 1.0
-    """Fraction of its weight that the prior keeps, as in `MotionSegment.prior_weight`."""
+    """Factor on the weight of the prior, 0 to 1, as in `MotionSegment.prior_weight`."""
     known_states: Array | None = None
-    """States (T, D) with known heading and angles, NaN in other frames; None if none are known."""
+    """States (T, D) whose heading and angles are known, NaN in frames without known states; None for no frame."""
     shape: FreeShape | None = None
-    """The shape of `body`, if it is unknown."""
+    """Unknown lengths and keypoint offsets of `body`; None if they are known."""
     solves_shape: bool = True
-    """Whether the shape is estimated; otherwise it only adds to the uncertainty."""
+    """Whether the fit estimates an unknown shape; if not, the shape's errors only add to the uncertainty."""
     shape_scale: tuple[float, float] = (1.0, 1.0)
     """Factors on the expected standard deviations of lengths and of keypoint offsets.
 
-    The factors adapt the expected spread to that of the animal.
+    Factors above 1 allow an animal whose proportions differ more from the skeleton's.
     """
     pose_means: Array | None = None
     """Prior means (2, 6) of the errors of two refined cameras' poses, rad and m; None for 0."""
@@ -152,18 +160,18 @@ class ClipProblem:
         return replace(self, shape=FreeShape.of_body(self.body), shape_scale=scale)
 
     def without_ground(self) -> ClipProblem:
-        """Return the problem without assumptions about the feet."""
+        """Return the problem without the assumption that standing feet are still and on one plane."""
         return replace(self, options=replace(self.options, ground="none"))
 
     @property
     def detector_is_measured(self) -> bool:
-        """Return whether the position and the noise of the detector's keypoints are known."""
+        """Return whether the offsets and the noise of the detector's keypoints were measured."""
         return bool(self.body.keypoint_noise_m)
 
     def with_likely_shape_spread(self, shared: Mapping[str, Array]) -> ClipProblem:
-        """Return the problem with lengths and offsets expected to spread as widely as those of a solution.
+        """Return the problem with `shape_scale` estimated from the lengths and offsets of a solution.
 
-        The expected spread counts as `SHAPE_COUNT` lengths or offsets, and is never reduced.
+        The expected spread counts as `SHAPE_COUNT` lengths or offsets in the estimate, which is never below it.
         """
         unknowns, _ = self.shared_unknowns()
         least = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else (1.0, 1.0)
@@ -178,7 +186,7 @@ class ClipProblem:
         return replace(self, shape_scale=(scales[terms.LENGTHS], scales[terms.COMMON_KEYPOINT_BIAS]))
 
     def thinned(self, step: int) -> ClipProblem:
-        """Return the problem of every step-th frame, with weights that replace the frames left out."""
+        """Return the problem of every step-th frame, whose detections count `step` times."""
         thin = self.part(slice(None, None, step))
         views = tuple(
             replace(view, confidence=step * view.confidence, offset_frames=view.offset_frames / step)
@@ -187,9 +195,9 @@ class ClipProblem:
         return replace(thin, views=views, fps=self.fps / step)
 
     def before_offsets(self, offsets_frames: Array) -> ClipProblem:
-        """Return the problem with estimated time offsets (V,) removed from its views; they become unknowns again.
+        """Return the problem before its views were shifted by estimated time offsets (V,), in frames.
 
-        As in the fit, the views then have no time offsets, and their normal equations are computed together.
+        The time offsets are unknowns again, and the views' normal equations can be computed together, as in the fit.
         """
         views = zip(self.views, offsets_frames, strict=True)
         return replace(
@@ -200,9 +208,9 @@ class ClipProblem:
 
     @property
     def image_right(self) -> Array:
-        """Return the level direction to the right of the first camera's picture, (3,)."""
+        """Return the horizontal unit vector (3,), in the world, that points right in the first camera's picture."""
         right, down, _ = self.views[0].T_camera_world.reshape(-1, 4, 4)[0, :3, :3]
-        x = down if abs(right @ UP) > 1 - 1e-9 else right  # a picture on its side has no level direction to the right
+        x = down if abs(right @ UP) > 1 - 1e-9 else right  # the right of a picture turned by 90 degrees is vertical
         level = x - UP * x[2]
         return level / np.linalg.norm(level)
 
@@ -262,17 +270,17 @@ class ClipProblem:
 
     @property
     def correlation_frames(self) -> float:
-        """Return the correlation length of errors in frames; all frames within this length count as one."""
+        """Return the correlation time of the errors in frames, 1 or more; frames within this time count as one."""
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
     def keypoint_sigma_m(self) -> float:
-        """Return the standard deviation of keypoints about the markers, m."""
+        """Return the standard deviation of the distance of keypoints from their markers, m."""
         return self.options.keypoint_noise_m(self.body)
 
     @property
     def keypoint_bias_m(self) -> float:
-        """Return the expected keypoint bias, m: a distance from the marker that is constant over a clip."""
+        """Return the standard deviation, m, of the keypoint bias, which stays constant over a clip."""
         return constants.KEYPOINT_BIAS_SHARE * self.keypoint_sigma_m
 
     @property
@@ -282,7 +290,7 @@ class ClipProblem:
         return np.array([noise_m.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
-        """Return the image scale (V, T) at the middle of markers (T, J, 3), pixels per metre of the nominal body."""
+        """Return the image scale (V, T), pixels per metre of the nominal body, at the median of markers (T, J, 3)."""
         middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
         scales = []
         for view in self.views:
@@ -294,10 +302,10 @@ class ClipProblem:
         return np.array(scales)
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
-        """Return the noise of detections (V, T, J) for markers (T, J, 3) at nominal size.
+        """Return the standard deviation (V, T, J), px, of the detections of markers (T, J, 3) at nominal size.
 
-        The noise combines that of the detector and of the keypoints, times sqrt(factor) (V, J), and that of a camera's
-        rotation.
+        The noise of the detector and of the keypoints, multiplied by sqrt(factor) (V, J), is combined with the noise
+        from errors of a camera's rotation.
         """
         px_per_m = self.px_per_m(points_m, size)[..., None]
         noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
@@ -307,11 +315,12 @@ class ClipProblem:
         return np.hypot(noise, rotation_px[..., None])
 
     def shared_unknowns(self, shifts_m: Array | None = None) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
-        """Return the unknowns that all frames share: those that the pictures determine, and nuisance unknowns.
+        """Return the unknowns that all frames share, first the estimated ones, then the nuisance unknowns.
 
         Nuisance unknowns only add to the uncertainty, such as a single camera's time offset and focal length.
-        `shifts_m` (V,) is the expected shift of refined cameras. Standard deviations are those of persistent errors,
-        which more frames do not reduce.
+        `shifts_m` (V,) are the standard deviations of refined cameras' positions. The standard deviations of persistent
+        errors are divided by sqrt(`correlation_frames`), because the posterior multiplies all variances by
+        `correlation_frames`.
         """
         options, V = self.options, len(self.views)
         size = [SharedUnknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
@@ -333,7 +342,7 @@ class ClipProblem:
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
-        """Return shared unknowns of mean 0 whose errors persist, and therefore count once for any number of frames."""
+        """Return shared unknowns of mean 0 with errors that persist, which count once for any number of frames."""
         sigmas = np.asarray(np.atleast_1d(sigma) / np.sqrt(self.correlation_frames), dtype=float)
         return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
 
@@ -375,10 +384,10 @@ class ClipProblem:
         return [lengths, self._lasting(terms.COMMON_KEYPOINT_BIAS, offset_share * common_m)]
 
     def _pose_sigmas(self, shifts_m: Array) -> dict[int, Array]:
-        """Return the standard deviations of the errors (6,) of each camera whose pose is uncertain.
+        """Return the standard deviations (6,), rad and m, of the pose's errors for each camera whose pose is uncertain.
 
         The poses of two cameras are uncertain even if they are not refined, unless they are known to be exact.
-        `shifts_m` (V,) is the expected shift between a camera and the first one.
+        `shifts_m` (V,) are the standard deviations of the cameras' positions relative to the first.
         """
         options, V = self.options, len(self.views)
         if options.refine_cameras and not options.refine_first:
@@ -392,13 +401,13 @@ class ClipProblem:
 
     @property
     def _single_length_sigmas(self) -> Array:
-        """Return the relative standard deviations (L,) of single lengths, which one camera cannot estimate."""
+        """Return the relative standard deviation (L,) of each length, for one camera, which cannot estimate lengths."""
         assert self.shape is not None
         share = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
         return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return the standard deviations (V,), m, of the cameras' positions, smaller if the animal is close."""
+        """Return the standard deviation (V,), m, of each camera's position, which decreases if the animal is close."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
@@ -420,13 +429,13 @@ class ClipProblem:
         noise_px
             Noise of each detection, (V, T, J), pixels.
         temperature
-            Temperature of the mixture of poses; None for one Gaussian.
+            Temperature of the prior's mixture of poses; None replaces the mixture with one Gaussian.
         contact_terms
             Terms of the feet and the ground, from `contacts`.
         around_m
-            Markers of a solution at nominal size, (T, J, 3), metres. If they are given, the shared unknowns are free.
+            Markers of a solution at nominal size, (T, J, 3), metres; None keeps the shared unknowns fixed.
         size
-            Size of that solution.
+            Size of the animal in the solution, relative to the body.
         """
         D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
@@ -471,23 +480,24 @@ class ClipProblem:
 
 
 LOW_FEET = 0.1
-"""Fraction of the frames in which the lowest foot is assumed to be on the ground."""
+"""Quantile of the lowest foot's height over the frames at which this foot is assumed to be on the ground."""
 OFF_ZERO_SIGMAS = 2.0
-"""Number of standard deviations from z = 0 beyond which the ground is not assumed to be at z = 0."""
+"""Maximum distance of the lowest feet from z = 0, in standard deviations, at which the ground is assumed to be there.
+"""
 
 
 def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
-    """Return the height of the lowest feet of markers (T, J, 3) above z = 0, in standard deviations of this height."""
+    """Return the height above z = 0 of the lowest feet in markers (T, J, 3), in standard deviations of this height."""
     low_m = float(np.quantile(points_m[:, clip.feet, 2].min(axis=1), LOW_FEET))
     sigma_m = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * low_m))
     return (float(clip.origin_m[2]) / size + low_m) / sigma_m
 
 
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
-    """Return contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the cost terms of both.
+    """Return the contact weights (T, F) of the feet, the ground, and the cost terms of both.
 
-    The ground is a plane through the standing feet, fitted by reweighted least squares. The ground is None if too few
-    feet stand.
+    `points_m` are the markers (T, J, 3) at nominal size. The ground is a plane through the standing feet, fitted by
+    reweighted least squares. It is None if too few feet stand.
     """
     feet = clip.feet
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
@@ -523,7 +533,7 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
     them get more weight.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
-    # the body's motion if the animal had the expected size
+    # the body's motion between frames if the animal had the expected size
     body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera
     co_movement = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
     seen_velocity = (1.0 - co_movement) * np.where(slow[..., None] > 0.5, 0.0, camera) / size
@@ -534,20 +544,20 @@ class _GroundPlane(NamedTuple):
     """A plane under F feet, fitted to N pairs of neighbouring frames."""
 
     contact: Array
-    """(N, F): weights of the feet, 1 for a slow foot on the plane."""
+    """Weights of the feet, shape (N, F), 1 for a slow foot on the plane."""
     plane: Array
-    """(3,): height at the centre, metres, and slopes along x and y."""
+    """Height at `centre`, m, and slopes along x and y, shape (3,)."""
     centre: Array
-    """(2,): x and y of the middle of the feet."""
+    """Median x and y of the feet, m, shape (2,)."""
     covariance: Array
-    """(3, 3): covariance of `plane`."""
+    """Covariance of `plane`, shape (3, 3)."""
 
 
 def _fit_plane(middle: Array, slow: Array, height: float, sigma: float, fps: float) -> _GroundPlane:
-    """Fit the ground to feet (N, F, 3), with weights (N, F) for how slow they are.
+    """Fit the ground to feet (N, F, 3) with weights `slow` (N, F), which are 1 for a foot that does not move.
 
-    `height` and `sigma` are the expected height and its standard deviation. Each round weights the feet by their height
-    above the last plane (Geman-McClure).
+    `height` and `sigma` are the ground's expected height and its standard deviation, m. Each round reduces the weights
+    of feet far from the last plane (Geman-McClure).
     """
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
     centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)

@@ -43,9 +43,9 @@ _MOST_WEIGHT = 0.99
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, which bounds the memory."""
 _FRAMES_KEPT = 5000
-"""Number of frames of a clip up to which the normal equations are kept for the derivative; they need 19 kB a frame."""
+"""Maximum number of frames of a clip whose normal equations are kept in memory, 19 kB a frame, for the derivative."""
 _RELATIVE_STEP = 1e-4
-"""Step of the numerical derivative of the covariance: e G relative to H, in the module's notation."""
+"""Step of the numerical derivative of the covariance: the size of e G relative to H, in the module's notation."""
 
 
 def correction_gain_m2(
@@ -84,7 +84,7 @@ def problems_at(
 ) -> Iterator[tuple[slice, ClipProblem, LeastSquares, Estimate]]:
     """Yield the rows, the clip, the least-squares problem and the minimum of each segment of a solution.
 
-    The views have the estimated time offsets and corrections of the cameras.
+    The views of each clip include the estimated time offsets and corrections of the cameras.
     """
     size = solution.size if clip.shows_size else 1.0
     values = {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
@@ -106,7 +106,7 @@ def problems_at(
 def _segment_gain(
     clip: ClipProblem, problem: LeastSquares, estimate: Estimate, solution: TrajectorySolution, rows: slice
 ) -> Array:
-    """Return the gain of a segment of n frames, (V, n, J), summed over its frames and joints."""
+    """Return the gain (V, n, J), m^2, of each detection of a segment, summed over its n frames and joints."""
     states, size = estimate.states, solution.size
     (n, D), V, J = states.shape, len(clip.views), len(clip.body.markers)
     gains = np.empty((V, n, J))
@@ -134,7 +134,7 @@ def _segment_gain(
 
 
 def _of_points(by_state: Array, of_states: Array) -> Array:
-    """Return covariances (N, J, 3, 3) of points from their derivatives (N, J, 3, D) and the states' (N, D, D)."""
+    """Return covariances (N, J, 3, 3) of points with derivatives (N, J, 3, D), from those of the states, (N, D, D)."""
     N, J, _, D = by_state.shape
     moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(N, J, 3, D)
     return moved @ by_state.swapaxes(2, 3)
@@ -147,9 +147,9 @@ def _gain_of_frames(
     noise_and_weight: tuple[Array, Array],
     correlation_frames: float,
 ) -> Array:
-    """Return the gain (N, J) of N frames of a view.
+    """Return the gain (N, J), m^2, of each detection in N frames of a view.
 
-    `covariance_and_derivative` are the blocks of Z and Q for the markers at `points_m` (N, J, 3), (N, J, 3, 3) each.
+    `points_m` (N, J, 3) are the markers, and `covariance_and_derivative` their blocks (N, J, 3, 3) of Z and of Q.
     """
     projected, by_point, valid = view.project_with_jacobian(points_m)
     A_Z_A, A_Q_A = (by_point @ of_points @ by_point.swapaxes(-1, -2) for of_points in covariance_and_derivative)
@@ -173,10 +173,10 @@ def _covariance_and_derivative(
     curvature: Callable[[slice], Array],
     of_states: Callable[[slice, Array], Array],
 ) -> tuple[Array, Array]:
-    """Return the values (T, ...) of a linear function for every frame's block of Z, and those for its block of Q.
+    """Apply the linear function `of_states` to every frame's blocks of Z and of Q, and return both results, (T, ...).
 
-    `of_states` is this function. It returns an array (N, ...) from the blocks (N, D, D) of N frames. Only its values
-    are kept, because Z, Q and G of a long clip need much memory. `curvature` returns the blocks (N, D, D) of G.
+    `of_states` returns an array (N, ...) from the blocks (N, D, D) of N frames, and `curvature` returns the blocks (N,
+    D, D) of G. Only the results are kept, because Z, Q and G of a long clip need much memory.
     """
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
     kept = [*normals()] if len(estimate.states) <= _FRAMES_KEPT else None
