@@ -46,10 +46,10 @@ class BoneAngle:
     kind: str
     """Kind of angle: yaw, pitch or roll."""
     angle_rad: Array
-    """(T,): angles in the frames of the clip."""
+    """Angle in each frame, shape (T,)."""
     mean_rad: float
     range_rad: tuple[float, float]
-    """Lowest and highest expected angle, three standard deviations from the mean; -π and π if unknown."""
+    """Lowest and highest expected angle, three standard deviations below and above the mean; -π and π if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,14 @@ class Bone:
     name: str
     parent: int | None
     offset_m: Array
-    """(3,): origin in the parent's frame."""
+    """Origin of the bone in its parent's frame, shape (3,)."""
     turns: tuple[BoneAngle, ...]
     mass_kg: float
     """Mass; 0 if the skeleton has no masses."""
     centre_m: Array
-    """(3,): centre of mass in the bone's frame."""
+    """Centre of mass in the bone's frame, shape (3,)."""
     inertia_kg_m2: Array
-    """(3, 3): moments of inertia about `centre_m`."""
+    """Inertia tensor about `centre_m` in the bone's frame, shape (3, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +80,11 @@ class Armature:
     """Names of the J joints, which are those of the keypoints."""
     joint_bones: tuple[int, ...]
     joint_offsets_m: Array
-    """(J, 3): positions of the joints in their bones' frames."""
+    """Positions of the joints in the frames of the bones that they are fixed to, shape (J, 3)."""
     capsules: tuple[Capsule, ...]
     """Capsules of the bones, in the segments' frames, where z is up."""
     root_m: Array
-    """(T, 3): positions of the first bone's origin."""
+    """Positions of the first bone's origin, shape (T, 3)."""
     pose: Pose3D
     """Positions of the joints in the T frames, z up."""
     fps: float
@@ -92,7 +92,7 @@ class Armature:
 
 
 def turned(turns: tuple[BoneAngle, ...], count: int) -> Array:
-    """Return the rotations from a bone's axes to its parent's in `count` frames of the clip, (count, 3, 3)."""
+    """Return the rotation matrices (count, 3, 3) from a bone's axes to its parent's, one for each of `count` frames."""
     R = Rotation.identity(count)
     for turn in turns:
         R = R * Rotation.from_rotvec(np.outer(turn.angle_rad, AXIS[turn.kind]))
@@ -124,9 +124,12 @@ def recognises_bvh(path: Path) -> bool:
 
 
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the joints' positions in a BVH file, by forward kinematics.
+    """Return the positions of the joints in a BVH file, computed by forward kinematics.
 
-    Raises InputError for a file that is cut off or is not BVH.
+    Raises
+    ------
+    InputError
+        If the file is cut off or is not BVH.
     """
     lines = enumerate(read_text(path, "a BVH file").splitlines(), start=1)
     rows = ((number, line.split()) for number, line in lines if line.strip())
@@ -212,8 +215,12 @@ def write_bvh(rig: Armature, path: Path) -> None:
     """Write rotating bones as BVH, in metres, y up.
 
     The OFFSET of a bone is its origin in its parent's frame, and its channels are its angles in degrees. The root also
-    has channels for its position. Joints are written as bones of length 0 without rotation. Raises InputError for names
-    with blanks or braces.
+    has channels for its position. Joints are written as bones of length 0 without rotation.
+
+    Raises
+    ------
+    InputError
+        If a bone's or joint's name has blanks or braces.
     """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
     lines, columns = ["HIERARCHY"], [rig.root_m]
@@ -259,7 +266,12 @@ def write_opensim(rig: Armature, path: Path) -> None:
     """Write an OpenSim model, with its motion (.mot) and its markers' trajectories (.trc) under the same name.
 
     Times are those of the keypoint file. If the skeleton has no masses, the bodies have no mass, and the model can be
-    used for kinematics only. Raises InputError for names with blanks or slashes.
+    used for kinematics only.
+
+    Raises
+    ------
+    InputError
+        If a bone's or joint's name has blanks or slashes.
     """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
     document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
@@ -444,7 +456,7 @@ def _animation(buffer: _Buffer, rig: Armature, turns: Sequence[Array]) -> dict[s
 
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
-    """Return the mesh of the capsules on one side, each of which moves with its bone."""
+    """Return the glTF mesh of the capsules on one side, each of which moves with its bone."""
     capsules = [capsule for capsule in rig.capsules if capsule.side == side]
     points, normals = np.swapaxes([_surface(capsule) for capsule in capsules], 0, 1)  # (capsules, N, 3)
     bones = np.array([capsule.segment for capsule in capsules])

@@ -116,7 +116,7 @@ _OTHER_PROGRAMS = (
     (r"<chunk|<document[^>]*version", "a Metashape project or calibration"),
     (r"(?ms)^cam0:\s*$.*^\s+(camera_model|cam_overlaps|distortion_coeffs|rostopic)\s*:", "a Kalibr camchain"),
 )
-"""Patterns in calibrations that cannot be read, and a description of their format."""
+"""Patterns of calibration files that recon cannot read, with a description of each format."""
 DLT_COEFFICIENTS = 11
 ARGUS_NUMBERS = 12
 """Number of values of a camera in Argus' profile: index, focal length, size, centre, aspect, five coefficients."""
@@ -147,7 +147,13 @@ def _numbers_text(path: Path) -> str:
 def cameras_of(
     records: Sequence[CameraRecord], path: Path, image_size_px: tuple[int, int] | None = None
 ) -> tuple[Camera, ...]:
-    """Return the cameras of a file's records; raise InputError with every problem."""
+    """Return the cameras of a file's records.
+
+    Raises
+    ------
+    InputError
+        If records are invalid. The message lists every problem.
+    """
     cameras = collect_problems(
         *(partial(_camera, record, i, path, image_size_px) for i, record in enumerate(records, 1))
     )
@@ -169,7 +175,12 @@ def read_camera(
     """Return one camera of a calibration file.
 
     `name` is the camera's name, or a whole number N for camN or cam_0N, which is the Nth camera in a file without
-    names. Raises InputError as `read_cameras` does, and unless exactly one camera matches.
+    names.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, or if not exactly one camera matches.
     """
     cameras = read_cameras(path, image_size_px)
     wanted = "" if name is None else str(name)
@@ -187,7 +198,13 @@ def read_camera(
 
 
 def read_calibration(path: Path) -> str:
-    """Return the text of a calibration file; raise InputError if it cannot be read as text."""
+    """Return the text of a calibration file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read as text.
+    """
     return read_text(path, "a calibration", MAX_BYTES)
 
 
@@ -197,7 +214,13 @@ def recognises_own(path: Path) -> bool:
 
 
 def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of recon's own camera file; raise InputError for an invalid file or another version."""
+    """Return the cameras of recon's own camera file.
+
+    Raises
+    ------
+    InputError
+        If the file is invalid or written by another version of the format.
+    """
     document = parse_toml(read_calibration(path), path)
     single, several = document.get("camera"), document.get("cameras")
     tables = {"camera.": single} if single is not None else {}
@@ -216,7 +239,7 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
 
 
 def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[int, int] | None) -> Camera:
-    """Return the camera of a record; raise InputError with every problem."""
+    """Return the camera of a record, or raise InputError with every problem."""
     values, camera = record.values, None
     faults: dict[str, tuple[str, str]] = {}
     """Value found and value expected, by field."""
@@ -285,7 +308,7 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
-    """Return the image size in pixels, and the values found and expected if it is missing or wrong, else None.
+    """Return the image size in pixels, and None or, if the size is missing or wrong, the values found and expected.
 
     If the file and the user both state a size, they must agree.
     """

@@ -95,7 +95,7 @@ def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
 
 
 def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any]]:
-    """Return `value` unchanged if it holds tables by name; raise InputError if it is empty or anything else."""
+    """Return `value` unchanged if it holds tables by name, or raise InputError if it is empty or anything else."""
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value
@@ -140,7 +140,7 @@ def plain_key(key: object) -> str:
 
 
 def key_in(table: Mapping[str, Any], keys: Sequence[str]) -> str | None:
-    """Return the table's key for the first of `keys` that it has, or None.
+    """Return the first of `keys` that a table has, as the table spells it, or None.
 
     Capitals, blanks, underscores and dashes are ignored if no key matches exactly.
     """
@@ -163,7 +163,7 @@ def has_matrix(table: Mapping[str, Any]) -> bool:
 
 
 def _values_from_scalars(table: Mapping[str, Any], distortion: object) -> dict[str, Any]:
-    """Return the matrix of fx, fy, cx, cy, and, without a block `distortion`, the coefficients k1, k2, p1, p2, k3."""
+    """Return the camera matrix from fx, fy, cx, cy, and the coefficients k1, k2, p1, p2, k3 if `distortion` is None."""
     if not {*FOCAL_KEYS} <= table.keys():
         return {}
     fx, fy, cx, cy = (table[key] for key in FOCAL_KEYS)
@@ -222,7 +222,7 @@ def recognises_anipose(path: Path) -> bool:
 
 
 def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of an Anipose or Pose2Sim TOML file; raise InputError for an invalid file."""
+    """Return the cameras of an Anipose or Pose2Sim TOML file."""
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     records = []
@@ -269,7 +269,7 @@ def recognises_acinoset(path: Path) -> bool:
 
 
 def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of an AcinoSet JSON file; raise InputError for an invalid file."""
+    """Return the cameras of an AcinoSet JSON file."""
     document = parse_json(read_calibration(path), path)
     entries = document.get("cameras", [document]) if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
@@ -303,7 +303,7 @@ def recognises_opensfm(path: Path) -> bool:
 
 
 def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of an OpenDroneMap or OpenSfM file, in pixels; raise InputError for an invalid file.
+    """Return the cameras of an OpenDroneMap or OpenSfM file, in pixels.
 
     Lengths in the file are fractions of the picture's longer side, and centres are measured from the picture's middle.
     """
@@ -329,10 +329,10 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def read_colmap(path: Path) -> list[CameraRecord]:
-    """Return the cameras of COLMAP's cameras.txt, without poses; raise InputError for an invalid file.
+    """Return the cameras of COLMAP's cameras.txt, without poses.
 
-    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. (0, 0) is the corner of the first pixel in COLMAP, and the
-    centre of the first pixel in recon.
+    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. (0, 0) is the corner of the first pixel in COLMAP, and the centre of
+    the first pixel in recon.
     """
     records = []
     for line, cells in enumerate(map(str.split, read_calibration(path).splitlines()), start=1):
@@ -373,7 +373,7 @@ def recognises_opencv(path: Path) -> bool:
 
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the camera of an OpenCV or ROS file; raise InputError for an invalid file."""
+    """Return the camera of an OpenCV or ROS file."""
     document = without_inner(document_of(path))
     stated: dict[str, Any] = {"world_z_up": bool(document.get("world_z_up", False))}
     size = size_in(document)
@@ -388,7 +388,13 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
 
 
 def document_of(path: Path) -> dict[str, Any]:
-    """Return the document of an OpenCV or ROS file as plain values; raise InputError for an invalid file."""
+    """Return the document of an OpenCV or ROS file as plain values.
+
+    Raises
+    ------
+    InputError
+        If the file is invalid.
+    """
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)
@@ -437,7 +443,7 @@ def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRe
 
 
 def number_or(value: object, otherwise: float) -> float:
-    """Return a number, or `otherwise` for anything else."""
+    """Return `value` as a float if it is a number, otherwise `otherwise`."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
 
 

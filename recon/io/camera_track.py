@@ -51,15 +51,15 @@ MAX_SIGMA_DEG = 10.0
 MAX_ROTATION_RAD = 100.0
 """Largest component of a rotation vector, in radians."""
 LEANING_MAX_RAD = np.radians(60)
-"""Angle between a picture's upward direction and z, in radians, above which the camera leans too far.
+"""Largest angle, in radians, between a picture's upward direction and z at which the picture counts as upright.
 
 A track is refused if its camera leans in most frames without looking down, since z then does not point up in the
 track's world.
 """
 LOOKING_DOWN_RAD = np.radians(45)
-"""Angle below the horizon, in radians, from which a camera counts as looking down, as a drone's does.
+"""Smallest angle of the optical axis below the horizon, in radians, at which a camera counts as looking down.
 
-Any edge of such a camera's picture may be the upper one.
+A drone's camera looks down, and any edge of its picture may be the upper one.
 """
 POSITION_COLUMNS = ("x", "y", "z")
 """Columns that replace tx, ty, tz if poses are given from the camera to the world."""
@@ -78,18 +78,19 @@ class CameraTrack(FramePoses):
     """Poses of one camera in N frames of its video; the world is in metres and has z up."""
 
     max_gap_s: ClassVar[float] = 0.1
-    """Longest time between two poses over which poses are interpolated, in seconds."""
+    """Longest gap between two poses that is interpolated, in seconds."""
 
     source: Path
     frames: Integers
-    """(N,): increasing frame numbers."""
+    """Increasing frame numbers, shape (N,)."""
     camera: Camera | None = None
     """The camera's lens, without a pose; None if the file of the track has no lens."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
-        """Return the poses in T increasing frames, and which of them are interpolated, (T,).
+        """Return the poses in T increasing frames, and a mask (T,) of the interpolated poses.
 
-        Poses at most `max_gap_s` apart are interpolated, at constant rotation and velocity.
+        Gaps of at most `max_gap_s` between poses are interpolated at constant velocity and constant rotation rate.
+        Poses in longer gaps are NaN.
         """
         following = np.clip(np.searchsorted(self.frames, frames), 0, len(self.frames) - 1)
         previous = np.maximum(following - (self.frames[following] > frames), 0)
@@ -129,7 +130,7 @@ def track_files(path: Path) -> tuple[Path, ...]:
 
 
 def track_label(path: Path) -> str:
-    """Return a camera track's name, which is its file's without suffix, or its folder's for a COLMAP model."""
+    """Return the name of a camera track: the file's name without suffix, or the folder's name for a COLMAP model."""
     if path.suffix.lower() in (".csv", *SHOTS):
         return path.stem
     return path.parent.name if path.name == IMAGES else path.name
@@ -138,7 +139,10 @@ def track_label(path: Path) -> str:
 def read_camera_track(path: Path) -> CameraTrack:
     """Return the camera track in a file of any known format.
 
-    Raises InputError with every problem, also if z does not point up in the track's world.
+    Raises
+    ------
+    InputError
+        If the file is invalid, or if z does not point up in the track's world. The message lists every problem.
     """
     first, *further = track_files(path)
     if first.suffix.lower() == ".csv":
@@ -164,8 +168,12 @@ def _checked_track(
 ) -> CameraTrack:
     """Return the camera track in the columns of a table, after checking every row.
 
-    `locations` (N,) state where each row is in the file, for messages. Raises InputError with the given `problems`, or,
-    without any, with those found in the rows.
+    `locations` (N,) state where each row is in the file, for messages.
+
+    Raises
+    ------
+    InputError
+        If `problems` are given, or if a row is invalid.
     """
     raise_problems(first_problems(problems, path))
     if not len(locations):
@@ -248,7 +256,10 @@ def _read_csv(path: Path) -> CameraTrack:
 def _read_shots(path: Path) -> CameraTrack:
     """Return the poses of one video in an OpenDroneMap or OpenSfM file, without the lens.
 
-    Raises InputError for an invalid file.
+    Raises
+    ------
+    InputError
+        For an invalid file.
     """
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
     whole = document[0] if isinstance(document, list) and len(document) == 1 else document
@@ -281,7 +292,12 @@ def _read_shots(path: Path) -> CameraTrack:
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
     """Return the poses of COLMAP's images.txt, with the lens of cameras.txt if given.
 
-    Every image has two lines, the second for its points. Raises InputError for invalid files.
+    Every image has two lines, the second for its points.
+
+    Raises
+    ------
+    InputError
+        For invalid files.
     """
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
     rows: dict[str, list[float]] = {}

@@ -88,7 +88,13 @@ class _Layout:
 
 
 def parse_map(text: str) -> dict[str, str]:
-    """Return the columns by role in a map such as "frame=Frame, x=X"; raise InputError with every problem."""
+    """Return the name of the column for each role in a text such as "frame=Frame, x=X".
+
+    Raises
+    ------
+    InputError
+        If the text is not a map of columns. The message lists every problem.
+    """
     columns: dict[str, str] = {}
     problems = []
     for item in text.split(","):
@@ -199,7 +205,7 @@ def _with_named_index(header: list[str]) -> list[str]:
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
     """Return the points of one animal in a text table.
 
-    `columns` is a map from `parse_map`, if the names are not recognised. Raises InputError for an invalid file.
+    `columns` is the result of `parse_map` if the names of the columns are not recognised.
     """
     rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
@@ -234,7 +240,7 @@ def recognises_parquet(path: Path) -> bool:
 
 
 def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D positions of a Parquet file; raise InputError for an invalid file."""
+    """Return the 3D positions of a Parquet file."""
     with writing.formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -268,10 +274,14 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
 def points_of_columns(
     path: Path, table: Columns, individual: str | None, column_map: Mapping[str, str] | None
 ) -> StoredPoints:
-    """Return the points of one animal in a table, by frame and point.
+    """Return the points of one animal in a long or wide table that is in memory.
 
-    `column_map` is a map of its columns. Raises InputError for unknown columns, cells that are not numbers, points that
-    appear twice in a frame, and missing coordinates.
+    `column_map` has the name of the column for each role; if None, columns are recognised by their names.
+
+    Raises
+    ------
+    InputError
+        For unknown columns, cells that are not numbers, points that appear twice in a frame, and missing coordinates.
     """
     layout = _required_layout(path, table, column_map)
     columns = layout.columns
@@ -315,7 +325,7 @@ def points_of_columns(
 
 
 def _required_layout(path: Path, table: Columns, column_map: Mapping[str, str] | None) -> _Layout:
-    """Return the meaning of the columns; raise InputError if they are unknown, or if the map names an absent column."""
+    """Return the meaning of a table's columns, or raise InputError if columns are unknown or absent."""
     absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
     layout = _layout([*table], _by_name if column_map is None else _by_map(column_map))
     if layout is None or absent:
@@ -340,7 +350,7 @@ def _rows_of_animal(
 
 
 class _Cells:
-    """Cells in some rows of a table; those that cannot be used become problems, which `raise_problems` raises."""
+    """Cells in some rows of a table, with a list of the problems found in them."""
 
     def __init__(self, path: Path, table: Columns, rows: np.ndarray) -> None:
         self.path = path
@@ -370,9 +380,9 @@ class _Cells:
 
 
 def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.ndarray:
-    """Return the frame number or the time in seconds of each row; raise InputError for rows without one.
+    """Return the frame number or the time in seconds of each row, or raise InputError for rows without one.
 
-    `is_by_name` states whether the columns were recognised by their names; a name can then state the unit of a time.
+    `is_by_name` states whether the columns were recognised by their names, which can state the unit of a time.
     """
     clock = role.get("frame", role.get("time", ""))
     ticks = cells.numbers(clock) if "frame" in role else _times_of(cells, clock, is_by_name)
@@ -384,7 +394,7 @@ def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.nd
 
 
 def _times_of(cells: _Cells, clock: str, is_by_name: bool) -> np.ndarray:
-    """Return the time of each row, in seconds; raise InputError for times of an unknown form or unit."""
+    """Return the time of each row, in seconds, or raise InputError for times of an unknown form or unit."""
     stamps = seconds(cells.table[clock][row] for row in cells.rows)
     if stamps is not None:
         return stamps

@@ -1,7 +1,7 @@
 """Data types and functions shared by the readers of several formats.
 
-The module has points as they are stored in a file, 3D positions as the rest of the package uses them, and functions for
-choosing an animal, names, frames, and text tables.
+The module defines points as stored in a file and 3D positions as the rest of the package uses them. Its functions
+choose an animal, check names and frame numbers, and read text tables.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from recon.base.numbers import counted
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose3D(Brief):
-    """3D positions of J joints in T frames; raises ValueError if the parts are inconsistent."""
+    """3D positions of J joints in T frames; the fields are checked for consistency."""
 
     names: tuple[str, ...]
     """Names of the J joints."""
     xyz_m: np.ndarray
-    """(T, J, 3): positions of the joints, metres, NaN if missing."""
+    """Positions of the joints in metres with z up, shape (T, J, 3); NaN if missing."""
     frames: np.ndarray
     """(T,): whole, strictly increasing frame numbers."""
     source: str | None = None
@@ -41,9 +41,9 @@ class Pose3D(Brief):
     notes: tuple[str, ...] = ()
     """Choices that the reader of a file made, or the verdict on a fit, in plain sentences."""
     sigma_m: np.ndarray | None = None
-    """(T, J, 3): standard deviations of the positions, metres, if they come from a fit."""
+    """Standard deviations of the positions of a fit in metres, shape (T, J, 3); None for other positions."""
     flags: tuple[str, ...] | None = None
-    """(T,): reasons not to trust each frame of a fit, as text."""
+    """Reasons not to trust each of the T frames of a fit, as text."""
 
     def __post_init__(self) -> None:
         if self.xyz_m.shape != (len(self.frames), len(self.names), 3):
@@ -69,11 +69,11 @@ class StoredPoints:
 
     names: tuple[str, ...]
     values: np.ndarray
-    """(T, K, 2) or (T, K, 3): positions in pixels, or in 3D in the file's unit and axes; NaN if missing."""
+    """Positions in pixels, shape (T, K, 2), or in the file's unit and axes, shape (T, K, 3); NaN if missing."""
     frames: np.ndarray
     """(T,): whole, strictly increasing frame numbers."""
     likelihood: np.ndarray | None = None
-    """(T, K): likelihoods of the points, NaN if unknown; None if the file has none."""
+    """Likelihoods of the points, shape (T, K), NaN if unknown; None if the file has no likelihoods."""
     fps: float | None = None
     individual: str | None = None
     scorer: str | None = None
@@ -90,7 +90,7 @@ class StoredPoints:
     notes: tuple[str, ...] = ()
     """Choices that the reader of the file made, in plain sentences."""
     times_s: np.ndarray | None = None
-    """(T,): times of the frames, seconds, if the file has uneven times instead of frame numbers."""
+    """Times of the frames in seconds, shape (T,), if the file has uneven times instead of frame numbers."""
     time_problems: tuple[Problem, ...] = ()
     """Problems to report if the times fit no frame rate and none is given for the file (`recon.io.times`)."""
 
@@ -103,7 +103,7 @@ class StoredPoints:
 # Names that programs give to the only animal of a file.
 UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
-"""Scorer of recon's own files, followed by the frame rate if known: recon_90fps."""
+"""Scorer of recon's own files, to which the frame rate is appended if known, as in recon_90fps."""
 FMPOSE3D = "fmpose3d_"
 """Text in a scorer or network's name that identifies FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
@@ -145,7 +145,11 @@ def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Ite
 
     `animals` are their names; the name of a file's only animal may be empty. `seen` states whether each animal has a
     point. Animals without points can be chosen only by name. Among several animals, an unnamed one is `UNTRACKED`.
-    Raises InputError if no animal can be chosen.
+
+    Raises
+    ------
+    InputError
+        If no animal can be chosen.
     """
     if len(animals) > 1:
         animals = [name or UNTRACKED for name in animals]
@@ -189,7 +193,7 @@ def one_animal(
     Raises
     ------
     InputError
-        If parts of the file do not agree, and as in `choose`.
+        If parts of the file disagree, or if no animal can be chosen.
     """
     names, values, frames, likelihood = stored.names, stored.values, stored.frames, stored.likelihood
     if values.ndim == 3:
@@ -263,10 +267,10 @@ def frames_seen(stored: StoredPoints) -> np.ndarray:
 
 
 def without_lost_markers(stored: StoredPoints) -> StoredPoints:
-    """Return 3D points without those that stand for a lost marker: three equal coordinates, 0 or another number.
+    """Return 3D points without placeholders of lost markers, whose three coordinates are equal.
 
-    Many programs write such points. A number other than 0 has to occur at least twice. A point that is at (0, 0, 0) in
-    all frames is an origin and is kept.
+    Many programs write 0 or another number three times for a lost marker. A number other than 0 has to occur at least
+    twice. A point that is at (0, 0, 0) in all frames is an origin and is kept.
     """
     first = stored.values[..., 0]
     is_constant = (stored.values == first[..., None]).all(axis=2)
@@ -285,7 +289,13 @@ def without_lost_markers(stored: StoredPoints) -> StoredPoints:
 
 
 def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -> StoredPoints:
-    """Join the tracks of one animal in a file; raise InputError if two tracks have points in the same frame."""
+    """Join the tracks of one animal in a file.
+
+    Raises
+    ------
+    InputError
+        If two tracks have points in the same frame.
+    """
     first = tracks[0]
     seen = [frames_seen(track) for track in tracks]
     shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]
@@ -338,7 +348,10 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
 def number(text: str) -> float:
     """Return the text of a table's cell as a number, NaN for an empty cell.
 
-    Raises ValueError for numbers that only Python accepts, such as 1_000.
+    Raises
+    ------
+    ValueError
+        If the text is not a number, or is a number that only Python accepts, such as 1_000.
     """
     if "_" in text or not text.isascii():
         raise ValueError(f"'{text}' is not a number")
@@ -394,7 +407,7 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
 
 SEPARATORS = (",", ";", "\t", "|")
 Rows = Iterable[tuple[int, list[str]]]
-"""Rows of a table, with their line numbers."""
+"""Line number and cells of each row of a table."""
 
 
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=(.)"?[\s,;]*', re.IGNORECASE)
@@ -415,8 +428,12 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
 
     By default the separator is the one that a first line such as `sep=;` states, otherwise the most frequent of
     `SEPARATORS` in the first line. If the separator is not a comma, or a number such as "0,93" is in quotes, commas in
-    numbers are decimal commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8,
-    and for text that is not a table.
+    numbers are decimal commas, as Excel writes them in many languages.
+
+    Raises
+    ------
+    InputError
+        If the file is not UTF-8, or its text is not a table.
     """
     expected = "a table of text in UTF-8"
     with damage_as_input_error(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
@@ -450,7 +467,7 @@ def width_of(header: Iterable[Sequence[str]]) -> int:
 
 
 def cut_blank(rows: Rows, width: int) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows without the blank cells that spreadsheets leave after the last named column."""
+    """Yield the rows of a table without the blank cells that spreadsheets leave after the last named column."""
     for line, row in rows:
         yield line, row if any(cell.strip() for cell in row[width:]) else row[:width]
 

@@ -29,7 +29,7 @@ _Point = tuple[float, float]
 SAME_PX = 1.0
 """Largest distance, in pixels, between a detection in the keypoint file and its rounded position in a correction."""
 MANY_CORRECTIONS = 5
-"""Smallest number of corrections of a file that are compared with its detections."""
+"""Minimum number of corrected detections required to check whether corrections belong to a keypoint file."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
 
 
 def _correction(row: dict[str, str]) -> Correction:
-    """Return the correction in a row; raise ValueError with the reason if the row is not valid."""
+    """Return the correction in a row, or raise ValueError with the reason if the row is not valid."""
     text = re.sub(r"\.0+$", "", row.get("frame", ""))  # spreadsheets and pandas write 5.0
     if not text.lstrip("-").isdecimal() or abs(int(text[:12])) > MAX_FRAME:
         raise ValueError(f"frame {text[:40]!r}, which is not a whole number")
@@ -122,9 +122,9 @@ def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
 def with_corrections(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> list[Keypoints]:
-    """Return the keypoints of V cameras after corrections by hand; their notes state the number of corrections.
+    """Return the keypoints of V cameras after corrections by hand.
 
-    A corrected detection has confidence 1.
+    A corrected detection has confidence 1. The keypoints' notes state the number of corrections.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D labels or predictions of a MATLAB file; raise InputError for an invalid file."""
+    """Return the 3D labels or predictions of a MATLAB file."""
     variables = _variables(path)
     label = variables.get("labelData", [None])
     label = label[0] if isinstance(label, list) else label
@@ -76,10 +76,7 @@ recognises_cameras = recognises
 
 
 def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of `params`, with the names of `camnames`, or the file's only camera.
-
-    Raises InputError for an invalid file.
-    """
+    """Return the cameras in `params` of a MATLAB file, named by `camnames`, or the file's only camera."""
     variables = _variables(path)
     params = variables.get("params", [variables])
     tables = [
@@ -105,10 +102,15 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    """Return a file's variables by name.
+    """Return the variables of a MATLAB file by name.
 
     Values are arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (or lists of several), lists of
-    cells, and None for anything else. Raises InputError for an invalid file.
+    cells, and None for anything else.
+
+    Raises
+    ------
+    InputError
+        If the file is invalid.
     """
     content = read_content(path, "a MATLAB file", MAX_BYTES)
     if content.startswith(b"MATLAB 7.3") or content[126:128] != b"IM":
@@ -162,7 +164,7 @@ class _File:
             position += step
 
     def matrix(self, body: memoryview, depth: int) -> tuple[str, Any]:
-        """Return a matrix's name and value."""
+        """Return the name and the value of a matrix element, which is inside `depth` others."""
         self.items -= 1
         if depth > MAX_DEPTH or self.items < 0:
             raise ValueError("more elements, or elements nested deeper, than a file of poses can hold")

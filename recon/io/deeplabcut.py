@@ -47,9 +47,9 @@ TRIANGULATED = (
 MAX_CROP_PX = 100_000
 _SIDE_WORDS = {"l", "r", "left", "right", "near", "far"}
 POSITION_WORDS = _SIDE_WORDS | {"f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower"}
-"""Words for a position on the body; a prefix of this kind is not the name of an animal."""
+"""Words for a position on the body, which are not names of animals when they are prefixes of bodyparts."""
 MIN_PARTS = 3
-"""Smallest number of bodyparts with the same prefix for the prefix to be read as the name of an animal."""
+"""Minimum number of bodyparts with the same prefix required to read the prefix as the name of an animal."""
 
 
 def recognises_csv(path: Path) -> bool:
@@ -62,7 +62,7 @@ def recognises_csv(path: Path) -> bool:
 
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal in a CSV file (see `points_of_table`); raise InputError for an invalid file."""
+    """Return the points of one animal in a CSV file (see `points_of_table`)."""
     rows = _without_blank_start(common.text_rows(path))
     header, index_columns = _read_header(path, rows)
     width = index_columns + len(next(iter(header.values())))
@@ -105,10 +105,15 @@ def _without_blank_columns(
 def points_of_rows(
     path: Path, header: dict[str, list[str]], rows: common.Rows, index_columns: int, individual: str | None = None
 ) -> StoredPoints:
-    """Return the points of one animal in rows of text.
+    """Return the points of one animal in the rows of DeepLabCut's table.
 
     `header` has the texts of the data's columns by level. Each row begins with `index_columns` cells that give the
-    frame. Raises InputError for invalid cells or columns.
+    frame.
+
+    Raises
+    ------
+    InputError
+        If cells or columns are invalid.
     """
     labels = list(zip(*header.values(), strict=True))
     index, values, problems = common.number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
@@ -204,7 +209,7 @@ def points_of_table(
     Raises
     ------
     InputError
-        If `problems` are given, if columns or frame numbers are invalid, and as in `recon.io.common.choose`.
+        If `problems` are given, if columns or frame numbers are invalid, or if no animal can be chosen.
     """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     columns, blank_notes = _stripped(named)
@@ -399,7 +404,10 @@ def _points(
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the bodyparts in columns (index, bodypart, coordinate), and their coordinates (T, K, 3).
 
-    Raises InputError for a bodypart that lacks a coordinate or has one twice.
+    Raises
+    ------
+    InputError
+        If a bodypart lacks a coordinate or has one twice.
     """
     required = ("x", "y", "z") if any(coord == "z" for _, _, coord in columns) else ("x", "y")
     coords = required if "z" in required else COORDS_2D

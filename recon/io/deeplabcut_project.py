@@ -15,16 +15,16 @@ from recon.base.errors import InputError, Problem, raise_problems
 
 CONFIG = "config.yaml"
 SEVERAL = "MULTI!"
-"""Value that replaces the bodyparts in projects with several animals, which have `multianimalbodyparts`."""
+"""Value of `bodyparts` in projects with several animals, whose bodyparts are in `multianimalbodyparts`."""
 _ENTRY = re.compile(r"([A-Za-z_]\w*)\s*:(?:\s+(.*))?")
 _LABELS = ("labeled-data/*/CollectedData_*", "*/CollectedData_*", "CollectedData_*")
 _PREDICTED = re.compile(
     r"(?P<video>.+?)_?(?P<network>(?:DLC|superanimal)_?.+?)(?P<tracker>_(?:el|bx|sk|ctd))?(?P<filtered>_filtered)?"
 )
 _TRACKERS = ("_el", "_ctd", "_sk", "_bx", None)
-"""Suffixes of tables of tracked animals by method, the best first."""
+"""Suffixes of tables for each tracking method, the preferred method first; None for tables without a method."""
 _OTHERS = ("_skeleton", "_3d")
-"""Suffixes of tables that are not keypoints: lengths and angles, and 3D positions."""
+"""Suffixes of tables without 2D keypoints, which hold lengths and angles, or 3D positions."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,17 @@ class Project:
 
     @property
     def folder(self) -> Path:
-        """Return the folder of the configuration."""
+        """Return the project's folder, which holds `config.yaml`."""
         return self.config.parent
 
 
 def find_project(path: Path) -> Project | None:
     """Return the DeepLabCut project of a folder or of its `config.yaml`, or None for any other path.
 
-    Raises InputError for a file that cannot be read.
+    Raises
+    ------
+    InputError
+        If the configuration cannot be read.
     """
     config = path / CONFIG if path.is_dir() else path
     if config.suffix.lower() not in (".yaml", ".yml") or not config.is_file():
@@ -105,7 +108,13 @@ def _text(item: str) -> str:
 
 
 def bodyparts(project: Project) -> tuple[str, ...]:
-    """Return the names of a project's keypoints; raise InputError if it has none."""
+    """Return the names of a project's keypoints.
+
+    Raises
+    ------
+    InputError
+        If the project names no keypoints.
+    """
     if not project.bodyparts:
         expected = "the names of the keypoints, under bodyparts, or under multianimalbodyparts for several animals"
         raise InputError(Problem(project.config, "bodyparts", "none", expected))
@@ -132,8 +141,12 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
     """Return a table of predictions for each of a project's videos, by name, and the files left out.
 
     Tables are in the folders of the videos: `videos`, or as configured. Within one network's tables of a video,
-    unfiltered tables are preferred to filtered ones, tracked animals to untracked ones, and H5 to CSV. Raises
-    InputError if there is no table, or if a video has tables of several networks.
+    unfiltered tables are preferred to filtered ones, tracked animals to untracked ones, and H5 to CSV.
+
+    Raises
+    ------
+    InputError
+        If there is no table, or if a video has tables of several networks.
     """
     video_folders = dict.fromkeys(
         (project.folder / "videos", *(Path(v).parent for v in project.video_sets if Path(v).is_file()))

@@ -2,7 +2,7 @@
 
 A new format needs a module with `recognises(path)`, `read(path, individual)` and `write(data, path)` (only those that
 apply), a function below that imports them, and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert`
-then use the format.
+then use the format. All readers raise InputError for an invalid file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 
 @dataclass(frozen=True)
 class Functions:
-    """Functions of one format; None if its files are not read, or not written."""
+    """Functions of one file format; None for what recon cannot do with the format's files."""
 
     recognises: Callable[[Path], bool] | None = None
     read: Callable[..., Any] | None = None
@@ -47,7 +47,7 @@ def _present(function: _Loaded | None) -> _Loaded:
 
 @dataclass(frozen=True)
 class Format:
-    """One file format: how it is recognised, read and written."""
+    """File format with the functions that recognise, read and write its files."""
 
     name: str
     """Name of the format for `--to`."""
@@ -74,7 +74,10 @@ class Format:
     def recognises(self, path: Path) -> bool:
         """Return whether a readable, non-empty file has content in this format.
 
-        Raises InputError if the file is too damaged to tell.
+        Raises
+        ------
+        InputError
+            If the file is too damaged to tell.
         """
         recognise = self._loaded().recognises
         return recognise is not None and recognise(path)
@@ -82,7 +85,10 @@ class Format:
     def read(self, path: Path, individual: str | None = None) -> Any:
         """Return the `StoredPoints` of one animal, or a list of `CameraRecord`, from a recognised file.
 
-        Raises InputError for a damaged file, whatever error Python or a library raises while reading it.
+        Raises
+        ------
+        InputError
+            If the file is damaged, whatever error Python or a library raises while reading it.
         """
         with damage_as_input_error(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)
@@ -90,7 +96,10 @@ class Format:
     def write(self, data: object, path: Path) -> None:
         """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file.
 
-        Raises InputError for data that the format cannot hold.
+        Raises
+        ------
+        InputError
+            If the format cannot hold the data.
         """
         _present(self._loaded().write)(data, path)
 
@@ -332,15 +341,18 @@ CONVERTED = tuple(f for f in FORMATS if f.writes)
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
 TRACKS_COMPARED = 8
-"""Largest number of animals in a file that are compared for tracks that never overlap in time."""
+"""Largest number of animals of a file that are searched for tracks that never overlap in time."""
 LIKELIHOOD_MARGIN = 0.5
-"""Amount by which scores that are not probabilities, such as SLEAP's, may exceed 1."""
+"""Amount by which scores that are not probabilities, such as SLEAP's, may lie outside 0 to 1."""
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
     """Return the format of a readable file that can hold the given kind of data (default: points), or None if unknown.
 
-    Raises InputError for a file too damaged to tell.
+    Raises
+    ------
+    InputError
+        If the file is too damaged to tell.
     """
     return next((f for f in _reading(kind) if f.recognises(path)), None)
 
@@ -359,7 +371,11 @@ def read_keypoints(path: str | Path, individual: str | None = None, fps: float |
     """Return the keypoints of one animal as stored in a file of any known format.
 
     `individual` is the animal's name, needed if there are several. `fps` numbers the frames of a file that has times.
-    Raises InputError for a file that cannot be read, and as in `as_keypoints`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or if its likelihoods are far outside 0 to 1.
     """
     return as_keypoints(Path(path), read_points(path, individual, "2D", fps=fps)[1])
 
@@ -452,8 +468,11 @@ def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredP
 def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
     """Return the 2D points of a file, with a note if likelihoods lie slightly outside 0 to 1.
 
-    Raises InputError if likelihoods are infinite or so far outside that they have another meaning, such as per cent,
-    because every point would then count as certain.
+    Raises
+    ------
+    InputError
+        If likelihoods are infinite or so far outside that they have another meaning, such as per cent, because every
+        point would then count as certain.
     """
     scorer, notes = (stored.scorer or "").strip(), stored.notes
     likelihood = np.full(stored.values.shape[:2], np.nan) if stored.likelihood is None else stored.likelihood
@@ -506,7 +525,7 @@ _UNREAD = (
     (b"%PDF", "a PDF", None),
     (b"PK\x03\x04", "a ZIP archive, or a document of Office", "CSV: save the table as CSV"),
 )
-"""First bytes of files of other kinds, their names, and what to use instead, if known."""
+"""First bytes of files that recon cannot read, with a description and, if known, what to export instead."""
 _SLEAP_PROJECT = {"metadata", "frames"}
 _SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, or sleap-convert --format analysis"
 

@@ -22,14 +22,14 @@ from recon.base.errors import InputError, Problem
 from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26
-"""Memory, in bytes, that a dataset or a chunk of it may always take.
+"""Number of bytes of memory that a dataset or a chunk of it may always take.
 
 A larger dataset may take the size that it has in the file, or `MAX_RATIO` times that size up to `MAX_UNPACKED`.
 """
 MAX_RATIO = 1100
-"""Largest ratio of a dataset's size to its size in the file; gzip reaches 1032."""
+"""Largest ratio of a dataset's size in memory to its size in the file; gzip reaches 1032."""
 USUAL_RATIO = 100
-"""Largest ratio of a dataset's size to its size in the file at which it may take four times `MAX_UNPACKED`.
+"""Largest ratio of a dataset's size in memory to its size in the file up to which four times `MAX_UNPACKED` are read.
 
 Tracks of many animals are mostly empty, and therefore large when unpacked.
 """
@@ -51,8 +51,12 @@ def is_hdf5(path: Path) -> bool:
 def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading.
 
-    If `names_only` is true, only names and types are read, which is safe without `_require_sound_heaps`. Raises
-    InputError for a damaged file, and for errors of h5py inside the block.
+    If `names_only` is true, only names and types are read, which is safe without `_require_sound_heaps`.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or if h5py raises an error inside the block.
     """
     with damage_as_input_error(path, "a complete, undamaged HDF5 file"):
         if not names_only:
@@ -96,7 +100,10 @@ def _require_sound_heaps(path: Path) -> None:
 def outline(path: Path) -> frozenset[str]:
     """Return the names of groups, datasets and attributes at the root of a file; empty if it is not HDF5.
 
-    Raises InputError if it cannot be opened.
+    Raises
+    ------
+    InputError
+        If an HDF5 file cannot be opened.
     """
     if not is_hdf5(path):
         return frozenset()
@@ -128,7 +135,13 @@ def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
 
 
 def member(group: h5py.Group, name: str) -> h5py.Dataset:
-    """Return a required member of a group; raise ValueError if it is absent."""
+    """Return a required member of a group.
+
+    Raises
+    ------
+    ValueError
+        If the group has no member of this name.
+    """
     item = child(group, name)
     if item is None:
         raise ValueError(f"no {name} in {', '.join(names(group))[:200] or 'an empty group'}")
@@ -138,7 +151,10 @@ def member(group: h5py.Group, name: str) -> h5py.Dataset:
 def groups(file: h5py.File) -> Iterator[h5py.Group]:
     """Yield all groups, the root first, each once.
 
-    Raises ValueError for more groups than a file of poses can have.
+    Raises
+    ------
+    ValueError
+        If there are more groups than a file of poses can have.
     """
     seen: set[Any] = set()
     pending: list[tuple[h5py.Group, int]] = [(file["/"], 0)]  # pyright: ignore[reportAssignmentType]
@@ -178,9 +194,14 @@ def scale_of(scale: h5py.Dataset, dataset: h5py.Dataset) -> list[int]:
 
 
 def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute: a number, a text, an array of numbers or a list of texts; None if absent.
+    """Return an attribute as a number, a text, an array of numbers or a list of texts, or None if it is absent.
 
-    Bytes are read as UTF-8. Raises ValueError for anything else.
+    Bytes are read as UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If the attribute is of another type.
     """
     value = raw_attribute(holder, name)
     if isinstance(value, bytes):
@@ -212,7 +233,10 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> object:
 def numbers(dataset: h5py.Dataset) -> np.ndarray:
     """Return the numbers of a dataset.
 
-    Raises ValueError for other types, and for more data than the file has.
+    Raises
+    ------
+    ValueError
+        If the dataset has no numbers, or claims more data than the file has.
     """
     values = read_values(dataset)
     if values.dtype.kind not in "fiub":
@@ -226,7 +250,13 @@ def is_text(dataset: h5py.Dataset) -> bool:
 
 
 def texts(dataset: h5py.Dataset) -> list[str]:
-    """Return the texts of a dataset of any shape in one list; raise ValueError as `numbers` does."""
+    """Return the texts of a dataset of any shape in one list.
+
+    Raises
+    ------
+    ValueError
+        If the dataset has no texts, or claims more data than the file has.
+    """
     _require_readable(dataset)
     if not dataset.size:
         return []
@@ -246,13 +276,19 @@ def texts(dataset: h5py.Dataset) -> list[str]:
 
 
 def texts_in(group: h5py.Group, name: str) -> list[str]:
-    """Return the texts of a dataset in a group; empty if absent or empty."""
+    """Return the texts of a dataset in a group, or an empty list if the dataset is absent or empty."""
     dataset = child(group, name)
     return texts(dataset) if getattr(dataset, "size", 0) else []
 
 
 def read_values(dataset: h5py.Dataset) -> np.ndarray:
-    """Return a dataset of numbers, texts of fixed length, or records of them; raise ValueError as `numbers` does."""
+    """Return a dataset of numbers, texts of fixed length, or records of them.
+
+    Raises
+    ------
+    ValueError
+        If the dataset has other types, or claims more data than the file has.
+    """
     _require_readable(dataset)
     if _is_variable_length(dataset.id.get_type()):
         raise ValueError(f"{dataset.name} has texts of variable length")

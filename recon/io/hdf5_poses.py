@@ -56,14 +56,23 @@ _Table = tuple[Sequence[str | None], list[Label], list[Label], np.ndarray]
 
 
 def recognises_deeplabcut(path: Path) -> bool:
-    """Return whether an HDF5 file has a pandas table; raise InputError for one that cannot be opened."""
+    """Return whether an HDF5 file has a pandas table.
+
+    Raises
+    ------
+    InputError
+        If an HDF5 file cannot be opened.
+    """
     return hdf5.is_hdf5(path) and bool(_keys(path))
 
 
 def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the points of one animal in DeepLabCut's H5 file (see `recon.io.deeplabcut.points_of_table`).
 
-    Raises InputError, also for several tables, and for cells or labels that are pickled Python objects.
+    Raises
+    ------
+    InputError
+        If the file is invalid, has several tables, or has pickled Python objects as cells or labels.
     """
     keys = _keys(path)
     if len(keys) != 1:
@@ -83,7 +92,7 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _keys(path: Path) -> list[str]:
-    """Return the names of the groups that pandas stored in an HDF5 file; raise InputError if it cannot be opened."""
+    """Return the names of the groups that pandas stored in an HDF5 file, or raise InputError if it cannot be opened."""
     with opened(path, names_only=True) as file:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
@@ -133,7 +142,7 @@ def _texts_of(group: h5py.Group, values: np.ndarray) -> list[str]:
 
 
 def _is_empty(dataset: h5py.Dataset) -> bool:
-    """Return whether a dataset is empty; raise ValueError for pickled cells.
+    """Return whether a dataset is empty, or raise ValueError for pickled cells.
 
     pandas stores an empty array as an array of one element, with the true shape as an attribute.
     """
@@ -208,8 +217,12 @@ def recognises_sleap(path: Path) -> bool:
 def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the keypoints of one track in a SLEAP analysis file.
 
-    Scores are unknown if the file has none; every track is in every frame if it has no occupancy. Raises InputError for
-    a file that is damaged or whose arrays disagree.
+    Scores are unknown if the file has none; every track is in every frame if it has no occupancy.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or if its arrays disagree.
     """
     with opened(path) as file:
         available = [name for name in SLEAP_AXES if child(file, name) is not None]
@@ -248,7 +261,7 @@ def recognises_points3d(path: Path) -> bool:
 
 
 def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D points of one track in sleap-anipose's file; raise InputError for an invalid file."""
+    """Return the 3D points of one track in sleap-anipose's file."""
     with opened(path) as file:
         nodes, tracks = hdf5.texts_in(file, "node_names"), hdf5.texts_in(file, "track_names")
         values = numbers(child(file, "tracks"))
@@ -269,11 +282,17 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """First words of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
 Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
-"""Names of the axes, and values, of each variable, by its name in movement 0.17."""
+"""Axes and values of each variable; the keys are the variables' names in movement 0.17."""
 
 
 def recognises_movement(path: Path) -> bool:
-    """Return whether a file is movement's, 2D or 3D; raise InputError for netCDF 3."""
+    """Return whether a file is movement's, 2D or 3D.
+
+    Raises
+    ------
+    InputError
+        If the file is netCDF 3, which h5py cannot read.
+    """
     if common.starts_with(path, b"CDF"):
         expected = "netCDF 4: in Python, xarray.load_dataset(old).to_netcdf(new, engine='h5netcdf')"
         raise InputError(Problem(path, "format", "netCDF 3", expected))
@@ -281,7 +300,7 @@ def recognises_movement(path: Path) -> bool:
 
 
 def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal in movement's netCDF file; raise InputError for an invalid file."""
+    """Return the points of one animal in movement's netCDF file."""
     variables = {}
     with opened(path) as file:
         scales = {name: item for name in names(file) if hdf5.is_scale(item := child(file, name))}
@@ -302,7 +321,15 @@ def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, individual: str | None) -> StoredPoints:
-    """Return the points of movement's dataset; `fps` replaces its rate if given. Raises InputError if it is invalid."""
+    """Return the points of one animal in movement's dataset.
+
+    `fps` replaces the dataset's frame rate if it is given.
+
+    Raises
+    ------
+    InputError
+        If the dataset is invalid.
+    """
     stored = {}
     for name in (name for name in VARIABLES if name in dataset.variables):
         axes = tuple(str(dim).removesuffix("s") for dim in dataset[name].dims)
@@ -314,7 +341,7 @@ def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, indi
 def _points_of_variables(
     path: Path, stored: Variables, attributes: Mapping[str, Any], individual: str | None
 ) -> StoredPoints:
-    """Return the points of one animal in movement's variables; raise InputError for an invalid file."""
+    """Return the points of one animal in movement's variables, or raise InputError for an invalid file."""
 
     def ordered(name: str, dims: tuple[str, ...]) -> np.ndarray:
         """Return a variable with its axes in the order `dims`, or an empty array if it is absent."""
@@ -380,7 +407,13 @@ def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
 
 
 def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
-    """Return keypoints or 3D positions as movement's `xarray.Dataset`; raise InputError if xarray is not installed."""
+    """Return keypoints or 3D positions as movement's `xarray.Dataset`.
+
+    Raises
+    ------
+    InputError
+        If xarray is not installed.
+    """
     with writing.formats_extra("movement netCDF"):
         import xarray
     points = writing.points_of(data)
@@ -416,7 +449,7 @@ def recognises_nwb(path: Path) -> bool:
 def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the points of one animal in an NWB file.
 
-    Several animals have the names of their containers. Raises InputError for an invalid file.
+    If there are several animals, each is named after its container.
     """
     with opened(path) as file:
         containers = {}
@@ -471,16 +504,16 @@ class _Series(NamedTuple):
     """Positions of one point of an NWB file in T frames."""
 
     positions: np.ndarray
-    """(T, 2) or (T, 3): positions in pixels, or in 3D in the file's unit."""
+    """Positions in pixels, shape (T, 2), or in the file's unit, shape (T, 3)."""
     confidence: np.ndarray
-    """(T,): confidences, NaN if unknown."""
+    """Confidences, shape (T,), NaN if unknown."""
     times_s: np.ndarray
-    """(T,): times of the frames, seconds."""
+    """Times of the frames in seconds, shape (T,)."""
     fps: float | None
 
 
 def _series(path: Path, group: h5py.Group) -> _Series:
-    """Return the positions of one point of an NWB file in all frames; raise InputError if its arrays disagree."""
+    """Return the positions of one point of an NWB file in all frames, or raise InputError if its arrays disagree."""
     keys = ("data", "confidence", "timestamps", "starting_time")
     data, stored_confidence, stamps, start = (child(group, name) for name in keys)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")
@@ -506,7 +539,10 @@ def _series(path: Path, group: h5py.Group) -> _Series:
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     """Write an NWB file of points, in pixels or in metres with z up, and of the skeleton's edges.
 
-    Raises InputError without a frame rate, or for names that NWB cannot hold.
+    Raises
+    ------
+    InputError
+        If the frame rate is not known, or if NWB cannot hold a name.
     """
     points = writing.points_of(data)
     container = points.individual or "PoseEstimation"

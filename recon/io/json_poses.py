@@ -45,9 +45,9 @@ class _Seen(NamedTuple):
     animal: str
     """Name or number of the animal; empty if the file does not distinguish animals."""
     xy_px: np.ndarray
-    """(K, 2): the keypoints, NaN where one is missing."""
+    """Positions of the keypoints in pixels, shape (K, 2); NaN if missing."""
     score: np.ndarray
-    """(K,): scores of the keypoints, 0 where one is missing, NaN where the file states no score."""
+    """Scores of the keypoints, shape (K,); 0 for a missing keypoint, NaN if the file states no score."""
 
 
 def _mentions(path: Path, *keys: bytes) -> bool:
@@ -67,8 +67,12 @@ def _points(
 ) -> StoredPoints:
     """Return the points of one animal in all frames from its detections in a JSON file of any format.
 
-    `named` states whether the only animal of a file has a name. Raises InputError if detections do not match
-    the names, or if an animal appears twice in a frame.
+    `named` states whether the only animal of a file has a name.
+
+    Raises
+    ------
+    InputError
+        If detections do not match the names, or if an animal appears twice in a frame.
     """
     animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
     chosen = animals[common.choose(path, animals, individual)]
@@ -99,7 +103,7 @@ def recognises_coco(path: Path) -> bool:
 
 
 def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one animal in COCO's JSON; raise InputError for an invalid file."""
+    """Return the keypoints of one animal in COCO's JSON."""
     content = read_json(path, _EXPECTED)
     people = [annotation for annotation in content["annotations"] if "keypoints" in annotation]
     numbers, notes = _frame_numbers(path, content["images"])
@@ -162,7 +166,7 @@ def recognises_mmpose(path: Path) -> bool:
 
 
 def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one animal in MMPose's JSON; raise InputError for an invalid file."""
+    """Return the keypoints of one animal in MMPose's JSON."""
     content = read_json(path, _EXPECTED)
     names = content["meta_info"]["keypoint_id2name"]
     instances = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}
@@ -217,10 +221,7 @@ def clip_of_frame(path: Path) -> Path | None:
 
 
 def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one person in all files whose names differ from this one only in the number.
-
-    Raises InputError for invalid files.
-    """
+    """Return the points of one person in all files whose names differ from this file's only in the frame number."""
     own_name = _FILE_NAME.fullmatch(path.name)
     if own_name is None:
         raise InputError(
@@ -259,10 +260,7 @@ def recognises_alphapose(path: Path) -> bool:
 
 
 def read_alphapose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal, by its track (`idx`) if the file has tracks.
-
-    Raises InputError for an invalid file.
-    """
+    """Return the points of one animal, by its track (`idx`) if the file has tracks."""
     content = read_json(path, _EXPECTED)
     seen = []
     for i, row in enumerate(content):
@@ -310,9 +308,10 @@ LENGTHS = (
 
 
 def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the correct names of FMPose3D's points, in any order, and notes.
+    """Return the correct names of FMPose3D's points, and notes.
 
-    `model` is the network's name, or a table's scorer, which contains it.
+    `names` are the points' names, in any order, as a file states them. `model` is the name of the network, or a table's
+    scorer, which contains the name.
     """
     notes = (LENGTHS,) if in_space else ()
     true: dict[str, str] = dict(zip(_BY_DEEPLABCUT.split(), ANIMAL3D.split(), strict=True))
@@ -331,7 +330,7 @@ def recognises_fmpose3d(path: Path) -> bool:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the poses of the only animal in FMPose3D's JSON; raise InputError for an invalid file."""
+    """Return the poses of the only animal in FMPose3D's JSON."""
     content = read_json(path, _EXPECTED)
     written = tuple(map(str, content["bodyparts"]))
     missing = np.full((len(written), 3), np.nan)

@@ -55,7 +55,7 @@ def recognises_tables(path: Path) -> bool:
 
 
 def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of a file with a table for each; raise InputError for an invalid file."""
+    """Return the cameras of a JSON or YAML file that has a table for each camera."""
     tables = _tables_of(document_of(path))
     records = []
     for name, location, table in tables:
@@ -96,10 +96,7 @@ def recognises_easymocap(path: Path) -> bool:
 
 
 def read_easymocap(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of EasyMocap's intri.yml, with the poses of extri.yml in the same folder.
-
-    Raises InputError for an invalid file.
-    """
+    """Return the cameras of EasyMocap's intri.yml, with the poses of extri.yml in the same folder."""
     document = document_of(path)
     if not any(key.startswith("K_") for key in document):
         expected = "the file of lenses, intri.yml, in the same folder"
@@ -140,7 +137,7 @@ def _stereo_ends(text: str) -> tuple[str, str] | None:
 
 
 def read_stereo(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the two cameras of OpenCV's stereo file; raise InputError for an invalid file."""
+    """Return the two cameras of OpenCV's stereo file."""
     document, ends = document_of(path), _stereo_ends(read_calibration(path))
     matrices = [next((key for key in document if re.fullmatch(_STEREO_MATRIX + end, key)), "K") for end in ends or ()]
     size = size_in(document) or document.get(key_in(document, ALIASES["image_size_px"]) or "")

@@ -1,8 +1,8 @@
 """Write labelled frames of a video as DeepLabCut label files and COCO keypoints.
 
 A project of DeepLabCut has a folder for each video, `labeled-data/run`, with its labelled frames as `img012.png` and
-two tables of the same points, `CollectedData_me.csv` and `.h5`. Their rows are named by the three parts of the frame's
-path, their columns by scorer, bodypart and coordinate. A point without coordinates is not visible, or not labelled.
+two tables of the same points, `CollectedData_me.csv` and `.h5`. The three parts of a frame's path name a row of these
+tables; scorer, bodypart and coordinate name a column. A point without coordinates is not visible, or not labelled.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ class LabelledFrames:
     """Name of the labeller, as in the project's config.yaml."""
     names: tuple[str, ...]
     frames: Integers
-    """(N,): increasing frame numbers."""
+    """Increasing frame numbers, shape (N,)."""
     xy_px: Array
-    """(N, K, 2): labels in pixels, NaN where a keypoint is not labelled."""
+    """Labels in pixels, shape (N, K, 2); NaN for a keypoint that is not labelled."""
     origins: tuple[tuple[str, ...], ...] = ()
     """Origin of each label, such as "by hand", for each frame and keypoint; empty if all are by hand."""
     edges: tuple[tuple[int, int], ...] = ()
@@ -61,11 +61,11 @@ class LabelledFrames:
 
     @property
     def table(self) -> str:
-        """Return the name of the tables without suffix."""
+        """Return the file name of the two tables of labels, without suffix."""
         return f"CollectedData_{self.scorer}"
 
     def picture(self, frame: int) -> str:
-        """Return the file name of a frame."""
+        """Return the file name of a labelled frame's picture."""
         return f"img{frame:0{self.digits}d}.png"
 
     @property

@@ -36,7 +36,13 @@ def recognises_trc(path: Path) -> bool:
 
 
 def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the markers of a TRC file; raise InputError for an unusable header or cells."""
+    """Return the markers of a TRC file.
+
+    Raises
+    ------
+    InputError
+        If the header or cells cannot be used.
+    """
     lines = read_text(path, "a TRC file").splitlines()
     separator = "\t" if "\t" in lines[0] else ","
     cells = [[cell.strip() for cell in line.split(separator)] for line in lines]
@@ -64,7 +70,10 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
 def write_trc(pose: Pose3D, path: Path) -> None:
     """Write a TRC file in metres with x forwards, y up and z to the right, as OpenSim reads it; gaps are empty cells.
 
-    Raises InputError without a frame rate, or for names with tabs or line breaks.
+    Raises
+    ------
+    InputError
+        If the frame rate is not known, or if a name has tabs or line breaks.
     """
     fps = writing.required_fps(pose.fps, "TRC")
     writing.require_names(pose.names, r"[\t\r\n]|^\s|\s$", "TRC")
@@ -92,9 +101,9 @@ WORD_MAX, TEXT_MAX = 65_535, 255
 BLOCK = 512
 KEY = 0x50
 INTEL = 84
-"""Code for little-endian numbers in a C3D file, by kind of processor."""
+"""Processor type in the header of C3D files with little-endian numbers."""
 MIPS = 86
-"""Code for big-endian numbers in a C3D file, by kind of processor."""
+"""Processor type in the header of C3D files with big-endian numbers."""
 
 Parameters = dict[str, dict[str, Any]]
 """Parameters of a C3D file, as lists of texts or arrays of numbers, by group and name."""
@@ -111,7 +120,7 @@ def recognises_c3d(path: Path) -> bool:
 
 
 def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the markers of a C3D file; raise InputError for a damaged file."""
+    """Return the markers of a C3D file."""
     parameters, xyz, first = _content(path.read_bytes())
     point = parameters.get("POINT", {})
     # each parameter holds up to 255 names
@@ -132,7 +141,7 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
 def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
     """Return parameters, positions (T, J, 3), NaN where missing, and the number of the first frame, from 1.
 
-    Raises the errors that `damage_as_input_error` expects of a file that is damaged or cut off.
+    If the file is damaged or cut off, errors of the types that `damage_as_input_error` converts are raised.
     """
     start = BLOCK * (content[0] - 1)
     order = ">" if content[start + 3] == MIPS else "<"
@@ -165,7 +174,7 @@ def _number_of_words(value: object, otherwise: int) -> int:
 
 
 def _parameters(section: bytes, order: str) -> Parameters:
-    """Return the parameters of a section.
+    """Return the parameters in the parameter section of a C3D file.
 
     A record has the length of the name (negative if locked), the number of the group (negative for the group itself),
     the name, the distance from there to the next record, and for a parameter its type, dimensions and data.
@@ -215,7 +224,10 @@ def _text(data: bytes) -> str:
 def write_c3d(pose: Pose3D, path: Path) -> None:
     """Write a C3D file in millimetres, with z up.
 
-    Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D cannot hold.
+    Raises
+    ------
+    InputError
+        If the frame rate is not known, or if C3D cannot hold the names, the number of frames or the gaps.
     """
     fps = writing.required_fps(pose.fps, "C3D")
     writing.require_names(pose.names, r"^\s|\s$|\x00", "C3D", bytes_max=TEXT_MAX)

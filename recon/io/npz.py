@@ -23,7 +23,7 @@ from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file is a NumPy archive with positions, even if it is damaged, which `read` reports."""
+    """Return whether a file is a NumPy archive of positions, or a damaged archive, which `read` reports."""
     return _has(path, "xyz_m.npy", damaged=True)
 
 
@@ -44,7 +44,13 @@ def _has(path: Path, name: str, damaged: bool) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the positions in recon's archive; raise InputError for a damaged file or arrays that disagree."""
+    """Return the positions in recon's archive.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or if its arrays disagree.
+    """
     arrays = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), f"{KINDS}U")
     names = [str(name) for name in arrays["names"].tolist()]
     edges = tuple((names[a], names[b]) for a, b in arrays["edges"])
@@ -53,9 +59,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the poses of all numbered files in the folder; a file without a number is read alone, as frame 0.
+    """Return the poses of all numbered files in a file's folder.
 
-    Raises InputError for an invalid file.
+    A file without a number in its name is read alone, as frame 0.
     """
     named = [(re.fullmatch(r"(\d+)_3D", file.stem), file) for file in path.parent.glob("*.npz")]
     files = sorted((int(number[1]), file) for number, file in named if number)

@@ -31,8 +31,12 @@ _SCALARS = {
 def plain_pickle(content: bytes) -> Plain:
     """Return the value of a pickle of plain values.
 
-    The pickle is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError, naming any other
-    instruction.
+    The pickle is run only if all its instructions are in `PLAIN_PICKLES`.
+
+    Raises
+    ------
+    ValueError
+        If the pickle has any other instruction, which the message names.
     """
     _require_small(content)
     try:
@@ -48,7 +52,12 @@ def plain_pickle(content: bytes) -> Plain:
 def plain_parts_of_pickle(content: bytes) -> Plain:
     """Return the plain values and NumPy numbers of a pickle, with an `Unread` for every object of another class.
 
-    Nothing else in the pickle is imported or called. Raises ValueError for a damaged pickle.
+    Nothing else in the pickle is imported or called.
+
+    Raises
+    ------
+    ValueError
+        If the pickle is damaged.
     """
     _require_small(content)
     try:

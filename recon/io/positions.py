@@ -35,7 +35,7 @@ _AXES_OF_UP = {
 def read_pose3d(
     path: str | Path, individual: str | None = None, unit: str | None = None, up: str | None = None
 ) -> Pose3D:
-    """Return positions of any known format, in metres, z up.
+    """Return the 3D positions in a file of any known format, in metres with z up.
 
     Parameters
     ----------
@@ -60,7 +60,10 @@ def read_pose3d(
 def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
     """Return a file's positions in metres with z up; unit and up are as in `read_pose3d`.
 
-    Raises InputError for a missing or unknown unit, and for a unit or axis that contradicts the file.
+    Raises
+    ------
+    InputError
+        If the unit is missing or unknown, or if the unit or the axis contradicts the file.
     """
     notes, problems = list(stored.notes), []
     for name, option, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
@@ -95,7 +98,12 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     """Return the segments of motion in one CSV file, by name.
 
     The file has a first header row `segment, frame, <joints>` and a second with x, y, z; positions are in metres. Any
-    other file that `read_pose3d` reads is one segment with the file's name. Raises InputError as `read_pose3d` does.
+    other file that `read_pose3d` reads is one segment with the file's name.
+
+    Raises
+    ------
+    InputError
+        If the file is invalid, or is not in a format of 3D positions.
     """
     path = Path(path)
     if not read_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):

@@ -14,34 +14,40 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.io.common import MAX_FRAME, StoredPoints
 
 IRREGULAR = 0.25
-"""Largest difference of a step between times from whole frames, in frames, at which the times count as regular."""
+"""Largest difference, in frames, between a time step and a whole number of frames at which times count as regular."""
 EVEN_MIN = 10
-"""Smallest number of times that can show a rate in spite of rounding or jitter."""
+"""Minimum number of times required to estimate a frame rate despite rounding or jitter."""
 EVEN_STEP = 1.75
 """Smallest step between two times, in frames, that may be a gap of missing frames instead of jitter."""
 EVEN_OFF = 0.75
 """Largest deviation of a time from evenly spaced times, in frames, at which no frame counts as missing."""
 JITTER_RMS = 0.2
-"""Largest root mean square distance from the nearest frame, in frames, if frames may be missing.
+"""Largest root mean square distance, in frames, of times with gaps from the nearest frames.
 
-Random times have 0.29.
+Uniformly random times have 0.29.
 """
 ROUNDED_GAPS = 3
-"""Smallest number of steps longer than 1.5 units that shows times rounded to a unit almost as long as the period."""
+"""Minimum number of steps longer than 1.5 units required to conclude that times are rounded to the unit."""
 ROUNDED_OFF = 0.6
-"""Largest distance of rounded times from evenly spaced times, in units of the rounding, which alone gives 0.5."""
+"""Largest deviation of rounded times from evenly spaced times, in units; rounding alone gives 0.5."""
 PHASE_SHARED = 0.5
-"""Length of the mean unit vector of the times' phases within a frame, 0 to 1, above which they share an offset."""
+"""Largest mean resultant length, 0 to 1, of the times' phases within a frame at which no common offset is assumed."""
 _WINDOW = 16
-"""Number of times from which the rate is first estimated."""
+"""Number of times from which the frame rate is first estimated."""
 PER_SECOND = {"ns": 1e9, "us": 1e6, "µs": 1e6, "ms": 1e3}
-"""Units of times other than seconds, and how many of them make a second."""
+"""Number of each unit of time in a second."""
 EPOCH_S = 9e8, 1e10
-"""Range of time stamps in seconds since 1970, from the year 1998 on."""
+"""Range of plausible time stamps in seconds since 1970, which are the years 1998 to 2286."""
 
 
 def frames_of_numbers(path: Path, numbers: np.ndarray) -> np.ndarray:
-    """Return frame numbers (T,) int from times in frames; raise InputError unless they are increasing whole numbers."""
+    """Return times in units of frames as frame numbers, shape (T,) int.
+
+    Raises
+    ------
+    InputError
+        If the times are not increasing whole numbers.
+    """
     _require_order(path, numbers, strict=True)
     return frames_of_times(path, numbers, 1.0)[0]
 
@@ -49,9 +55,13 @@ def frames_of_numbers(path: Path, numbers: np.ndarray) -> np.ndarray:
 def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
     """Return frame numbers (T,) int from times, and the frame rate.
 
-    The rate is the given one, or that of the times, which may be rounded or jittered. Frame 0 is at 0 s. A gap must be
-    a whole number of frames. Without a rate, a single time is frame 0. Raises InputError for times that do not
-    increase or that fit no frame rate.
+    The frame rate is `fps`, or, if it is None, estimated from the times, which may be rounded or jittered. Frame 0 is
+    at 0 s. A gap must be a whole number of frames. If `fps` is None, a single time is frame 0.
+
+    Raises
+    ------
+    InputError
+        If the times do not increase, or fit no frame rate.
     """
     frames, fps, _ = _frames_of_times(path, times_s, fps)
     return frames, fps
@@ -74,9 +84,12 @@ def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float
 
 
 def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoints:
-    """Return points whose uneven times are converted to frame numbers at a given rate; other points are unchanged.
+    """Convert uneven times of points to frame numbers at a frame rate, and return other points unchanged.
 
-    Raises InputError if the times are uneven and no rate is given.
+    Raises
+    ------
+    InputError
+        If the times fit no frame rate and `fps` is None.
     """
     if stored.times_s is None or fps is None or (fps == stored.fps and not stored.time_problems):
         raise_problems(stored.time_problems)
@@ -86,11 +99,15 @@ def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoin
 
 
 def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
-    """Return the frame number nearest to each time (T,), at a given rate.
+    """Return the frame number nearest to each time at a frame rate, shape (T,).
 
     Times that all lie within `EVEN_OFF` of evenly spaced times are consecutive frames. If other times share an offset
-    from whole frames, it is subtracted first. Raises InputError for times that do not increase, and for two times in
-    one frame.
+    from whole frames, it is subtracted first.
+
+    Raises
+    ------
+    InputError
+        If the times do not increase, or if two times are in one frame.
     """
     _require_order(path, times_s, strict=len(times_s) < EVEN_MIN)
     position = times_s * fps
@@ -266,7 +283,8 @@ def _is_rounded_to(unit_s: float, times_s: np.ndarray) -> bool:
 def _count_with_gaps(times_s: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Return frame numbers from 0, and the period, of jittered times with missing frames.
 
-    The rate is estimated from the first times and refined while more are added, so that no frame is miscounted.
+    The frame rate is estimated from the first times, and refined as later times are added, so that no frame is
+    miscounted.
     """
     steps_s = np.diff(times_s)
     usual_s = steps_s[steps_s <= 1.5 * np.median(steps_s)]

@@ -27,7 +27,7 @@ from recon.geometry.camera import Camera
 
 Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
-"""Codecs that OpenCV's own wheels encode.
+"""Codec of a new video for each suffix, of those that OpenCV's own wheels can encode.
 
 MPEG-4 part 2 is shown by players but not by browsers. VP8 is played by every browser, and takes a second for a picture
 of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
@@ -36,11 +36,11 @@ of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
 UNEVEN = 0.3
 """Largest deviation of the time between frames from a multiple of the usual time, as a fraction of the usual time."""
 STAMP_S = 1e-3
-"""Time, in seconds, added to the allowed deviation, because Matroska's time stamps are whole milliseconds."""
+"""Tolerance of time stamps in seconds, in addition to `UNEVEN`, because Matroska's are whole milliseconds."""
 DRIFT = 0.05
-"""Largest relative deviation from the usual rate; phones film more slowly in the dark."""
+"""Largest relative deviation from a video's usual frame rate; phones film more slowly in the dark."""
 DRIFT_FRAMES = 30
-"""Number of frames over which the rate is measured."""
+"""Number of frames over which the frame rate is compared with the video's usual frame rate."""
 MOST_GAPS = 5
 
 BLACK = 24
@@ -48,9 +48,9 @@ BLACK = 24
 LIT = 80
 """Smallest mean brightness of the lines between two black bars, each line by its brightest pixel, 0 to 255."""
 BAR_SHARE = 0.02
-"""Smallest fraction of the picture that a bar covers."""
+"""Smallest width of a black bar, as a fraction of the picture's width, or of its height for bars at top and bottom."""
 BAR_PX = 2
-"""Largest difference between two bars, and largest width of an edge that is not a bar, px."""
+"""Largest difference in width between two equal black bars, and largest width of an edge that is no bar, in pixels."""
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 
@@ -72,7 +72,10 @@ class VideoInfo:
 def probe(path: str | Path) -> VideoInfo:
     """Return the size, frame rate and number of frames of a video, after decoding its first frame.
 
-    Raises InputError for a file that is not a video.
+    Raises
+    ------
+    InputError
+        If the file is not a video.
     """
     with _opened(Path(path)) as capture:
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
@@ -106,7 +109,7 @@ def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Prob
 def read_picture(path: Path, flags: int) -> Image | None:
     """Return a picture, rotated by its orientation tag; None if unreadable or too large for OpenCV.
 
-    `flags` are OpenCV's flags.
+    `flags` are those of `cv2.imdecode`.
     """
     image = None
     if not path.is_file():  # reading a pipe would block
@@ -143,7 +146,7 @@ def missing_frames(times_s: Array) -> dict[int, int] | None:
 
 
 def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previous_frames: int | None = 0) -> str | None:
-    """Return a note about a video with missing or uneven frames, if any.
+    """Return a note about missing or unevenly timed frames of a video, or None.
 
     Parameters
     ----------
@@ -215,8 +218,14 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
     """Yield a function that appends a picture (height, width, 3; blue, green, red) to a new video.
 
     `size_px` is (width, height), both even. The file appears, or replaces an earlier one, when the block ends without
-    an exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or if OpenCV lacks
-    the encoder; OSError if the disk is full.
+    an exception; otherwise nothing is left.
+
+    Raises
+    ------
+    InputError
+        If the suffix is not in `CODECS`, or if OpenCV lacks the encoder.
+    OSError
+        If the disk is full.
     """
     path = Path(path)
     codec = require_codec(path)
@@ -302,7 +311,13 @@ def _webm_length(path: Path) -> int:
 
 
 def require_codec(path: Path) -> str:
-    """Return the codec for a video of this name; raise InputError for a suffix without one."""
+    """Return the codec for a video of this name.
+
+    Raises
+    ------
+    InputError
+        If the suffix has no codec.
+    """
     codec = CODECS.get(path.suffix.lower())
     if codec is None:
         raise InputError(Problem(path, "suffix", repr(path.suffix), "one of " + ", ".join(CODECS)))
@@ -312,7 +327,10 @@ def require_codec(path: Path) -> str:
 def _local(path: Path) -> str:
     """Return a file name that FFmpeg does not mistake for a protocol, as in run10:30.mp4 or a folder called http:.
 
-    Raises InputError for a name that is not UTF-8, at which OpenCV crashes.
+    Raises
+    ------
+    InputError
+        If the name is not UTF-8, for which OpenCV crashes.
     """
     return utf8_path(path)
 

@@ -1,7 +1,7 @@
 """Functions shared by the writers of several formats.
 
-The module has points in the form that a file needs, checks of names and frames, and text tables whose numbers are read
-back exactly.
+The functions convert points to the unit and axes of a file, check names and frame numbers, and write text tables whose
+numbers are read back exactly.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def formats_extra(path: str | Path) -> Iterator[None]:
 
 
 def points_of(data: Keypoints | Pose3D) -> StoredPoints:
-    """Return points in the form that a file needs: pixels, or metres with z up."""
+    """Return keypoints in pixels, or 3D positions in metres with z up, as `StoredPoints`."""
     if isinstance(data, Keypoints):
         return StoredPoints(
             data.names, data.xy_px, data.frames, data.confidence, data.fps, data.individual, scorer=data.scorer
@@ -77,7 +77,13 @@ def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
 
 
 def required_fps(fps: float | None, title: str) -> float:
-    """Return the frame rate that a format requires; raise InputError if it is not known."""
+    """Return the frame rate that a format requires.
+
+    Raises
+    ------
+    InputError
+        If the frame rate is not known.
+    """
     if fps is None:
         detail = "no frame rate, neither given nor in the input"
         raise InputError(Problem("--fps", "fps", detail, f"frames per second, such as 90, which {title} requires"))
@@ -98,7 +104,10 @@ def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: i
 def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:
     """Return values (T, ...) with rows of NaN for absent frame numbers.
 
-    Raises InputError if the gaps would make the file far too long.
+    Raises
+    ------
+    InputError
+        If the gaps would make the file far too long.
     """
     span = int(frames[-1] - frames[0]) + 1
     require_span(span, values.shape[1], title)

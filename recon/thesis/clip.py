@@ -47,7 +47,10 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 def load_body(settings: FitSettings) -> Body:
     """Return the body of the settings' chain.
 
-    Raises InputError if the skeleton is not a chain.
+    Raises
+    ------
+    InputError
+        If the skeleton is not a chain.
     """
     return load_chain(settings.skeleton_name).body
 

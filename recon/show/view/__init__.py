@@ -270,7 +270,10 @@ def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Ar
 def open_viewer(path: Path) -> None:
     """Show a recording in rerun's viewer and wait until it is closed.
 
-    Raises InputError if the viewer cannot run.
+    Raises
+    ------
+    InputError
+        If the viewer cannot run.
     """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
         expected = (

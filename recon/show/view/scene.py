@@ -499,7 +499,12 @@ def require_whole() -> None:
 def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
     """Yield a recording to log to, which is written to `path`.
 
-    No file is left if the block raises an error. Raises OSError with the path if the file cannot be written.
+    No file is left if the block raises an error.
+
+    Raises
+    ------
+    OSError
+        With the path if the file cannot be written.
     """
     stream = rr.RecordingStream("recon")
     try:

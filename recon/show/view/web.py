@@ -55,7 +55,10 @@ TICK_S = 0.05
 def served(path: Path) -> Iterator[str]:
     """Serve a recording, and yield the address of its page.
 
-    Raises InputError if rerun's server cannot run.
+    Raises
+    ------
+    InputError
+        If rerun's server cannot run.
     """
     pages: dict[str, Handler] = {name: partial(_kept, reply) for name, reply in _viewer_files().items()}
     server = LocalServer(pages | {RECORDING: partial(_recording, path)}, policy=_POLICY)
@@ -133,7 +136,10 @@ def _free_ports(count: int) -> list[int]:
 def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
     """Wait until a process listens on all ports.
 
-    Raises InputError if the process ends or takes too long.
+    Raises
+    ------
+    InputError
+        If the process ends or takes too long.
     """
     until_s = time.monotonic() + START_S
     for port in ports:
