@@ -1,4 +1,4 @@
-"""Build chains from Denavit-Hartenberg parameters in both conventions, and answer `recon robot`.
+"""Build chains from Denavit-Hartenberg parameters in both conventions, and compute what `recon robot` prints.
 
 The transform between two links is, in the two conventions::
 
@@ -8,10 +8,10 @@ The transform between two links is, in the two conventions::
 A revolute joint adds q to theta, and a sliding joint adds q to d. As in printed tables, a row holds a and alpha of the
 link before the joint in the modified convention, and of the link after the joint in the standard convention.
 
-The answers are the data that `--json` prints, in metres and radians; command-line options are in degrees. The
-configurations that put the end of a chain at a given position are found from many random starts (with a fixed seed) by
-MINPACK's Levenberg-Marquardt with the exact Jacobian. Equal solutions count once. The list may be incomplete, because
-more starts can find more solutions.
+The functions `pose_answer` and `table_answer` return the data that `--json` prints, in metres and radians. The
+command-line options are in degrees. MINPACK's Levenberg-Marquardt with the exact Jacobian searches from many random
+starts (with a fixed seed) for the configurations that put the end of a chain at a given position. Equal solutions count
+once. The search may miss solutions, and more starts can find more of them.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class DHRow:
     slides: StrictBool = False
     """Whether q is added to d instead of theta."""
     limits: Limits | None = None
-    """Lower and upper limit of q, rad or metres."""
+    """Lower and upper limit of q, rad or metres; None for a joint without limits."""
 
 
 class _DHFile(FileTable):
@@ -68,9 +68,12 @@ class _DHFile(FileTable):
 
 
 def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
-    """Load a table from a TOML file (docs/robot.md), and return its chain, its convention and its rows.
+    """Load a Denavit-Hartenberg table from a TOML file (docs/robot.md), and return its chain, convention and rows.
 
-    Raises InputError if the file cannot be used.
+    Raises
+    ------
+    InputError
+        If the file is missing or not a valid table.
     """
     file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
     return dh_chain(file.joints, file.convention), file.convention, file.joints
@@ -79,7 +82,10 @@ def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
     """Build a chain from the rows of a Denavit-Hartenberg table, starting at the base.
 
-    Raises ValueError if there are no rows, or if the convention is unknown.
+    Raises
+    ------
+    ValueError
+        If there are no rows, or if the convention is unknown.
     """
     if convention not in ("modified", "standard") or not rows:
         raise ValueError(f"expected rows and 'modified' or 'standard', got {len(rows)} rows and {convention!r}")
@@ -104,8 +110,9 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
     """Return the base transform, the rows (modified convention) and the tool transform of any chain.
 
     The chain is base * rows * tool. a_m and alpha_rad of the first row are 0; base and tool hold the part that
-    Denavit-Hartenberg parameters cannot express. z is along each joint's axis. x is along the common normal to the next
-    axis, or through the previous origin if the axes are parallel.
+    Denavit-Hartenberg parameters cannot express. The z axis of a joint's frame is the axis of the joint. The x axis is
+    the common normal to the next joint's axis. If the two axes are parallel, the normal through the previous origin is
+    used.
     """
     zero = np.zeros(chain.n)
     axes, positions = chain.joint_axes(zero), chain.positions(zero)
@@ -134,7 +141,7 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
 
 
 def _row(step: RigidTransform, slides: bool) -> DHRow:
-    """Return the parameters of a step Rx(alpha) Tx(a) Rz(theta) Tz(d) from its matrix."""
+    """Return the table row (modified convention) whose transform Rx(alpha) Tx(a) Rz(theta) Tz(d) equals `step`."""
     T = step.as_matrix()
     alpha = np.arctan2(-T[1, 2], T[2, 2])
     d = -np.sin(alpha) * T[1, 3] + np.cos(alpha) * T[2, 3]
@@ -159,7 +166,7 @@ def _across(z: Array) -> Array:
 
 
 def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:
-    """Return a screw motion, which is a translation along an axis and a rotation about the same axis."""
+    """Return a screw motion: a translation along an axis and a rotation about the same axis."""
     shift = distance_m * np.eye(3)["xyz".index(axis)]
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
@@ -209,7 +216,7 @@ REACHED = 1e-7
 
 
 def pose_answer(settings: PoseSettings) -> dict[str, Any]:
-    """Answer `recon robot pose` with the angles of each leg for a moved and turned body on planted feet."""
+    """Return the joint angles of a robot's legs when its body is moved and turned on planted feet."""
     machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
     turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
     body_frame = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
@@ -230,10 +237,10 @@ def pose_answer(settings: PoseSettings) -> dict[str, Any]:
 
 
 def table_answer(settings: TableSettings) -> dict[str, Any]:
-    """Answer `recon robot dh` with the chain's table, and its forward or inverse kinematics if requested.
+    """Return a chain's Denavit-Hartenberg table, and its forward or inverse kinematics if requested.
 
-    The chain comes from a table of parameters (TOML), from a leg of a robot, or from a URDF or MJCF file, by default
-    the chain to the file's only leaf.
+    The chain comes from a table of parameters (TOML), from a leg of a robot, or from a URDF or MJCF file. A file with
+    several leaves needs `settings.tip`.
     """
     chain, table = _chain(settings.source, settings.tip)
     if table is None:
@@ -259,7 +266,7 @@ def table_answer(settings: TableSettings) -> dict[str, Any]:
 
 
 def _numbers(option: str, text: str) -> list[float]:
-    """Parse a text such as "1,2.5,-3" to numbers; raise InputError if it holds anything else."""
+    """Parse the value of an option such as "1,2.5,-3"; raise InputError if the text is not a list of numbers."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -270,10 +277,10 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:
-    """Return a chain, and its table if the chain was read from a table.
+    """Return the chain of a robot's leg or of a file, and the file's Denavit-Hartenberg table or None.
 
-    The chain is a robot's leg if `tip` is the label of a leg. From a URDF or MJCF file, it leads to the link `tip`, by
-    default to the only leaf.
+    If `tip` is the label of a leg, the chain is that leg of the robot `source`. In a URDF or MJCF file, the chain ends
+    at the link `tip`, by default at the only leaf.
     """
     if tip in LEGS:
         return load_robot(source).legs[tip].chain, None
@@ -302,7 +309,7 @@ def _pose_answer(transform: RigidTransform) -> dict[str, Any]:
 
 
 def _in_limits(chain: SerialChain, q: Array) -> Array:
-    """Shift joint angles by whole turns to be nearest to the middle of their limits, if a joint has limits."""
+    """Shift the angle of each joint with limits by whole turns, to the value nearest the middle of the limits."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
     middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
     return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
@@ -315,7 +322,7 @@ def _within(chain: SerialChain, q: Array) -> bool:
 def all_solutions(
     chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
 ) -> tuple[Array, bool]:
-    """Return all configurations that put the end effector at a position.
+    """Search for the joint coordinates that put the end effector at a position.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ from recon.ik.chain import SerialChain, joint_chain
 LEG_ANGLES = ("swing", "flap", "knee")
 Length = Annotated[float, Field(strict=True, gt=-1e6, lt=1e6, allow_inf_nan=False)]
 PositiveLength = Annotated[float, Field(strict=True, gt=1e-6, lt=1e6, allow_inf_nan=False)]
-"""Number in the file of a robot or a recipe, mostly in metres or radians. The limits only reject damaged files."""
+"""Positive length, angle, speed, mass or torque in a file about a robot. The limits reject damaged files."""
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -58,8 +58,9 @@ def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
 Limits = Annotated[tuple[Length, Length], AfterValidator(_ordered)]
 
 _ROUNDING = 1e-12
-"""Distance beyond the reach, as a fraction of the leg, that still counts as reached, so that a stretched leg reaches
-its own foot.
+"""Largest distance beyond the reach that still counts as reached, as a fraction of the leg's length.
+
+Without this tolerance, rounding would put the foot of a stretched leg out of reach.
 """
 
 

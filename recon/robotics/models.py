@@ -26,7 +26,7 @@ MjModel: TypeAlias = Any
 MjSpec: TypeAlias = Any
 """Type of MuJoCo's editable description of a model."""
 LARGEST = 1e6
-"""Largest plausible length or angle; larger numbers indicate a damaged file."""
+"""Largest plausible length, m, or angle, rad; larger numbers indicate a damaged file."""
 LEAST_MASS_KG = 1e-6
 """Mass given to links that have none in the file; kinematics does not depend on masses."""
 LEAST_INERTIA_KG_M2 = 1e-9
@@ -46,8 +46,12 @@ def require_mujoco(source: str | Path) -> ModuleType:
 def read_model(path: str | Path, free: bool = False) -> MjModel:
     """Return MuJoCo's model of a file, with its fixed joints and without its meshes.
 
-    If `free` is true, the root of the model moves freely in the world. Raises InputError if the file is not a URDF or
-    MJCF file, or if MuJoCo is not installed.
+    If `free` is true, the root of the model moves freely in the world.
+
+    Raises
+    ------
+    InputError
+        If the file is not a URDF or MJCF file, or if MuJoCo is not installed.
     """
     path = Path(path)
     mujoco = require_mujoco(path)
@@ -79,10 +83,14 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
 
 
 def rates_of(path: Path) -> dict[str, float]:
-    """Read the maximum rates by joint, rad/s or m/s, from a URDF file, because MuJoCo does not keep them.
+    """Read the maximum rate of each joint, rad/s or m/s, from a URDF file, because MuJoCo does not keep the rates.
 
-    An MJCF file has no rates, so the table is empty. Raises InputError for limits that
-    are not numbers.
+    An MJCF file has no rates, so the result is empty.
+
+    Raises
+    ------
+    InputError
+        If a limit is not a number, if a lower limit exceeds the upper limit, or if a rate is implausible.
     """
     try:
         stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
@@ -130,7 +138,7 @@ def foot_of(model: MjModel, leaf: int) -> Array:
 
 
 def bodies_to(model: MjModel, tip: int) -> list[int]:
-    """Return the bodies from the root (not included) to `tip`; the list is empty if no chain leads there."""
+    """Return the indices of the bodies from the root (excluded) to `tip`; empty if `tip` is not below the root."""
     bodies, root = [], root_of(model)
     while tip not in (root, 0):
         bodies.append(tip)
@@ -146,9 +154,13 @@ def moving(model: MjModel, bodies: list[int]) -> list[int]:
 def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 0.0)) -> SerialChain:
     """Return the chain from the root to a body, with its limits; fixed joints become part of the links.
 
-    The chain is in the root's axes, and its end effector is at `end_m` (3,) in the axes of the tip. An angle without
-    limits turns freely; a joint without a rate gets `MAX_RATE_RAD_S`. Raises InputError if a joint neither turns nor
-    slides.
+    The chain is in the root's axes, and its end effector is at `end_m` (3,) in the axes of the tip. A hinge without
+    limits turns freely. A joint without a maximum rate gets `MAX_RATE_RAD_S`.
+
+    Raises
+    ------
+    InputError
+        If no chain of joints leads to `tip`, or if a joint neither turns nor slides.
     """
     names, start = body_names(model), root_of(model)
     if tip not in names:

@@ -49,25 +49,26 @@ TORQUES_HZ = 500.0
 STEP_S = 1e-4
 """Time between two velocities whose difference gives an acceleration."""
 STEP = 1e-5
-"""Step of a numerical derivative with respect to the state."""
+"""Step of a numerical derivative with respect to the state, m or rad."""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
 """Forces (5, 3) whose non-negative combinations fill the friction cone: a pyramid and its axis."""
 TRIES = 5
 """Maximum number of attempts to find forces that also keep the torque limits."""
 STRETCHED = 0.05
-"""Mobility of a foot in one direction, relative to its best direction, below which it counts as unable to move."""
+"""Mobility of a foot in a direction, relative to its most mobile direction, below which the foot counts as fixed."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
-"""Factors on times and lengths in the order in which they are tried. Shorter strides come first, since a slower robot
-has to leap higher to be in the air for the same fraction of a stride.
+"""Factors on the times and the lengths of a motion, in the order in which `--fit-limits` tries them.
+
+Shorter strides come first, since a slower robot has to leap higher to be in the air for the same fraction of a stride.
 """
 DEGREE = 5
 """Degree of the polynomials that describe how a foot's force rises and falls over a stance."""
 MOST = 10.0
 """Largest coefficient of the polynomials that describe a foot's force, as a fraction of the weight."""
 TURNS = 12
-"""Largest number of optimisation steps in `carried`."""
+"""Maximum number of optimisation steps in `carried`."""
 HOPELESS = 50.0
-"""Excess over the limits after three optimisation steps above which `carried` gives up."""
+"""Weighted sum of squared excesses over the limits, after three optimisation steps, above which `carried` stops."""
 UNIT = 0.02
 """Unmet part of the weight that gives a residual of 1, as a fraction of the weight."""
 TORQUE = 0.05
@@ -75,23 +76,23 @@ TORQUE = 0.05
 WITHIN = 0.02
 """Excess of a rate or an angle that gives a residual of 1, as a fraction of its limit."""
 NEAR = 3.0
-"""Weight of the base's deviation, which is in fractions of the standing height and in rad."""
+"""Weight of the base's shift, as a fraction of the standing height, and rotation, rad, in `carried`."""
 AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
-"""Fractions of the limits that the optimisation aims at."""
+"""Fraction of each limit that the optimisation in `carried` aims to stay below."""
 WIDER_RAD = 0.4
-"""Angle, rad, by which joints may exceed their limits in intermediate steps."""
+"""Angle by which joints may exceed their limits in intermediate steps of `carried`, rad."""
 
 
 class Rule(NamedTuple):
-    """A rule that every frame has to keep, with the title and the unit for printing its margin."""
+    """Physical limit that a motion must respect in every frame, and how its margin is printed."""
 
     title: str
     unit: str
     """Unit of the printed margin."""
     least: float = 0.0
-    """Smallest margin that still keeps the rule."""
+    """Smallest margin at which the rule is not broken."""
     advice: str = ""
-    """Option that helps if the rule is broken."""
+    """Option of `recon retarget` that helps if the rule is broken."""
     per_unit: float = 1.0
     """Factor that converts the margin to the printed value."""
 
@@ -148,15 +149,15 @@ def described(robot: Quadruped) -> MjSpec:
 
 
 class _Demand(NamedTuple):
-    """Forces that N states of a robot require with their rates and accelerations.
+    """Forces that a robot's motion requires in N states, and the derivatives of the foot positions.
 
-    The 6 + J columns are the base's position, its rotation about its own axes, and the joints.
+    The coordinates of a state are the base's position, its rotation about its own axes, and the J joints, 6 + J in all.
     """
 
     needed: Array
     """Required forces, newtons, and moments and torques, N m, without the forces from the ground, shape (N, 6 + J)."""
     moves: Array
-    """Derivatives of the feet's positions with respect to the columns, shape (N, 4, 3, 6 + J)."""
+    """Derivatives of the foot positions with respect to the coordinates, shape (N, 4, 3, 6 + J)."""
 
 
 def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, second_rates: Array) -> _Demand:
@@ -252,7 +253,15 @@ def _states(motion: RobotMotion, time_s: Array) -> tuple[Array, Array, Array]:
 
 
 def check(motion: RobotMotion, model: MjModel) -> tuple[Array, dict[str, Array]]:
-    """Check a motion, and return times (K,), seconds, and the margins (K,) by the names of `RULES`."""
+    """Compute the margins of a motion to each of `RULES`.
+
+    Returns
+    -------
+    time_s : (K,)
+        Times of the checked frames, `RATE_HZ` per second.
+    margins : dict
+        Margins (K,) of each rule; a rule is broken below its `Rule.least`.
+    """
     duration = float(motion.time_s[-1] - motion.time_s[0])
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
@@ -325,7 +334,7 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
 
 
 def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> tuple[RobotMotion, Array]:
-    """Move a motion's base as little as possible so that the robot can do the motion, and return the shifts (N, 6).
+    """Move a motion's base as little as possible so that the robot can perform the motion.
 
     The base's path is a cubic spline with one knot per frame. The forces of each stance are within the friction cone;
     they rise from 0 and fall to 0 as sums of Bernstein polynomials. Path and forces are found together by least squares
@@ -340,14 +349,14 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
     model
         MuJoCo's model of the robot (`simulated`).
     hopeless : float
-        Excess over the limits after three steps above which the search is given up.
+        Weighted sum of squares of the excess over the limits, after three steps, above which the search stops.
 
     Returns
     -------
     motion : RobotMotion
-        The first motion that keeps every rule, or the last one tried.
+        The first motion found that keeps every rule, or the last motion tried.
     shifts : (N, 6)
-        Changes of the base's position, yaw, pitch and roll.
+        Changes of the base's position, m, and of its yaw, pitch and roll, rad.
     """
     problem, shifts = _Carrying(motion, model), np.zeros((len(motion.time_s), 6))
     moved, pushes = np.zeros(problem.moved_shape), np.full(problem.n_pushes, 0.2)
@@ -387,9 +396,9 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
 class _Carrying:
     """Least-squares problem of `carried` over K frames.
 
-    The rows are the unmet part of the base's required forces; torques, rates and angles as fractions of their limits;
-    the coefficients of the foot forces (`pushes`); and the base's deviation. The columns are the base's path and the
-    pushes.
+    The residuals are the unmet part of the base's required forces; torques, rates and angles as fractions of their
+    limits; the coefficients of the foot forces (`pushes`); and the base's deviation. The unknowns are the coefficients
+    of the base's path and the pushes.
     """
 
     def __init__(self, motion: RobotMotion, model: MjModel) -> None:
@@ -444,18 +453,18 @@ class _Carrying:
         return forces
 
     def values(self, motion: RobotMotion, demand: _Demand, moved: Array, pushes: Array) -> Array:
-        """Return the values of all rows of the least-squares problem for a motion and the forces that it requires."""
+        """Return all residuals, before limits and weights, for a motion and the forces that the motion requires."""
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (demand.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), demand.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
         return np.concatenate([*(part.ravel() for part in shares), pushes - MOST / 2, self.near @ moved.ravel()])
 
     def beyond(self, values: Array) -> Array:
-        """Return the weighted excess of the rows over their allowed values."""
+        """Return the weighted excess of the residuals over their allowed values."""
         return self.weights * np.maximum(np.abs(values) - self.allowed, 0.0)
 
     def slopes(self, motion: RobotMotion, demand: _Demand, pushes: Array) -> sparse.csr_array:
-        """Return the sparse derivatives of the rows with respect to the base's path and the pushes."""
+        """Return the sparse derivatives of the residuals with respect to the unknowns."""
         states = _states(motion, self.time_s)
         K, J, forces = len(self.time_s), len(self.fastest), self._forces(pushes)
         state_rates = self._states_by_base(motion.robot, states[0])
@@ -527,7 +536,7 @@ class _Carrying:
     def step(self, slopes: sparse.csr_array, values: Array, damping: float) -> Array:
         """Return the step of all unknowns that minimises the sum of squares of the excess.
 
-        A row counts only while it exceeds its limit, so the minimum is found by Newton steps, each with a line search.
+        A residual counts only while it exceeds its limit, so Newton steps with a line search find the minimum.
         """
         size = slopes.shape[1]
         slack = sparse.block_diag([damping * self.near.T @ self.near, 1e-3 * sparse.eye_array(self.n_pushes)])

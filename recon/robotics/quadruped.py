@@ -41,7 +41,7 @@ _BISECTIONS = 12
 
 @dataclass(frozen=True, eq=False)
 class RobotLeg:
-    """A leg of n joints, in order from the hip down; feet are points in body axes, metres."""
+    """A leg of n joints, ordered from the hip down. Feet are positions in body axes, metres."""
 
     chain: SerialChain
     """Chain of the joints in body axes, with names and limits. Its end effector is the foot."""
@@ -64,7 +64,7 @@ class RobotLeg:
 
     @cached_property
     def hip_m(self) -> Array:
-        """Return the position (3,) of the first joint in body axes, metres."""
+        """Return the position (3,) of the leg's first joint in body axes, metres."""
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
@@ -72,7 +72,7 @@ class RobotLeg:
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n) for feet (T, 3) in closed form; NaN if out of reach. Joint limits are ignored."""
+        """Return angles (T, n), rad, for feet (T, 3) in closed form, ignoring joint limits; NaN if out of reach."""
         assert self.closed is not None
         assert self.signs is not None
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
@@ -83,7 +83,7 @@ class RobotLeg:
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
     def angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n) for feet (T, 3), each close to the previous ones; NaN if none is within the limits."""
+        """Return angles (T, n), rad, for feet (T, 3), each near the previous; NaN if none are within the limits."""
         if self.closed is not None:
             solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
@@ -101,7 +101,7 @@ class RobotLeg:
 
 @dataclass(frozen=True)
 class Masses:
-    """Masses and maximum torques of a robot; those of a leg are in the order of its joints."""
+    """Masses and maximum torques of a robot, with the links and torques of a leg ordered from the hip down."""
 
     __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
@@ -205,7 +205,7 @@ def _to_leg_axes(v: Array) -> Array:
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
-    """Return T_world_body for positions (..., 3) and angles (...)."""
+    """Return T_world_body for body positions (..., 3), metres, and angles (...), rad."""
     angles = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1)
     return RigidTransform.from_components(np.asarray(position_m, float), Rotation.from_euler("ZYX", angles))
 
@@ -277,7 +277,10 @@ def builtin_robots() -> tuple[str, ...]:
 def load_robot(robot: str | Path) -> Quadruped:
     """Load a built-in robot by name, or a robot from a file (.toml, .urdf, or .xml for MJCF).
 
-    Raises InputError if the file is not valid, if the robot cannot stand, or if joints share a name.
+    Raises
+    ------
+    InputError
+        If the file is not valid, if the robot cannot stand, or if joints share a name.
     """
     if (path := Path(robot)).suffix.lower() in SUFFIXES:
         robot_of_file = _quadruped_of_model(path)
@@ -375,5 +378,5 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
 
 def _turns(chain: SerialChain) -> Array:
-    """Return the limits (2, n), with half a turn each way for joints without limits."""
+    """Return the lower and upper limits (2, n), rad, with half a turn each way for joints without limits."""
     return np.array([np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)])

@@ -6,16 +6,16 @@ a robot has a standing pose of its own. The roll is measured from the lines betw
 Height, angles and heading are smoothed over `SMOOTH_S`, because errors of a fit last a few frames and a heavy body does
 not move that fast.
 
-Feet are in heading axes (x forward, y left, horizontal), relative to the base and to each foot's middle position, which
-is halfway between the foremost and the rearmost position, and the mean position sideways. Heights of feet are above the
-ground, minus the mean height in stance, because a marker is above the sole.
+Feet are in heading axes (x forward, y left, horizontal). Horizontally, a foot's position is relative to the base and
+to the middle of the foot's path, which is halfway between the foremost and the rearmost position along x, and the mean
+along y. The height of a foot is above the ground, minus the mean height in stance, because a marker is above the sole.
 
 One factor, the scale, turns the animal's lengths into the robot's. The robot's base follows the scaled path of the
 animal at the robot's own height. The scaled deviations of height, pitch and roll are added, limited to `LIFT`,
 `PITCH_RAD` and `ROLL_RAD` by a tanh. A foot's position is its neutral position under the hip, plus the scaled
-displacement of the animal's foot from its middle position. A foot stands when the animal's foot stands. Its lift is
-that of the animal's foot, scaled, but a tanh limits the lift to the fraction `CLEARANCE` of the height by which the leg
-can be folded.
+displacement of the animal's foot from the middle of its path. A robot's foot stands when the animal's foot stands. The
+lift of the animal's foot is scaled, and limited by a tanh to the fraction `CLEARANCE` of the height by which the
+robot's leg can be folded.
 
 By default, the scale is the largest one up to stand_m / leg_m at which all feet are within reach and joint limits, in
 the clip and in the repeating stride. By default, the motion is slowed down only as much as the rate limits of the
@@ -52,16 +52,16 @@ from recon.gait.stances import Tracks
 from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
 
 SMOOTH_S = 0.02
-"""Standard deviation of the Gaussian that smooths height, angles and heading."""
+"""Standard deviation of the Gaussian that smooths the animal's height, angles and heading, seconds."""
 MIN_SAMPLES = 40
-"""Smallest number of samples of a reference, which is four frames."""
+"""Minimum number of samples of a reference: four frames of ten samples each."""
 HARMONICS = 8
-"""Number of harmonics of a closed stride, low enough to smooth the seam where the stride was cut."""
+"""Number of Fourier harmonics kept in a repeating stride, few enough to smooth the seam where its ends meet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Motion that a robot follows, at N evenly spaced times."""
+    """Motion for a robot to follow, at N evenly spaced times."""
 
     time_s: Array
     """Times, shape (N,), seconds."""
@@ -95,7 +95,7 @@ class StrideWindow:
     where they started.
     """
     gap_percent: float
-    """Distance between a foot's positions at both ends, in percent of the extent of its path, mean over the feet."""
+    """Distance between a foot's first and last position, in percent of its path's extent; mean of the four feet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
 
 
 def stride_window(animal: Animal) -> StrideWindow:
-    """Return the given stride, a complete stride, or the part of the clip after which all feet nearly return.
+    """Choose the stride that a robot repeats: the given one, a complete one, or the part that nearly closes.
 
     The complete stride is the first stride of the foot with the most strides. If no foot lands twice, the stride lasts
     at least from the first touch-down to the end of the clip.
@@ -251,7 +251,7 @@ def stride_window(animal: Animal) -> StrideWindow:
 
 
 def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
-    """Turn the window into a stride that repeats and goes straight on.
+    """Turn a window of an animal's reference into a stride that repeats along a straight line.
 
     The gap between the ends is spread evenly over the stride, and `HARMONICS` harmonics are kept. A foot without stance
     in the window stands at the phases at which it stands elsewhere in the clip.
@@ -303,13 +303,14 @@ SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Distances by which the hind feet may pass outside the fore feet, as fractions of the hips' standing height, in the
 order in which they are tried."""
 LEGS_APART = 0.15
-"""Smallest distance between the lines of two legs, as a fraction of the hips' standing height, like `SPREADS`. Legs are
-about this thick.
+"""Smallest distance between the centre lines of two legs, as a fraction of the hips' standing height.
+
+Legs are about this thick.
 """
 SCALES = 0.97 ** np.arange(76)
-"""Scales to try, as fractions of the largest."""
+"""Scales to try, in decreasing order, as fractions of the largest scale."""
 _EVERY = 5
-"""Step between the samples on which a scale is tested first: half a frame."""
+"""Step between the samples (half a frame) on which a scale is tested first, before it is tested on all samples."""
 _BISECTIONS = 25
 CLEAR = 0.05
 """Height within which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
@@ -348,7 +349,7 @@ class KeptMotion:
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(KeptMotion):
-    """A robot and the arrays of its motion."""
+    """Motion of a particular robot, with the quantities derived from it."""
 
     robot: Quadruped = field(kw_only=True)
 
@@ -364,7 +365,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Return a spline through the states of `Quadruped.tree`, without the displacement of a repeating stride."""
+        """Return a spline through the states of `Quadruped.tree`, less the displacement of a repeating stride."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:
@@ -384,12 +385,12 @@ class RobotMotion(KeptMotion):
         return states
 
     def stands_at(self, time_s: Array) -> Bools:
-        """Return whether each foot stands (K, 4) at the samples nearest to times (K,)."""
+        """Return a mask (K, 4) of the feet that stand, taken from the samples nearest to times (K,)."""
         return self.standing[np.argmin(np.abs(self.time_s[None] - time_s[:, None]), axis=1)]
 
     @cached_property
     def rate_share(self) -> Array:
-        """Return the fastest rate of each joint (joints,) between two samples, as a fraction of the joint's limit."""
+        """Return the largest rate of each joint between two samples, as a fraction of the joint's limit, (joints,)."""
         rates = np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
         return np.abs(rates).max(axis=0) / self.robot.limits()[2]
 
@@ -406,7 +407,10 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def apart_m(self) -> float:
-        """Return the smallest distance between fore and hind leg of a side, metres, from nine points on each link."""
+        """Return the smallest distance between the fore and the hind leg of a side, metres.
+
+        The distance is computed between nine points on each link.
+        """
         share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
             points = self.points(label)[::_EVERY]
@@ -462,11 +466,11 @@ def retarget(
     robot : Quadruped
         The robot that follows the reference.
     scale : float, optional
-        Factor on lengths; by default the largest that fits.
+        Factor on lengths; by default the largest within reach and joint limits.
     slower : float, optional
         Factor on times; by default as large as the joints' rates require.
     window : StrideWindow, optional
-        The stride that repeats; by default that of `stride_window`.
+        The stride that repeats; by default chosen by `stride_window`.
     """
     window = window or stride_window(animal)
     moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
@@ -521,9 +525,16 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
 def place(
     reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
 ) -> tuple[RigidTransform, Array, Bools]:
-    """Return T_world_body (N), the feet in the world (N, 4, 3), and which feet stand (N, 4).
+    """Compute body poses and foot positions of a robot that follows a reference at a given scale.
 
-    Feet in stance are on their footholds.
+    Returns
+    -------
+    pose : RigidTransform
+        T_world_body of each of the N samples.
+    feet_m : (N, 4, 3)
+        Feet in the world, metres; a foot in stance stays on its foothold.
+    standing : (N, 4)
+        Whether each foot stands.
     """
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
@@ -533,7 +544,7 @@ def place(
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m
-    # legs that cannot bend get a small positive limit, to avoid a division by 0
+    # Legs that cannot bend get a small positive limit, to avoid a division by 0.
     room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)
     ways[..., 2] = np.where(ways[..., 2] > 0, _within(ways[..., 2], room), ways[..., 2])
     standing = reference.standing
@@ -563,7 +574,7 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
 
 
 def within_reach(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
-    """Return angles (T, n) for feet (T, 3) in body axes, and which feet (T,) are out of reach.
+    """Return angles (T, n), rad, for feet (T, 3) in body axes, metres, and a mask (T,) of feet out of reach.
 
     A foot out of reach is moved towards its neutral position as little as possible.
     """
@@ -588,7 +599,7 @@ def _within(values: Array, limit: float | Array) -> Array:
 
 
 def stances(standing: Bools) -> list[tuple[int, int]]:
-    """Return the first and the last sample of each stance."""
+    """Return the indices of the first and the last sample of each stance of a foot."""
     return [(first, end - 1) for first, end in frame_ranges(np.flatnonzero(standing))]
 
 
@@ -623,22 +634,22 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
 
 
 class _Swings(NamedTuple):
-    """Times of N samples of a foot relative to its stances, seconds, (N,) each."""
+    """Times of N samples relative to the stances of one foot; each array has the shape (N,)."""
 
     last_standing: Array
-    """Index of the last standing sample so far, -1 if there is none."""
+    """Index of the last sample in stance up to this sample, -1 if there is none."""
     next_standing: Array
-    """Index of the next standing sample, N if there is none."""
+    """Index of the next sample in stance, N if there is none."""
     since_s: Array
-    """Time since the last standing sample."""
+    """Time since the last sample in stance, seconds."""
     until_s: Array
-    """Time until the next standing sample."""
+    """Time until the next sample in stance, seconds."""
     duration_s: Array
-    """Duration of the swing; for samples in stance and swings that the clip cuts, that of the longest swing."""
+    """Duration of the swing, seconds; for samples in stance and for cut swings, the duration of the longest swing."""
 
 
 def _swings(time_s: Array, standing: Bools) -> _Swings:
-    """Return the times of a foot's samples relative to its stances."""
+    """Compute the times since and until stance for the samples of one foot."""
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
@@ -651,7 +662,7 @@ def _swings(time_s: Array, standing: Bools) -> _Swings:
 
 
 def swinging(motion: RobotMotion) -> Array:
-    """Return weights (N, 4) that are 0 in stance, 1 in the middle of a swing, and smooth in between."""
+    """Return a weight (N, 4) of each foot that rises smoothly from 0 in stance to 1 in the middle of a swing."""
     time, standing, n = motion.time_s, motion.standing, len(motion.time_s) - 1
     if motion.advance_m is not None:
         lasts = time[-1] - time[0]
@@ -666,7 +677,7 @@ def swinging(motion: RobotMotion) -> Array:
 
 
 def moved_by(motion: RobotMotion, shifts: Array, robot: Quadruped | None = None) -> RobotMotion:
-    """Return a motion with its base moved by `shifts` (N, 6): position, yaw, pitch and roll.
+    """Return a motion with its base moved by `shifts` (N, 6): position, m, and yaw, pitch and roll, rad.
 
     Standing feet stay in place, and swinging feet move with the base. `robot` may be the same robot with other limits.
     """

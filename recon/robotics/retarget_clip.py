@@ -102,13 +102,13 @@ REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3
 """Number of strides in the playback of a stride."""
 SLIP_M = 0.002
-"""Slip in a stance above which the report has a note, metres."""
+"""Slip of a foot in a stance above which the report has a note, metres."""
 
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
-    """Carry out `recon retarget`: write tables, report and playback into a folder.
+    """Run `recon retarget`, and return the motions and the content of report.json.
 
-    Returns the motions and the content of report.json.
+    Tables, report and playback are written into `settings.out`.
     """
     out, folder = settings.out, settings.folder
     names = [f"{start}{table}.csv" for start in ("", "stride_") for table in ("joints", "base", "feet")]
@@ -174,10 +174,11 @@ def _write_samples(
 
 
 def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[str, Any]]:
-    """Change the clip and the stride until they keep every rule, and return both and the change.
+    """Change clip and stride until they keep every rule of `physics.RULES`, and return the motions and the change.
 
     The changes of duration and size in `physics.CHANGES` are tried in turn, each with the base moved by
-    `physics.carried`. The first that keeps every rule is used, or else the one that keeps the rules in most frames.
+    `physics.carried`. The first change after which every rule is kept is used. If there is none, the change after which
+    the rules are kept in most frames is used.
     """
     tried: list[tuple[float, Retargeting, Retargeting]] = []
     for slower, scale in physics.CHANGES:
@@ -206,7 +207,7 @@ def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[
 
 
 def checked(done: Retargeting, model: MjModel, folder: Path | None = None) -> dict[str, Any]:
-    """Check clip and stride with MuJoCo, and return the section of the report.
+    """Check clip and stride with MuJoCo, and return the section of the report about the check.
 
     If a folder is given, tables and figures are written into it.
     """
@@ -362,7 +363,12 @@ def drawn(done: Retargeting, settings: RetargetSettings, count: int, model: MjMo
     """Draw clips from the posterior of the animal's motion, at the same scale and pace as the fitted motion.
 
     If MuJoCo's model of the robot is given, the clips have the stances of the fitted clip, and their bases are moved by
-    `physics.carried`. Raises the errors of `problem_of`.
+    `physics.carried`.
+
+    Raises
+    ------
+    InputError
+        If settings or a prior are missing or changed, or if the fit was made frame by frame.
     """
     fitted, robot = done.animal.analysis.motion, done.clip.robot
     problem = problem_of(fitted, settings.folder)
@@ -417,17 +423,21 @@ AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """Number of joints of a leg in AMP's layout."""
 STEP_S = 1e-6
-"""Time between two positions whose difference gives a velocity.
+"""Time between two positions whose difference gives a velocity, seconds.
 
 The positions lie on a tangent, so the velocity is exact to round-off.
 """
 
 
 class RobotSamples:
-    """Samples of a motion, at the rate nearest to `rate_hz` that gives a whole number of frames.
+    """A motion sampled at the rate nearest to `rate_hz` that gives a whole number of frames.
 
-    Arrays hold K evenly spaced frames, the robot's joints in the robot's order, and B bodies, the base first. Raises
-    InputError about the option if fewer than two frames fit.
+    Arrays hold K evenly spaced frames, the robot's joints in the robot's order, and B bodies, the base first.
+
+    Raises
+    ------
+    InputError
+        If fewer than two frames fit; the message names `option`.
     """
 
     def __init__(self, motion: RobotMotion, rate_hz: float, option: str = "--rate") -> None:
@@ -532,8 +542,10 @@ _NPZ = {
         "body_ang_vel_w",
     ),
 }
-"""Names of the arrays in each layout, in this order: joint names, angles and rates; positions, quaternions, velocities
-and angular velocities of the bodies.
+"""Names of the arrays in the NPZ files of Isaac Lab and mjlab.
+
+The order is: joint names, joint angles, joint rates, then the bodies' positions, quaternions, velocities and angular
+velocities.
 """
 
 
@@ -576,7 +588,7 @@ FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], 
     "mjlab": ("mjlab.npz", partial(_npz, "mjlab")),
     "mjlab-csv": ("mjlab.csv", _mjlab_csv),
 }
-"""File name and writing function by the name of the format."""
+"""File name and writing function of each file format for programs that train policies."""
 
 
 def write_for_trainer(
@@ -584,8 +596,12 @@ def write_for_trainer(
 ) -> float:
     """Write a file in one of `FORMATS`, and return the file's frame rate.
 
-    The file states the origin of the motion. Raises InputError if fewer than two frames fit, or if the format cannot
-    hold the robot.
+    The file states the origin of the motion.
+
+    Raises
+    ------
+    InputError
+        If fewer than two frames fit, or if the format cannot hold the robot.
     """
     samples = RobotSamples(motion, rate_hz, option)
     FORMATS[name][1](samples, path, origin)
@@ -636,7 +652,7 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
 
 
 def convert(folder: Path, out: Path, name: str, rate_hz: float | None, output: outputs.Output) -> str:
-    """Carry out `recon convert` for a folder of `recon retarget`, and return a sentence about the files.
+    """Convert the motions in a folder of `recon retarget` to another format, and return a sentence about the files.
 
     The clip is written to `out`, and the repeating stride to a file next to it. Either both files are written or
     neither. `name` is one of `FORMATS`.
