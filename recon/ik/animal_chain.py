@@ -1,9 +1,9 @@
-"""Build chains from the root of a skeleton to a foot, and get their joint angles from a reconstruction.
+"""Build chains from the root of a skeleton to a foot, and compute their joint angles from a reconstruction.
 
 Every chain starts at the root, in a level base frame. The base frame of planar chains and of the spine-front-leg chain
-of the 8U skeleton has the axes U along the direction of travel, V down and W to the side, and is right-handed; x and y
-of a planar chain are U and V. The chains of whole animals have x along the direction of travel, y left and z up, as in
-`recon.geometry.kinematics`.
+of the 8U skeleton has the axes U along the direction of travel, V down and W to the side, and is right-handed. In a
+planar chain, x is U and y is V. The chains of whole animals have x along the direction of travel, y left and z up, as
+in `recon.geometry.kinematics`.
 
 In the 8U skeleton, the first link of the spine lies along U and has no angles. In the chains built here, this link has
 two angles, which follow from the rotation of the skeleton.
@@ -24,9 +24,9 @@ from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
 from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, planar_chain, summed_chain, values_by_joint
 
 BASE_THETA_RAD = 0.9
-"""Limit on the pitch of the first link: three standard deviations of the pitch of a running animal's trunk."""
+"""Limit on the pitch of the first link, rad: three standard deviations of the pitch of a running animal's trunk."""
 LIMIT_SIGMAS = 3.0
-"""Limits on the angles of a whole animal, in standard deviations from the mean."""
+"""Distance of the limits on a whole animal's angles from the expected means, in standard deviations."""
 _TRAVEL_M = 0.1
 """Distance between the root's first and last positions below which its path has no direction, metres."""
 _UP = np.array([0.0, 0.0, 1.0])
@@ -35,7 +35,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 def spine_front_leg(
     chain: Chain, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
 ) -> SerialChain:
-    """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton from the root to the front foot, in its level base frame.
+    """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton, from the root to the front foot, in a level base frame.
 
     The joints are named as in the publication, after the joint at the end of each link: theta_9 for the first link,
     then theta_1 to theta_4, and the phis likewise. The skeleton itself has no theta_9 and phi_9. theta_9 is the pitch
@@ -51,8 +51,8 @@ def spine_front_leg(
         3 for thetas and phis, 2 for thetas alone.
     limited
         Whether the joints have limits: the expected ranges of the skeleton, and for the first link `BASE_THETA_RAD` and
-        three standard deviations of the heading about the direction of travel. Rate limits always apply, and the first
-        link has those of the second.
+        three standard deviations of the heading about the direction of travel. Rate limits always apply. The first link
+        has the rate limits of the second.
     """
     links = _path(chain)
     base = chain.nominal_base_length_m if base_length_m is None else base_length_m
@@ -84,7 +84,7 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
     chain
         The 8U skeleton.
     states
-        The states (T, D) of its body.
+        The states (T, D) of the skeleton's body.
     travel
         The direction of travel, (3,) or (T, 3), whose horizontal part is used; None for `body_travel`.
     dim
@@ -113,14 +113,14 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
 
 
 def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
-    """Return the angles (T, L) of unit vectors (T, L, 3) that are nearest to the given theta and phi (T, L)."""
+    """Return the theta and phi (T, L), rad, of unit vectors (T, L, 3) that are nearest to the given theta and phi."""
     T = np.arcsin(np.clip(directions[..., 1], -1, 1))
     P = np.arctan2(directions[..., 2], directions[..., 0])
     pairs = [
         (theta + np.angle(np.exp(1j * (t - theta))), phi + np.angle(np.exp(1j * (p - phi))))
         for t, p in ((T, P), (np.pi - T, P + np.pi))
     ]
-    # A change of phi turns the link by cos(theta) times as much, which is its weight here.
+    # A change of phi turns the link by cos(theta) times the change, so weight it by cos(theta).
     distances = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
     first = distances[0] <= distances[1]
     return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])
@@ -217,11 +217,11 @@ def body_travel(states: Array) -> Array:
 
 
 def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Array, Array]:
-    """Return a planar chain through consecutive joints, its angles q (T, K - 1), and its misfit (T,) in metres.
+    """Build a planar chain through consecutive joints, and return it with its angles (T, K - 1) and misfit (T,), m.
 
     All joints are projected onto the vertical plane along the direction of travel. Each link has the median of its
     projected lengths, so the end of the chain is not exactly at the last joint. The misfit is the distance between the
-    two. The angles do not jump by whole turns, and the chain has no limits.
+    end of the chain and the last joint. The angles, rad, do not jump by whole turns. The chain has no limits.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Ar
 
 
 def _unwrapped(angle: Array) -> Array:
-    """Return angles (T,) without jumps of whole turns between known frames."""
+    """Return angles (T,), rad, shifted by whole turns so that they do not jump between known frames."""
     out, known = angle.copy(), np.isfinite(angle)
     out[known] = np.unwrap(angle[known])
     return out

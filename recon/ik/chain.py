@@ -29,10 +29,10 @@ from recon.geometry.kinematics import AXES, Marker, Moved, Segment, Tree, deriva
 
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
-"""Lower and upper limits of a chain's joints, each one number or one for each joint."""
+"""Lower and upper limits of a chain's joints, rad or m; each is one number, or one number for each joint."""
 FREE: Limits = (-np.inf, np.inf)
 MAX_RATE_RAD_S = 50.0
-"""Rate limit of the joints of a chain that defines no limit."""
+"""Maximum rate of the joints of a chain that states none, rad/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class SerialChain:
     max_rate_rad_s: Array
     """Largest allowed or expected rates of the joints, shape (n,), rad/s or m/s."""
     base: Array = field(default_factory=lambda: np.eye(3))
-    """Rotation from the axes of the tree's world to those of the base frame, shape (dim, 3)."""
+    """Rotation from the axes of the tree's world to the axes of the base frame, shape (dim, 3)."""
     tool_rotation: Array = field(default_factory=lambda: np.eye(3))
     """Rotation of the end effector relative to the last link, shape (3, 3)."""
     _latest: dict[bytes, Moved] = field(default_factory=dict, init=False, repr=False)
@@ -158,7 +158,7 @@ class SerialChain:
     def lengths_m(self) -> Array:
         """Return the distances (L,) between consecutive joint positions, and from the last to the end effector, metres.
 
-        Joints that slide are at 0.
+        Joints that slide are taken at 0.
         """
         return np.linalg.norm(np.diff(self.positions(np.zeros(self.n)), axis=0), axis=1)
 
@@ -211,7 +211,7 @@ def planar_chain(
 ) -> SerialChain:
     """Return a chain of links in a plane, with q (L,): angle 0 is along +x, and positive angles turn towards +y.
 
-    The parameters are those of `summed_chain`.
+    See `summed_chain` for the parameters.
     """
     return summed_chain(lengths_m, limits_rad, max_rate_rad_s, dim=2)
 
@@ -334,7 +334,7 @@ def _with_z_along(z: Array) -> Array:
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
-    """Return why the end effector cannot come within the tolerance of a target (dim,), or "" if it may."""
+    """Return why the end effector cannot come within the tolerance of a target (dim,), m, or "" if it might."""
     if not np.isfinite(target_m).all():
         return "unreachable: the target is not finite"
     distance, (nearest, farthest) = float(np.linalg.norm(target_m)), chain.reach_m
@@ -345,7 +345,10 @@ def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -
 
 
 def manipulability(J: Array) -> Array:
-    """Return sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985), which is 0 if some direction of motion is lost."""
+    """Return the manipulability sqrt(det J J') (Yoshikawa 1985) of a Jacobian J (..., dim, n).
+
+    The manipulability is 0 if the end effector cannot move in some direction.
+    """
     return np.sqrt(np.maximum(0.0, np.linalg.det(J @ J.swapaxes(-1, -2))))
 
 

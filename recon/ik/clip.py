@@ -1,4 +1,4 @@
-"""Drive a fitted clip's trunk-to-foot chain to a target or along a stride."""
+"""Run `recon ik`: move the chain from trunk to foot of a fitted clip to a target or along a stride."""
 
 from __future__ import annotations
 
@@ -110,13 +110,13 @@ class IkSettings(Settings):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Return the names of the methods that run."""
+        """Return the names of the inverse-kinematics methods to run."""
         extended = () if self.cost is None else (EXTENDED,)
         return (*METHODS, *extended) if self.compare else (self.method,)
 
     @property
     def parameters(self) -> str:
-        """Return in words where the methods' parameters come from."""
+        """Return the origin of the methods' parameters in words, such as "fitted to the clip"."""
         return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property
@@ -126,7 +126,7 @@ class IkSettings(Settings):
 
     @property
     def out_folder(self) -> Path:
-        """Return the folder of the outputs."""
+        """Return the folder for tables and figures."""
         return self.folder / "ik" if self.out is None else self.out
 
     def problems(self) -> Iterator[Problem]:
@@ -153,16 +153,16 @@ class IkRun:
     target_m: Array | None
     """Target of the end effector, shape (dim,)."""
     runs: Mapping[str, Mapping[str, Run]]
-    """Runs to the "target" and along the stride ("follow"), by method; empty for a task that was not requested."""
+    """Runs of each method to the "target" and along the stride ("follow"); empty for a task that was not requested."""
     parameters: Mapping[str, ParameterFit]
-    """Parameters fitted to the clip, by method."""
+    """Parameters of each method, fitted to the clip."""
     series: pd.DataFrame | None
     """Parameters fitted to each frame of the stride (`fit_parameter_series`); None if they were not requested."""
 
     portraits: Mapping[str, Portrait]
-    """Phase portraits of the animal's own joints over the stride, by joint."""
+    """Phase portrait of each of the animal's own joints over the stride."""
     costs: Mapping[str, CostOutcome]
-    """Behaviour of the extended Jacobian with each cost on the stride, by cost; empty if it was not requested."""
+    """Behaviour of the extended Jacobian with each cost on the stride; empty if the study was not requested."""
 
     @property
     def begins_s(self) -> float:
@@ -201,7 +201,7 @@ class IkRun:
 
     @cached_property
     def animal_closures(self) -> dict[str, Array]:
-        """Return the degrees of closure (n,) of the animal's joints over the stride (`Run.closures`); NaN with gaps."""
+        """Return the degrees of closure (n,), %, of the animal's joints over the stride, as `Run.closures` does."""
         kinds = "angle", "plane", "unscaled"
         closures = {kind: np.full(self.limb.chain.n, np.nan) for kind in kinds}
         for joint, portrait in enumerate(self.portraits.values()):
@@ -231,7 +231,7 @@ def run_ik(settings: IkSettings) -> IkRun:
     Raises
     ------
     InputError
-        If the folder does not hold results of a fit, or the clip shows too little of a stride.
+        If the folder does not hold results of a fit, or if the clip shows too little of a stride.
     """
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
@@ -340,7 +340,7 @@ def write_figures(solved: IkRun, folder: Path) -> None:
 
 
 def _save_portraits(portraits: dict[str, Portrait], closures: Mapping[str, Array], source: str, folder: Path) -> None:
-    """Write the phase portraits of a method or of the animal, labelled with the closures (n,) of each kind."""
+    """Draw and write the phase portraits of a method or of the animal, labelled with the degrees of closure (n,)."""
     pairs = zip(closures["angle"].tolist(), closures["plane"].tolist(), strict=True)
     by_joint = by_name([*portraits], [Closure(*pair) for pair in pairs])
     style.save(phase_portraits(portraits, by_joint, source), folder, f"follow_phase_{source}")

@@ -20,12 +20,13 @@ from recon.ik.methods import ExtendedJacobian
 from recon.ik.null_space import to_null_space_optimum
 
 NEAR_RAD = 1e-6
-"""Difference of every joint between the two starts whose paths are compared."""
+"""Difference of every joint angle between the two starts whose paths are compared, rad."""
 CLOSED_RAD = 1e-3
-"""Largest change of a joint over one turn for which the path counts as closed."""
+"""Largest change of a joint angle over one turn at which the path counts as closed, rad."""
 GROWTH = 1e3
-"""Factor of growth of the distance between two starts from which a path counts as chaotic."""
+"""Growth of the distance between two paths, as a factor, above which a path counts as chaotic."""
 TURNS = 10
+"""Number of times that the closed path is followed."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,11 @@ class CostOutcome:
     """Behaviour of the extended Jacobian with one cost on a closed path."""
 
     outcome: str
-    """Kind of the motion: convergent, singular, chaotic or drifting."""
+    """Class of the motion: convergent, singular, chaotic or drifting."""
     stationary: str
     """Kind of the stationary point at the start, or the reason why none was reached."""
     drift_rad: float
-    """Largest change of a joint from the start to the end of any turn."""
+    """Largest change of a joint angle from the start to the end of any turn, rad."""
     growth: float
     """Factor by which the distance between the paths from two close starts grows."""
     singular_steps: int
@@ -52,7 +53,7 @@ def cost_outcome(
 ) -> CostOutcome:
     """Follow a closed path (K, dim) by the extended Jacobian with a cost, and classify the motion.
 
-    The run starts at the stationary point of the cost that is reached from q0 (n,).
+    The run starts at the stationary point of the cost that is reached from q0 (n,), rad.
     """
     method = ExtendedJacobian(cost)
     start, stationary = to_null_space_optimum(chain, q0, cost)

@@ -44,7 +44,7 @@ def joint_differences(chain: SerialChain) -> Cost:
 
 
 def rotational_energy(chain: SerialChain) -> Cost:
-    """Return the cost sum (r_k q_k)^2, m^2, with the length r_k of each joint's link: long links rotate least."""
+    """Return the cost sum (r_k q_k)^2, m^2, with link lengths r_k, so that long links rotate least."""
     return quadratic(2 * np.diag(chain.joint_lengths_m**2))
 
 

@@ -1,4 +1,4 @@
-"""Move the end effector of a chain to a target or along a path by one of the methods.
+"""Move the end effector of a chain to a target or along a path by one of the methods of inverse kinematics.
 
 Each iteration covers one interval of time. The end effector gets the velocity that would take it to the next point
 within the interval, which also corrects the drift of the previous iteration. On the way to a target, it moves by at
@@ -27,13 +27,13 @@ from recon.ik.null_space import joint_names, to_null_space_optimum
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
-"""Longest motion of the end effector towards a target in one iteration."""
+"""Longest motion of the end effector towards a target in one iteration, metres."""
 PATIENCE = 100
-"""Number of iterations within which the distance must shrink by `PROGRESS`."""
+"""Number of iterations within which the distance from the target must shrink by `PROGRESS`."""
 PROGRESS = 0.01
-"""Smallest reduction of the distance, relative to the smallest one so far, that counts as progress."""
+"""Smallest reduction of the distance from the target that counts as progress, relative to the distance so far."""
 STILL_RAD = 1e-10
-"""Motion of a joint below which only rounding errors remain."""
+"""Motion, rad, or rate, rad/s, below which a joint counts as still, because only rounding errors remain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,7 @@ class Run:
     dq: Array
     """Rates of the joints on leaving each configuration, shape (K, n), rad/s.
 
-    The last rates are 0 at a target, the first rates again on a closed path, and those of the last step on an open
-    path.
+    The last row is 0 at a target, the first row again on a closed path, and the rates of the last step on an open path.
     """
     interval_s: float
     """Time from one configuration to the next, seconds."""
@@ -61,7 +60,7 @@ class Run:
     solve_s: Array
     """Computing time of each step, shape (K - 1,), seconds."""
     limits: dict[str, str]
-    """Texts by joint that name the first limit that stopped the joint, and the step, in the order of the steps."""
+    """Text for each joint that a limit stopped, naming the limit and the first such step, in the order of the steps."""
     closed: bool
     """Whether the path was closed."""
     note: str
@@ -97,10 +96,10 @@ class Run:
 
     @cached_property
     def control(self) -> tuple[Array, Array]:
-        """Return rates (rad/s) and accelerations (rad/s²) for a controller, (K, n) each.
+        """Return joint rates, rad/s, and accelerations, rad/s², for a controller, both with the shape (K, n).
 
-        Each sample's rates and accelerations are those of the parabola through it and its neighbours. A closed path is
-        continued periodically; any other path starts at rest.
+        Both are derivatives of the parabola through a sample and its two neighbours. A closed path is continued
+        periodically. Any other path starts at rest.
         """
         q, interval_s = self.q, self.interval_s
         previous = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
@@ -119,7 +118,7 @@ class Run:
 
     @property
     def roughness_rad2(self) -> float:
-        """Return the mean of |q_{k+1} - 2 q_k + q_{k-1}|^2 over the inner configurations; 0 is smoothest."""
+        """Return the mean of |q_{k+1} - 2 q_k + q_{k-1}|^2, rad^2, which is 0 for a perfectly smooth motion."""
         return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:
@@ -137,7 +136,7 @@ class Run:
         }
 
     def measures(self) -> dict[str, Any]:
-        """Return the numbers of the run for the tables."""
+        """Return the measures of the run that the tables of `recon ik` show."""
         if self.driven:
             left_m = float(self.distance_m[-1])
             outcome = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations, "left_m": left_m}
@@ -168,9 +167,9 @@ def drive_to(
     max_iterations: int = 2000,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Drive the end effector from q0 (n,) to a target (dim,).
+    """Drive the end effector from joint angles q0 (n,), rad, to a target (dim,), metres.
 
-    The extended Jacobian first moves to G = 0, and these configurations are not part of the run. If the target is not
+    The run starts where G = 0 with the extended Jacobian, and otherwise at q0 within the limits. If the target is not
     reached, the run's note gives the reason.
     """
     q, target = chain.inside_limits(np.asarray(q0, float)), np.asarray(target_m, float)
@@ -231,7 +230,7 @@ def follow(
     Raises
     ------
     ValueError
-        If the path does not have two or more finite points, or an open path is to be followed several times.
+        If the path does not have two or more finite points, or if an open path is to be followed several times.
     """
     path = np.asarray(path_m, float)
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
@@ -317,7 +316,7 @@ def degree_of_closure(path: Array, is_scaled: bool = True) -> float:
 def _one_interval(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
 ) -> tuple[JointRates, Array, list[int]]:
-    """Return the rates of one interval, the configuration at its end, and the joints that a limit stopped.
+    """Return the joint rates of one interval, the angles (n,) at its end, and the joints that a limit stopped.
 
     The extended Jacobian gets the gain that keeps it at G = 0.
     """

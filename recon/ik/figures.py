@@ -19,7 +19,7 @@ VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
     "xyz": (("side", 0, 2, "forwards (m)", "up (m)"), ("top", 0, 1, "forwards (m)", "to the left (m)")),
 }
-"""Views of the base frames of `recon.ik.chain`: name, the two coordinates, and the labels of their axes."""
+"""Views of each base frame of a chain: name, indices of the two drawn coordinates, and labels of the two axes."""
 _ROOM = 0.06
 _SINGLE = {
     "damped_lambda_m": "lambda (m)",
@@ -27,7 +27,7 @@ _SINGLE = {
     "gradient-projection_k_1_s": "k, differences",
     "transpose_alpha_1_m2": "transpose",
 }
-"""Legend labels of the parameters of methods with a single parameter."""
+"""Legend label of each column of the parameter table that holds a method's only parameter."""
 
 
 def task_space(
@@ -76,9 +76,9 @@ def task_space(
 
 
 def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
-    """Draw the angle (deg) of each joint by method, over the iterations to a target or the time along a path.
+    """Draw the angle of each joint in degrees, over the iterations to a target or the time along a path.
 
-    `names` (n,) are the names of the joints.
+    Every method has a line, and every joint in `names` (n,) has a panel.
     """
     n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
@@ -151,7 +151,7 @@ def _parameter_label(column: str) -> str:
 
 
 def _outcome(move: Run) -> str:
-    """Return why a run failed, in a few words."""
+    """Return in a few words why a run failed, for the legend."""
     if not move.note:
         return ""
     failure = move.note.split(":")[0].split(" (")[0]

@@ -42,16 +42,16 @@ Dim = Literal[2, 3]
 SLOWER = 10
 """Factor by which a stride is followed more slowly than the animal ran it.
 
-The rate limits are those of the animal's joints, and would restrict a method that uses the joints differently. Closures
+The rate limits of the animal's joints would restrict a method that uses the joints differently. The degrees of closure
 do not depend on the factor.
 """
 CONSTANT_VECTOR = "constant-vector"
-"""Name in the parameter tables of gradient projection along a constant vector g."""
+"""Name of gradient projection along a constant vector g in the parameter tables."""
 VECTORS = (CONSTANT_VECTOR, "gradient-projection")
 """Names of the methods whose fitted parameter can be a vector g, with a component for each joint."""
 EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
 LAST = 3
-"""Number of previous frames to which the parameters are refitted at each frame of the stride (online)."""
+"""Number of previous frames to which `--online` refits the parameters at each frame of the stride."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def methods_of(
     cost: Cost | None = None,
     alpha: float | Literal["step"] | None = None,
 ) -> dict[str, Method]:
-    """Return the methods by name (`METHODS`, `EXTENDED`), with standard parameters or those of `fit_parameters`.
+    """Build the requested methods of inverse kinematics, with standard or fitted parameters.
 
     Weights have no standard values, and are always fitted.
 
@@ -140,9 +140,9 @@ def methods_of(
     limb
         The limb that is moved.
     names
-        Names of the requested methods.
+        Names of the requested methods, from `METHODS` and `EXTENDED`.
     parameters
-        Fitted parameters, by method.
+        Fitted parameters of each method, from `fit_parameters`.
     fitted
         Whether to use the fitted parameters instead of the standard ones.
     cost
@@ -163,9 +163,12 @@ def methods_of(
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
-    """Return a cost of `COSTS`, or a weighted sum such as "energy,differences=0.1".
+    """Build a cost from a text that names one of `COSTS`, or a weighted sum such as "energy,differences=0.1".
 
-    Raises InputError if the text names no cost.
+    Raises
+    ------
+    InputError
+        If the text names no cost.
     """
     costs, weights, problems = [], [], []
     for part in text.split(","):
@@ -196,7 +199,7 @@ def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterF
 
 
 def vector_names(joints: Sequence[str]) -> list[str]:
-    """Return names of the components of the vector g for a chain's joints, such as "g1_theta_9"."""
+    """Return the column names of the components of the vector g, one for each joint, such as "g1_theta_9"."""
     return [f"g{k}_{joint}" for k, joint in enumerate(joints, 1)]
 
 
@@ -212,9 +215,10 @@ def fit_parameter_series(
     Returns
     -------
     tuple
-        A table with a row for each frame, and the fitted methods of each frame, by name. The columns are time_s in the
-        clip and, for every method, its parameter (`PARAMETERS`, or a column for each joint, with `vector_names` for g),
-        <method>_best_alpha, and <method>_explained, the fraction of the frame's own rates that is explained.
+        A table with a row for each frame, and the fitted methods: for each method name, a list with one method for each
+        frame. The columns are time_s, the time in the clip, and for every method the parameter (`PARAMETERS`, or a
+        column for each joint, with `vector_names` for g), <method>_best_alpha, and <method>_explained, the explained
+        fraction of the frame's squared joint rates.
 
     Raises
     ------
@@ -264,7 +268,7 @@ def animal_portraits(motion: Motion, limb: Limb, stride: StridePath) -> dict[str
 
 
 def _rates_of(limb: Limb) -> tuple[Frames, Array]:
-    """Return the frames with a pose and their joint rates, and the times (T,) of these frames, s since frame 0."""
+    """Compute joint rates in the frames with a pose, and return both with the times (T,), seconds since frame 0."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
@@ -274,9 +278,10 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """Return the stride of a limb: the given one, that of the analysis for a chain, or the foot's first valid stride.
+    """Choose the stride of a limb: the given stride, or one found in the clip.
 
-    The stride is the same in two and three dimensions. In a clip without a valid stride (`recon.gait.gait`), the foot's
+    For a skeleton that is a chain of links, the stride of the analysis is used, and for a whole animal the foot's first
+    valid stride. The stride is the same in two and three dimensions. In a clip without a valid stride (`recon.gait.gait`), the foot's
     closest return replaces it, for a whole animal within the duration of a stride, or the whole clip.
 
     Raises
@@ -307,7 +312,7 @@ def _path_of(
     """Return the path that a limb's foot follows over a stride.
 
     If no stride is given, the foot's closest return in space with a duration in the given range is used, or the whole
-    clip if the range is None. Raises InputError if the clip shows too little of a stride.
+    clip if the range is None. If the clip shows too little of a stride, InputError is raised.
     """
     try:
         if stride is not None:

@@ -28,45 +28,45 @@ from recon.ik.chain import Curvature, SerialChain, null_basis
 from recon.ik.costs import Cost
 
 INTERVAL_S = 1 / 90
-"""Time that one iteration of `drive_to` and `follow` covers."""
+"""Default duration of one iteration of `drive_to` and `follow`, seconds."""
 SINGULAR = 1e-6
 """Ratio of the smallest to the largest eigenvalue of J J' below which J J' is singular.
 
 The corresponding ratio of the singular values of J is one thousandth.
 """
 LOST = 1e-12
-"""Singular value of J, relative to the largest, below which motion in its direction is lost."""
+"""Singular value of J, relative to the largest, below which the end effector cannot move in that direction."""
 EXTENDED_SINGULAR = 1e-3
 """Ratio of the smallest to the largest eigenvalue of N' M N, in magnitude, below which the matrix is singular."""
 MAX_CORRECTION_RAD = 0.05
-"""Largest correction by the gain in one step.
+"""Largest joint motion by which the gain of the extended Jacobian corrects G in one step, rad.
 
 A longer step along the null space would move the end effector by millimetres, to second order.
 """
 ALL = slice(None)
-"""Selection of all joints as free to move."""
+"""Value of `free` with which all joints may move."""
 Free = Bools | slice
 
 
 class JointRates(NamedTuple):
-    """Joint rates that a method computed."""
+    """Joint rates that a method computed for one step, with a note."""
 
     dq: Array
     """Rates of the joints, rad/s, shape (n,)."""
     singular: bool = False
-    """Whether the rates are damped because the end effector cannot move in some direction."""
+    """Whether the rates were damped because the end effector cannot move in some direction."""
     note: str = ""
-    """Sentence on the rates that were reduced or damped; empty if there were none."""
+    """Sentence that says how the rates were reduced or damped; empty if they were not."""
     along: Array | float = 0.0
-    """Additional rates along the null space, rad/s, which are added as far as the limits allow."""
+    """Rates along the null space, rad/s, to add to `dq` as far as the limits allow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Method(ABC):
-    """A method that computes joint rates, with a factor on all rates."""
+    """Base class of the methods that compute joint rates."""
 
     alpha: float | None = field(default=1.0, kw_only=True)
-    """Factor on the rates; None for <dx, J dq> / |J dq|^2 at every step, for which J dq is nearest to dx."""
+    """Factor on all rates; None for <dx, J dq> / |J dq|^2, which brings J dq nearest to dx at every step."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL) -> JointRates:
         """Return the joint rates at q (n,) for an end-effector velocity dx (dim,)."""
@@ -247,7 +247,7 @@ STANDARD: dict[str, Method] = {
     "damped": damped_least_squares(),
     "selectively-damped": SelectivelyDamped(),
 }
-"""Methods with their standard parameters."""
+"""Each method of inverse kinematics with its standard parameters."""
 
 
 def reduced_gradient(
@@ -317,7 +317,7 @@ def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
 
 
 def _clamped(values: Array, limit: Array) -> Array:
-    """Return values (..., n) scaled down so that the largest magnitude of each row is at most its limit (...)."""
+    """Scale down each row of values (..., n) until its largest magnitude is at most the row's limit (...)."""
     largest = np.abs(values).max(axis=-1)
     factor = np.divide(limit, largest, out=np.ones_like(largest), where=largest > limit)
     return values * factor[..., None]
@@ -347,7 +347,7 @@ def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointR
 
 
 def _share_within(rates: Array, along: Array, limit: Array) -> float:
-    """Return the largest fraction of `along`, up to 1, with which no rate exceeds its limit."""
+    """Return the largest fraction of `along`, up to 1, that can be added to the rates within their limits."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.copysign(limit, along) - rates) / along
         shares = np.where(along != 0, room, np.abs(rates) <= limit)

@@ -13,7 +13,7 @@ from recon.ik.costs import Cost
 from recon.ik.methods import LeastNorm, reduced_gradient, right_inverse
 
 _NULL_STEP_RAD = 0.3
-"""Longest step along the null space."""
+"""Longest step along the null space, rad."""
 _TOLERANCE = 1e-10
 """Largest |G|, relative to 1 + |Hess g|, at which a configuration counts as stationary."""
 _MAX_ITERATIONS = 500
@@ -21,7 +21,7 @@ KINDS = ("minimum", "saddle", "maximum", "degenerate")
 
 
 def joint_names(chain: SerialChain, joints: Iterable[int]) -> str:
-    """Return the names of joints, given by index, as a list in a message."""
+    """Return the names of the joints with the given indices, separated by commas."""
     return ", ".join(chain.names[joint] for joint in joints)
 
 

@@ -1,4 +1,4 @@
-"""Fit the parameters of the methods to given joint rates by least squares over all frames.
+"""Fit the parameters of the inverse-kinematics methods to given joint rates, by least squares over all frames.
 
 The fit minimises the sum of |dq - rates|^2. The rates come from the methods' formulas, without limits. Two conventions
 make the parameters identifiable: diag W has mean 1, and the motion along the null space has k = 1. Frames of several
@@ -33,12 +33,12 @@ from recon.ik.methods import (
 RANGE = (1e-4, 1e2)
 """Search range of lambda (m) and gamma_max (rad); outside it, the rates no longer change or are close to zero."""
 WEIGHT_RANGE = 1e3
-"""Largest ratio of a weight to its starting value."""
+"""Largest factor by which a fitted weight can be above or below its starting value."""
 PULL = 0.01
 """Strength with which the weights of one configuration are drawn towards equal weights.
 
-Otherwise, many sets of weights would explain a single configuration equally well. The value is the residual of a weight
-that is e times the usual one, as a fraction of the norm of the rates.
+Without this pull, many sets of weights would explain a single configuration equally well. The value is the residual of
+a weight that is e times the starting value, as a fraction of the norm of the rates.
 """
 PARAMETERS = {
     "transpose": ("alpha_1_m2",),
@@ -46,12 +46,12 @@ PARAMETERS = {
     "damped": ("lambda_m",),
     "selectively-damped": ("gamma_max_rad",),
 }
-"""Column of the parameter table for each method that has one parameter, by method."""
+"""Column of the parameter table for each method that has a single parameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Joint angles and velocities in T frames of a chain, or of several chains of one kind in a row."""
+    """Joint angles and velocities in T frames of a chain, or of several chains of one kind one after the other."""
 
     q: Array
     """Joint angles, shape (T, n), rad."""
@@ -66,9 +66,12 @@ class Frames:
 
     @classmethod
     def without_gaps(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
-        """Return the frames that have no NaN.
+        """Collect the frames of a chain in which no angle or velocity is NaN.
 
-        Raises ValueError if there are none.
+        Raises
+        ------
+        ValueError
+            If there are no such frames.
         """
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
@@ -85,22 +88,22 @@ class ParameterFit:
 
     method: Method
     parameter: Array
-    """Fitted value of the parameter, shape (p,)."""
+    """Fitted values of the method's p parameters, shape (p,)."""
     rms_rad_s: float
-    """Root mean square of the residuals, rad/s."""
+    """Root mean square of the residual joint rates, rad/s."""
     explained: float
     """Explained fraction of the squared rates (`explained_by`) in the frames of the fit."""
     alpha: float
     """Factor on the method's rates that maximises the explained fraction in the frames of the fit."""
     note: str
-    """Note if a parameter is at the edge of its range or has no effect; empty otherwise."""
+    """Sentence about a parameter at the edge of its range or without effect; empty otherwise."""
 
 
 Fit = Callable[[Frames], ParameterFit]
 
 
 def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
-    """Return functions that fit each method with parameters, and least norm for comparison.
+    """Return a function for each method that fits its parameters, and one for least norm for comparison.
 
     The methods have these parameters:
 

@@ -1,9 +1,9 @@
 """Find a stride, the closed path of an end effector, as a task for inverse kinematics.
 
-Between frames, the end effector relative to the base follows a cubic spline, because the position is continuous while
-the angles can jump between two pairs for the same direction. A stride begins at a frame, where the angles are known,
-and may end between two frames. If a stride of nine frames were cut to whole frames, its duration would be wrong by up
-to a ninth, and the gap would be as wide as the motion of the foot in a frame.
+Between frames, the end effector relative to the base follows a cubic spline, because the position is continuous.
+The angles can jump, because two pairs of angles give the same direction. A stride begins at a frame, where the angles
+are known, and may end between two frames. If a stride of nine frames were cut to whole frames, its duration would be
+wrong by up to a ninth, and the gap would be as wide as the motion of the foot in a frame.
 
 A given stride begins at the frame closest to the given start, such as a touch-down, and has the given duration.
 Otherwise the stride is the nearest return of the end effector to its start (`recon.gait.nearest_return`), or all frames
@@ -59,7 +59,7 @@ def find_stride(
     span_s: tuple[float, float] | None = None,
     duration_range_s: tuple[float, float] | None = (0.0, np.inf),
 ) -> StridePath:
-    """Find the stride of a chain in its joint angles, as described for this module.
+    """Find the stride of a chain in its joint angles, and return it as a closed path of the end effector.
 
     Only the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` is searched.
 
@@ -132,7 +132,12 @@ def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
     """Return the angles (n,) with the end effector at its rearmost position, and its foremost position (dim,), metres.
 
     Forwards is the first axis of the base frame. `q` holds joint angles (K, n), such as those of a stride, NaN if
-    missing. Raises ValueError if no frame is complete.
+    missing.
+
+    Raises
+    ------
+    ValueError
+        If no frame is complete.
     """
     known = q[np.isfinite(q).all(axis=1)]
     if not len(known):
