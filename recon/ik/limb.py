@@ -281,8 +281,9 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     """Choose the stride of a limb: the given stride, or one found in the clip.
 
     For a skeleton that is a chain of links, the stride of the analysis is used, and for a whole animal the foot's first
-    valid stride. The stride is the same in two and three dimensions. In a clip without a valid stride (`recon.gait.gait`), the foot's
-    closest return replaces it, for a whole animal within the duration of a stride, or the whole clip.
+    valid stride. The stride is the same in two and three dimensions. In a clip without a valid stride
+    (`recon.gait.gait`), the foot's closest return is used, or the whole clip. For a whole animal, the return must last
+    about as long as a stride.
 
     Raises
     ------

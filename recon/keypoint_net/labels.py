@@ -33,7 +33,7 @@ from recon.show.plain import picked
 
 SPLIT = "Which pictures"
 OUTSIDE = 0.1
-"""Fraction of the labels that may lie outside their pictures."""
+"""Largest fraction of the labels that may lie outside their pictures; more means that the pictures are wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +93,12 @@ def known_points(xy_px: Array) -> Bools:
 
 
 def resize(picture: Image, scale: float) -> Image:
-    """Return a picture resized to `scaled_size`; pixel (x, y) moves as in `scale_points`."""
+    """Return a picture scaled by a factor to `scaled_size`, so that its points move as in `scale_points`."""
     if scale == 1.0:
         return picture
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
     transform = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
-    if scale < 0.8:  # blurred because each new pixel covers several old ones
+    if scale < 0.8:  # blur first, because each new pixel covers several old pixels
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale), np.uint8)
     return np.asarray(cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
@@ -153,7 +153,7 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
-    # So many points outside cannot be labelling errors, so the labels belong to other pictures.
+    # So many points outside cannot be labelling errors: the labels belong to other pictures.
     if outside.sum() > OUTSIDE * read.labelled.sum():
         i, k = np.argwhere(outside)[0]
         detail = (
@@ -164,10 +164,14 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
-    """Read the labelled points, NaN for missing labels, and the name of each row's image.
+    """Read a label file of DeepLabCut, and return its points, NaN for missing labels, and the name of each row's image.
 
-    A row without an image is named after its number. Raises InputError if the file is not a DeepLabCut table, or if it
-    has no labels.
+    A row without an image is named after its number.
+
+    Raises
+    ------
+    InputError
+        If the file is not a DeepLabCut table, or if it has no labels.
     """
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
@@ -258,7 +262,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
 
 
 def extents_px(xy_px: Array) -> Array:
-    """Return the diagonal (N,), px, of the box around labelled points (N, K, 2); NaN with fewer than two points."""
+    """Return the diagonal (N,), px, of the box around the labels (N, K, 2) of each picture; NaN below two labels."""
     is_known = known_points(xy_px)
     points = np.where(is_known[..., None], xy_px, np.nan)
     extent_px = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
@@ -291,7 +295,7 @@ _OTHER = str.maketrans("lrLR", "rlRL")
 
 
 def _mirrored(name: str) -> Iterator[str]:
-    """Yield possible names of a keypoint's counterpart on the other side; "rl" may mean rear left, or right."""
+    """Yield possible names of a keypoint's counterpart on the other side; either letter of "rl" can be the side."""
     if (opposite := other_side(name)) != name:
         yield opposite
     for leg in _LEG.finditer(name):
@@ -303,15 +307,14 @@ def _mirrored(name: str) -> Iterator[str]:
 PARTS = ("train", "validation", "test")
 """Parts of a split: pictures to train on, to evaluate and calibrate on during training, and to test on at the end."""
 BLOCKS = 10
-"""Smallest number of blocks of consecutive pictures into which the labels are divided; whole blocks are held out.
+"""Minimum number of blocks of consecutive pictures into which the labels are divided. Whole blocks are held out.
 
-Successive pictures look similar, so that a single held-out picture would be almost the same as pictures in the
-training.
+Successive pictures look similar, so a single held-out picture would almost equal a picture of the training.
 """
 
 
 _Choice = float | tuple[int | None, int | None]
-"""Fraction of the pictures, or half-open range of their numbers."""
+"""Choice of pictures: a fraction of them, or a half-open range of frame numbers."""
 
 
 def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
@@ -344,7 +347,7 @@ def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[
 
 
 def frames_by_part(labels: Labels, split: dict[str, Integers]) -> dict[str, dict[str, list[str]]]:
-    """Return the frame numbers of each part and clip as text."""
+    """Return the frame numbers of the pictures as text, for each part of the split and each clip."""
     numbers: dict[str, dict[str, list[str]]] = {part: {} for part in split}
     for part, indices in split.items():
         for c in np.unique(labels.clip[indices]):
@@ -420,8 +423,12 @@ class Evaluate2DSettings(Settings):
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
     """Compare a file of predictions with a label file, and return the scores of `evaluate_2d`.
 
-    `options` are the other fields of `Evaluate2DSettings`. Raises InputError if a file cannot be read, or if the files
-    have no frames or keypoints in common.
+    `options` are the other fields of `Evaluate2DSettings`.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or if the files have no frames or keypoints in common.
     """
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 
@@ -463,7 +470,7 @@ def evaluate_2d(
     likelihood_min: float = 0.5,
     tolerance_px: float = 5.0,
 ) -> dict[str, Any]:
-    """Score predicted points against labels.
+    """Compute the errors and the likelihoods' reliability of predicted points, compared with labels.
 
     Parameters
     ----------
@@ -484,9 +491,9 @@ def evaluate_2d(
     -------
     dict
         `frames` is the number of frames. `all`, `likely` and `swaps_forgiven` are scores (see `_score`) of all points,
-        of the likely points, and with left-right swaps allowed (None if no names differ by side). `per_keypoint` and
-        `likely_per_keypoint` are scores by keypoint. `reliability` is that of the likelihoods (None without
-        likelihoods).
+        of the likely points, and of all points with left-right swaps allowed (None if no names differ by side).
+        `per_keypoint` and `likely_per_keypoint` have the scores of each keypoint. `reliability` compares the
+        likelihoods with the fractions of correct points (None without likelihoods).
     """
     errors, partner = np.linalg.norm(xy_px - label_px, axis=2), sides(names)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
@@ -521,12 +528,12 @@ def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]
 
 
 def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
-    """Return scores of errors (..., K), which are NaN if a point is not labelled or not found.
+    """Summarise the errors (..., K), px, of predicted points, which are NaN if a point is not labelled or not found.
 
-    The scores are the number of labelled `points`; the fraction of these that was `found` (predicted, and likely
-    enough); the RMSE and the median error of the points that were found, px, NaN without any; and the fractions of all
-    labelled points within given distances in px (`pck_px`) and in body lengths (`pck_relative`). A point that was not
-    found counts as wrong.
+    The summary has the number of labelled `points`; the fraction of these that was `found` (predicted, and likely
+    enough); the RMSE and the median error of the found points, px, NaN without any; and the fractions of all labelled
+    points with errors up to `PCK_PX` (`pck_px`) and `PCK_RELATIVE` (`pck_relative`). A point that was not found counts
+    as wrong.
     """
     n = int(labelled.sum())
     found_errors = errors[labelled & np.isfinite(errors)]

@@ -2,18 +2,18 @@
 
 An encoder of residual blocks reduces the picture to 1/32 of its size, and a decoder enlarges the result to 1/4
 (`STRIDE`). All layers are convolutions, so pictures may have any size. The network has about 2.7 million parameters for
-any number of keypoints. For an animal that is large in the pictures there are two networks: one for the whole animal in
-small pictures, and one for the surroundings of each of its points at full size.
+any number of keypoints. If the animal is large in the pictures, there are two networks: one for the whole animal in
+small pictures, and one for the part of the picture that contains the points, at full size.
 
 A softmax over the grid turns a keypoint's scores into probabilities. The point is at the maximum of the probability
 after a small blur (`BLUR` cells), so that a broad peak wins over a sharp peak with less total probability. Between
-cells of the grid, the position of the maximum is that of a parabola through the logarithm of the blurred probability at
-the peak and its neighbours. The parabola is exact for a Gaussian, which is the shape that the network is trained on.
+cells of the grid, the maximum is found by a parabola through the logarithm of the blurred probability at the peak and
+its neighbours. The parabola is exact for a Gaussian, which is the shape that the network is trained on.
 The raw likelihood is the probability within the tolerance of the point.
 
 A network is overconfident in pictures that it was trained on. Therefore the likelihoods are calibrated on the
 validation pictures. A logistic function of the raw likelihood's logit is fitted to whether points are correct, that is,
-within the tolerance of their labels. The calibrated likelihood is then the fraction of such points that are correct.
+within the tolerance of their labels. Of the points with a calibrated likelihood of 0.8, about 80 % should be correct.
 
 The optional package torch is imported only in the functions that need it.
 
@@ -68,19 +68,22 @@ CHANNELS = 6
 GREY = 115.0
 """Grey level, 0 to 255, that becomes 0 in the network's input."""
 SPREAD = 64.0
-"""Difference from `GREY` that becomes 1 in the network's input."""
+"""Difference from `GREY`, in grey levels, that becomes 1 in the network's input."""
 DIFFERENCE = 64.0
-"""Difference from the background that becomes 1 in the network's input."""
+"""Difference from the background, in grey levels, that becomes 1 in the network's input."""
 STRIDE = 4
 """Pixels between neighbouring cells of the grid; cell (0, 0) is at pixel (0, 0)."""
 WIDTHS = (16, 32, 64, 128, 192)
-"""Number of channels at 1/2, 1/4, ... 1/32 of the picture's size."""
+"""Number of channels of the first stage at 1/2, 1/4, ... 1/32 of the picture's size."""
 BLOCKS = (0, 1, 2, 2, 2)
-"""Number of residual blocks at 1/2, 1/4, ... 1/32 of the picture's size."""
+"""Number of residual blocks of the first stage at 1/2, 1/4, ... 1/32 of the picture's size."""
 SECOND_WIDTHS = (16, 32, 64, 96)
-"""Numbers of channels of the second stage, which sees parts of a large animal at full size and needs less context."""
+"""Number of channels of the second stage at 1/2, 1/4, ... 1/16 of the picture's size.
+
+The second stage sees parts of a large animal at full size, and needs less context than the first.
+"""
 SECOND_BLOCKS = (0, 1, 2, 2)
-"""Numbers of residual blocks of the second stage."""
+"""Number of residual blocks of the second stage at 1/2, 1/4, ... 1/16 of the picture's size."""
 HEAD = 48
 """Number of channels at 1/4 of the picture's size from which the scores are computed."""
 
@@ -91,15 +94,15 @@ LEAST_SIGMA = 0.15
 BLUR = 0.8
 """Standard deviation of the blur of the probability, in cells of the grid."""
 FAR = 4.0
-"""Largest distance from a point, in cells, in `variance`; larger distances are clipped to this value."""
+"""Largest distance from a point, in cells, that `variance` uses; larger distances are clipped to this value."""
 _REACH = 3
-"""Number of cells on each side over which the blur extends."""
+"""Number of cells on each side of a cell over which the blur extends."""
 NOWHERE = -1e4
-"""Score of the cells outside a keypoint's window."""
+"""Score of the cells outside a keypoint's search window, low enough for a probability of 0."""
 MARGIN_PX = 32
-"""Margin around the windows of the second stage, so that the network sees their surroundings."""
+"""Margin around the search windows of the second stage, pixels, so that the network sees their surroundings."""
 SURE = 0.05
-"""Raw likelihood above which a point has to be inside the part of a picture that the second stage sees."""
+"""Raw likelihood above which a point of the first stage must be inside the part that the second stage sees."""
 
 _EDGE = 1e-4
 """Margin to which raw likelihoods are kept away from 0 and 1, so that their logits are finite."""
@@ -114,10 +117,7 @@ THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more"
 
 
 def require_torch() -> ModuleType:
-    """Import and return the package torch.
-
-    Raises InputError with the command that installs torch if it is missing.
-    """
+    """Import and return the package torch; raise InputError with the command that installs it if it is missing."""
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -160,7 +160,7 @@ def fast_half(device: torch.device) -> torch.dtype | None:
 
 
 def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ...]) -> torch.nn.Module:
-    """Return a network with random weights.
+    """Build one stage of a network with random weights.
 
     The network maps (B, CHANNELS, H, W) to scores (B, keypoints, ceil(H / 4), ceil(W / 4)).
     """
@@ -211,9 +211,9 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
 
 
 def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
-    """Return a network of one or two stages with random weights.
+    """Build a network of one or two stages with random weights.
 
-    A network of two stages is a module dict of `first`, for the whole animal, and `second`, for parts of the animal.
+    A network of two stages is a `ModuleDict` of `first`, for the whole animal, and `second`, for parts of the animal.
     """
     first = build_network(keypoints, WIDTHS, BLOCKS)
     if not two_stages:
@@ -233,7 +233,7 @@ def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module
 
 
 def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
-    """Return the network's input (B, 6, H, W) for pictures (B, H, W, 3) with one background, or one per picture."""
+    """Convert pictures (B, H, W, 3), with one background or one per picture, to the network's input (B, 6, H, W)."""
     torch = require_torch()
     x = torch.from_numpy(pictures).to(device).float()
     backgrounds = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
@@ -245,12 +245,12 @@ Window = tuple["torch.Tensor", float]
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
-    """Return a mask (B, K, h, w) of the cells in the window, empty for a NaN keypoint."""
+    """Return a mask (B, K, h, w) of the cells inside the window of each keypoint, empty if its centre is NaN."""
     return _distance2(window[0], size) <= window[1] ** 2
 
 
 def _distance2(xy: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
-    """Return the squared distance (B, K, h, w) of each cell from points (B, K, 2)."""
+    """Return the squared distance (B, K, h, w) of each cell from points (B, K, 2), in cells squared."""
     import torch  # pyright: ignore[reportMissingImports]
 
     rows, columns = (torch.arange(n, dtype=torch.float32, device=xy.device) for n in size)
@@ -259,7 +259,7 @@ def _distance2(xy: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
 
 
 def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.Tensor:
-    """Return probabilities (B, K, h, w), float32, that add up to 1 over the grid of each keypoint."""
+    """Convert scores to probabilities (B, K, h, w), float32, that add up to 1 over the grid of each keypoint."""
     scores = scores.float()
     if window is not None:
         scores = scores.masked_fill(~_inside(window, scores.shape[2:]), NOWHERE)
@@ -267,7 +267,7 @@ def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.T
 
 
 def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return points (B, K, 2) in cells of the grid, and the probability (B, K) within `tolerance` cells."""
+    """Return points (B, K, 2), cells of the grid, and the probability (B, K) within `tolerance` cells of each point."""
     import torch  # pyright: ignore[reportMissingImports]
 
     b, k, h, w = probability.shape
@@ -292,7 +292,7 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
     y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     xy = torch.stack([x, y], dim=1).view(b, k, 2)
-    # A cell at the edge of the circle of tolerance counts in part.
+    # A cell at the edge of the tolerance circle counts in part.
     share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
     return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
 
@@ -342,7 +342,7 @@ def calibrated(raw: Array, calibration: Calibration | None) -> Array:
 
 
 def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
-    """Fit the calibration to raw likelihoods (N,) and a mask (N,) of correct points; None without points.
+    """Fit the calibration to raw likelihoods (N,) and a mask (N,) of correct points, or return None without points.
 
     The fit is by maximum likelihood with a weak prior on slope and offset, which keeps both finite if all points are
     correct.
@@ -366,18 +366,18 @@ _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
 
 @dataclass(frozen=True)
 class Spec:
-    """Description of a network that is stored with its weights."""
+    """Description of a trained network, stored with the network's weights."""
 
     names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     """Names of the keypoints."""
     scale: Annotated[float, Field(gt=1e-3, lt=1e3)]
-    """Size of the network's pictures relative to the clip's."""
+    """Scale of the network's pictures relative to the clip's pictures."""
     body_length_px: _Pixels
-    """Length of the animal in the labelled pictures, before scaling."""
+    """Length of the animal in the labelled pictures before scaling, pixels."""
     tolerance_px: _Pixels
-    """Largest distance of a correct point from its label in the labelled pictures, before scaling."""
+    """Largest distance of a correct point from its label in the labelled pictures before scaling, pixels."""
     first: Annotated[float, Field(gt=1e-3, le=1)] = 1.0
-    """Size of the first stage's pictures relative to the network's; 1 if there is only one stage."""
+    """Scale of the first stage's pictures relative to the network's pictures; 1 if there is only one stage."""
     calibration: Calibration | None = None
 
     @property
@@ -421,9 +421,9 @@ class TrainedNetwork:
     def _refined(
         self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None
     ) -> Array:
-        """Return points (B, K, 2) from both stages, weighted by their variances.
+        """Refine the points (B, K, 2) of the first stage by the second stage, weighting both by their variances.
 
-        The second stage sees the part of each picture that contains most points. The first stage's points outside this
+        The second stage sees the part of each picture that contains the likely points. The first stage's points outside this
         part are kept.
         """
         low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_cells + MARGIN_PX, pictures[0].shape[1::-1])
@@ -460,10 +460,10 @@ class TrainedNetwork:
 def part_of(
     xy_px: Array, raw: Array, margin_px: float, size_px: Sequence[int]
 ) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Return the part of pictures of `size_px` that contains the likely points among points (B, K, 2).
+    """Return a part of each picture that contains the picture's likely points among points (B, K, 2).
 
-    The result is the part's first pixel in each picture (B, 2), and its size (width, height), which is the same in all
-    pictures.
+    The result is the first pixel of the part in each picture, (B, 2), and the size (width, height) of the part, px,
+    which is the same in all pictures.
     """
     sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
@@ -475,7 +475,7 @@ def part_of(
 
 
 def to_cells(xy_px: Array, device: torch.device) -> torch.Tensor:
-    """Convert points in pixels to points in cells of the grid."""
+    """Convert points (..., 2) from pixels of a stage's picture to cells of its grid."""
     return require_torch().from_numpy((xy_px / STRIDE).astype(np.float32)).to(device)
 
 
@@ -488,10 +488,7 @@ def save_torch(content: dict[str, Any], path: Path) -> None:
 
 
 def model_file(folder: Path) -> Path:
-    """Return the path of a folder's network file.
-
-    Raises InputError if the folder has none.
-    """
+    """Return the path of a folder's network file; raise InputError if there is none."""
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
         expected = f"the {MODEL_FILE} of a folder written by `recon train`"
@@ -500,10 +497,7 @@ def model_file(folder: Path) -> Path:
 
 
 def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
-    """Load the network that `recon train` wrote into a folder.
-
-    Raises InputError if the file cannot be used.
-    """
+    """Load the network that `recon train` wrote into a folder; raise InputError if its file cannot be used."""
     path = model_file(folder)
     content = load_torch(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -525,14 +519,11 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
 
 
 MAX_PICKLE_BYTES = 1 << 22
-"""Maximum size of the part of a torch file that contains names and sizes, which is unpickled."""
+"""Maximum size in bytes of the part of a torch file that is unpickled, which contains names and sizes."""
 
 
 def load_torch(path: Path) -> dict[str, Any]:
-    """Load numbers and plain types saved by torch.
-
-    Raises InputError for damaged files and other kinds of files.
-    """
+    """Load numbers and plain types from a torch file; raise InputError if it is damaged or of another kind."""
     torch = require_torch()
     try:
         # torch writes zip archives, and raises almost any exception for other or damaged files.
@@ -550,18 +541,18 @@ WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 
 
 LIKELY = 0.5
-"""Likelihood below which points are drawn as rings in the overlay."""
+"""Likelihood below which points are drawn as rings in the overlay video."""
 PIXELS = 2**20
 """Maximum number of pixels in a batch, at the network's scale."""
 WAITING = 2
-"""Number of batches to decode ahead."""
+"""Number of batches of video frames to decode ahead of the network."""
 LOST_SHARE = 0.01
 """Largest fraction of a video's stated frames that may be missing before the video counts as damaged.
 
 If fewer are missing, the number in the header counts as wrong.
 """
 LOST_FRAMES = 3
-"""Number of a short video's stated frames that may be missing."""
+"""Number of stated frames that may be missing, however short the video is."""
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
 """Numbers of consecutive frames, their time stamps (s), their pictures at the network's scale, and the original
@@ -593,8 +584,13 @@ def run_prediction(
 ) -> Keypoints:
     """Run `recon predict`, which writes a keypoint file in DeepLabCut's layout, and return the keypoints.
 
-    `options` are the other fields of `PredictSettings`. Raises InputError for invalid input before anything is written,
-    and after the prediction if too many frames cannot be decoded.
+    `options` are the other fields of `PredictSettings`.
+
+    Raises
+    ------
+    InputError
+        If the input is invalid, before anything is written, or if too many frames cannot be decoded, after the
+        prediction.
     """
     s = PredictSettings(video=video, model=model, out=out, **options)
     output = output or output_file(out, "predict", s.overwrite, input_paths(s))
@@ -617,9 +613,12 @@ def _overlay_output(s: PredictSettings, overlay: Path) -> Output:
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
-    """Return the network's points in every frame of a video, not smoothed, with calibrated likelihoods.
+    """Find the keypoints in every frame of a video, without smoothing, with calibrated likelihoods.
 
-    Raises InputError if too many frames cannot be decoded.
+    Raises
+    ------
+    InputError
+        If too many frames cannot be decoded.
     """
     video, spec = settings.video, trained.spec
     info = probe(video)

@@ -30,42 +30,45 @@ from recon.io.video import Image, probe, read_frames
 from recon.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
 
 NETWORK_LENGTH_PX = 120.0
-"""Length of the animal in the network's pictures. Clips are scaled to this length unless their animal is about as long.
+"""Length of the animal in the network's pictures, pixels.
+
+Clips are scaled to this length unless their animal is about as long.
 """
 FULL_LENGTH_PX = 480.0
-"""Largest length of the animal in the pictures of a second stage. Labels are not precise enough for larger pictures to
-help.
+"""Largest length of the animal in the pictures of a second stage, pixels.
+
+Labels are not precise enough for larger pictures to help.
 """
 TWO_STAGES = 1.5
 """Length of an animal, relative to NETWORK_LENGTH_PX, above which the network works in two stages.
 
-The first stage locates the animal in small pictures; the second refines its points at full size.
+The first stage locates the animal in small pictures. The second stage refines the points at full size.
 """
 PART_PX = (128, 128)
-"""Size of training pictures of the second stage."""
+"""Width and height of the second stage's training pictures, pixels."""
 OFF = 0.75
 """Largest simulated error of the first stage in training, as a fraction of the radius of the second stage's window."""
 CROP = 1.4
-"""Size of training pictures, relative to the animal's length."""
+"""Width and height of training pictures, relative to the animal's length."""
 MARGIN = 0.12
 """Margin around the animal's labelled points, relative to the animal's length."""
 NO_BACKGROUND = 0.2
 """Fraction of the training pictures without the difference from the background."""
 AHEAD = 3
-"""Number of batches that are made in advance."""
+"""Number of batches that the thread makes in advance."""
 
 LEAST_PICTURES = 8
-"""Smallest number of pictures from which a background is computed."""
+"""Minimum number of pictures required to compute a background."""
 MOST_PICTURES = 60
-"""Largest number of pictures from which a background is computed."""
+"""Maximum number of pictures from which a background is computed."""
 MOST_BYTES = 2**28
 """Maximum memory for a video's pictures, bytes."""
 STILL_LEVELS = 12.0
 """Largest difference of a still pixel from the background, in grey levels."""
 STILL_SHARE = 0.6
-"""Smallest fraction of still pixels in a picture if the camera is still."""
+"""Fraction of still pixels in a picture above which the camera counts as still."""
 MOVED_LEVELS = 22.0
-"""Smallest difference between the animal and the background, in grey levels, in at least one colour."""
+"""Difference from the background, in grey levels of any colour, above which a pixel belongs to the animal."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Augmentation:
     """
 
     rotation_deg: float = 20.0
-    """Largest rotation to either side."""
+    """Largest rotation to either side, degrees."""
     scale: tuple[float, float] = (0.6, 1.6)
     """Smallest and largest factor by which the size changes."""
     stretch: float = 0.12
@@ -115,7 +118,7 @@ class Example:
     mask: Image | None
     """Mask of the animal's pixels, 0 to 255, shape (h, w); None if the camera moves."""
     xy_px: Array
-    """Labelled points, NaN where missing, shape (K, 2)."""
+    """Labelled points, pixels, NaN where missing, shape (K, 2)."""
     length_px: float
     """Length of the animal in pixels."""
     part: bool = False
@@ -125,7 +128,10 @@ class Example:
 def augment(
     example: Example, size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[Image, Image | None, Array]:
-    """Return a new picture of `size_px` (width, height), its background, and its points (K, 2), NaN if outside."""
+    """Make a training picture of `size_px` (width, height), and return it with its background and points (K, 2).
+
+    Points, px, are NaN if they are outside the picture.
+    """
     partner = options.partner if options.partner is not None and rng.random() < 0.5 else None
     transform = _affine(example, size_px, options, partner is not None, rng)
     picture = _warp(example.picture, transform, size_px)
@@ -169,7 +175,7 @@ def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
 def _affine(
     example: Example, size_px: tuple[int, int], options: Augmentation, mirrored: bool, rng: np.random.Generator
 ) -> Array:
-    """Return an affine map (2, 3) that moves the animal's middle, or one of its points, to a random pixel."""
+    """Return a random affine map (2, 3) that moves the animal's middle, or one of its points, to a random pixel."""
     points = example.xy_px[known_points(example.xy_px)]
     height, width = example.picture.shape[:2]
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) if len(points) else rng.uniform(0, [width, height])
@@ -291,7 +297,7 @@ def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: floa
         region = cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     moved = (cv2.absdiff(picture, background).max(axis=2) > MOVED_LEVELS).astype(np.uint8) * 255
     moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), region)
-    # Holes are filled where the animal looks like the background. The space between its legs is not filled, because it
+    # Fill holes where the animal looks like the background. The space between the legs stays empty, because the space
     # is open to the ground.
     gap = 2 * max(1, round(0.25 * margin_px)) + 1
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
@@ -305,7 +311,7 @@ T = TypeVar("T")
 
 
 def prefetched(items: Generator[T], count: int) -> Generator[T]:
-    """Yield the items of a generator, which a thread makes up to `count` items ahead; no item may be None."""
+    """Yield the items of a generator that runs in a thread, up to `count` items ahead; no item may be None."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as executor:
         waiting = deque(executor.submit(next, items, None) for _ in range(count))
         try:
@@ -324,7 +330,7 @@ NaN if not labelled or outside; and centres (B, K, 2) of the second stage's wind
 
 
 def network_scales(xy_px: Array) -> tuple[float, float]:
-    """Return the scale of the network's last stage, and the first stage's scale relative to the last.
+    """Return the scale of the network's last stage, and the scale of the first stage relative to the last.
 
     The second value is 1 if there is only one stage. `xy_px` holds labels (N, K, 2).
     """
@@ -351,7 +357,7 @@ def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
 
 
 def examples_of(labels: Labels, clip_backgrounds: tuple[Image | None, ...]) -> list[Example]:
-    """Return an example for each labelled picture, with the background of its clip."""
+    """Return an `Example` for each labelled picture, with the background of the picture's clip."""
     length = body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX
     examples = []
@@ -368,7 +374,7 @@ def make_batch(
     examples: Sequence[Example], size_px: tuple[int, int], options: Augmentation, size: int, seed: int, step: int,
     pool: Integers, off_px: float = 0.0,
 ) -> Batch:  # fmt: skip
-    """Return the batch of a step, which depends only on the seed, the step and the pictures in the pool.
+    """Make the batch of a training step, which depends only on the seed, the step and the pictures in the pool.
 
     `off_px` is the largest distance of the second stage's windows from their points, 0 for the first stage.
     """

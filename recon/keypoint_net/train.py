@@ -1,4 +1,4 @@
-"""Train a network on labelled pictures (`recon train`).
+"""Train a keypoint network on labelled pictures (`recon train`).
 
 The optimiser is AdamW. In the first part of a run, the network learns from the training pictures, and is evaluated and
 its likelihoods are calibrated on the validation pictures. In the last part, from `FINISH` on, it learns from both, so
@@ -68,7 +68,7 @@ WARM_UP = 0.04
 EVALUATIONS = 30
 """Number of evaluations in a run."""
 MOST_AVERAGED = 300.0
-"""Maximum number of steps over which the weights are averaged; fewer at the beginning."""
+"""Maximum number of steps over which the weights are averaged; the average is shorter at the beginning."""
 TRAINING = "Training"
 
 
@@ -110,7 +110,7 @@ class TrainRunSettings(data.LabelSource, TrainSettings):
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """Inputs of a run that do not change, with pictures at the network's scale."""
+    """Fixed inputs of a training run, with pictures at the network's scale."""
 
     settings: TrainSettings
     spec: net.Spec
@@ -123,7 +123,7 @@ class TrainingRun:
 
 @dataclass
 class State:
-    """State of the training, which changes from step to step."""
+    """State of a training run, which changes from step to step."""
 
     network: torch.nn.Module
     average: torch.nn.Module
@@ -132,12 +132,12 @@ class State:
     share: float = 0.0
     """Fraction of the run that is done, which determines the learning rate."""
     seconds: float = 0.0
-    """Total time of the run, including the time before it was resumed, s."""
+    """Total duration of the run, including the time before it was resumed, seconds."""
     calibration: net.Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
     """Calibrated likelihoods of the labelled validation points, and whether each of these points is correct."""
     history: list[dict[str, float]] = field(default_factory=list)
-    """Losses, errors and times, one row for each evaluation."""
+    """Loss, error and time at each evaluation."""
     losses: list[float] = field(default_factory=list)
     """Losses of the steps since the last evaluation."""
     threads: int = 0
@@ -244,7 +244,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
 
 
 def schedule(share: float) -> float:
-    """Return the learning rate, relative to the highest, at a fraction of the run.
+    """Return the learning rate, relative to the highest rate, after a fraction `share` of the run.
 
     After a warm-up the rate follows a cosine, then another cosine in the last part. The rate is almost 0 at the
     calibration and at the end.
@@ -262,7 +262,7 @@ def _cosine(share: float) -> float:
 def _learn(
     state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: torch.dtype | None
 ) -> float:
-    """Take an optimiser step with a batch for each stage, update the averaged weights, and return the loss."""
+    """Take an optimiser step with one batch per stage, update the averaged weights, and return the loss."""
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
@@ -312,9 +312,16 @@ def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
 
 
 def judge(trained: net.TrainedNetwork, run: TrainingRun, indices: Integers) -> tuple[Array, Array, Array]:
-    """Return errors (n, K), NaN without a label, raw likelihoods (n, K) and points (n, K, 2) in some pictures.
+    """Find the keypoints in n pictures, and compare them with the labels.
 
-    Errors and points are in pixels of the clip.
+    Returns
+    -------
+    errors_px : (n, K)
+        Distances of the points from the labels in pixels of the clip, NaN without a label.
+    raw : (n, K)
+        Raw likelihoods of the points.
+    xy_px : (n, K, 2)
+        Points in pixels of the clip.
     """
     xy, raw = np.zeros((len(indices), len(run.spec.names), 2)), np.zeros((len(indices), len(run.spec.names)))
     for c in np.unique(run.scaled.clip[indices]):
@@ -356,9 +363,9 @@ def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
-    """Return the state of the training stored in a folder's checkpoint.
+    """Load the state of a training run from a folder's checkpoint.
 
-    Raises InputError if keypoints, settings or pictures differ from those of the run.
+    If the keypoints, settings or pictures of the checkpoint differ from those of the run, InputError is raised.
     """
     path = out / CHECKPOINT_FILE
     content = net.load_torch(path)
@@ -386,36 +393,40 @@ def _resumed(run: TrainingRun, out: Path) -> State:
 
 
 WORST = 6
-"""Largest number of pictures in worst.png."""
+"""Maximum number of pictures in worst.png."""
 LEAST_WIDTH_PX = 560
-"""Minimum width of the pictures; smaller pictures are enlarged."""
+"""Minimum width of a picture in worst.png, pixels; smaller pictures are enlarged."""
 LABEL = (255, 255, 255)
-"""Colour (blue, green, red) of labels."""
+"""Colour (blue, green, red) of labels in worst.png."""
 LINE = (60, 60, 230)
-"""Colour (blue, green, red) of the lines from labels to predictions."""
+"""Colour (blue, green, red) of the lines from labels to predictions in worst.png."""
 FAR = 0.2
 """Distance of a label from the network's point, in body lengths, above which the label is suspicious."""
 APART = 0.15
-"""Excess over the usual distance from the other labels, in body lengths, above which a label is suspicious."""
+"""Excess of a label's distance from the other labels over the usual distance, in body lengths, that is suspicious."""
 REASONS = {
     "network": "body lengths from the network's point",
     "others": "body lengths farther from every other label than usual",
 }
 LEARNED = 5.0
-"""Distance of a label from the network's point, relative to the keypoint's median, that a suspicious label exceeds.
+"""Distance of a label from the network's point above which a label is suspicious, relative to the keypoint's median.
 
-A large median means that the network has not learned the keypoint.
+The distance must also exceed `FAR`. A large median means that the network has not learned the keypoint.
 """
 FITS = 2.0
-"""Largest median error in the pictures that a network learned from, relative to the tolerance. A network with larger
-errors is not used to find suspicious labels.
+"""Largest median error in the training pictures with which a network can find suspicious labels.
+
+The error is relative to the tolerance of a correct point.
 """
 USUAL_MINUTES = 15.0
-"""Time on two cores in which a useful network is trained."""
+"""Time in which two cores train a useful network, minutes."""
 USUAL_STEPS = 1000
-"""Number of steps of a useful network (`python benchmarks/net.py --only circle`: 1.1 px with `USUAL_PICTURES`)."""
+"""Number of training steps of a useful network.
+
+With `USUAL_PICTURES`, the network has an error of 1.1 px in `python benchmarks/net.py --only circle`.
+"""
 USUAL_PICTURES = 40
-"""Number of labelled pictures of a useful network, in the same benchmark."""
+"""Number of labelled pictures of a useful network, in the benchmark of `USUAL_STEPS`."""
 MEASURED_ERRORS = (
     (5, "on a made-up film, of an animal 101 px long", "1.8 px"),
     (10, "on a made-up film, of an animal 101 px long", "1.2 px"),
@@ -424,13 +435,14 @@ MEASURED_ERRORS = (
     (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
     (150, "on a video of a horse, in a different light from that of the labels", "3.1 px"),
 )
-"""Number of labelled pictures, film and animal, and median error in pictures without labels, in ascending order (from
-the tables of docs/net.md, `python benchmarks/net.py --only circle labels large horse`).
+"""Number of labelled pictures, film and animal, and median error in pictures without labels, in ascending order.
+
+The values come from the tables of docs/net.md (`python benchmarks/net.py --only circle labels large horse`).
 """
 USUAL = 0.95
-"""Quantile of the distance between two keypoints that counts as the largest usual distance."""
+"""Quantile of the distances between two keypoints that counts as their largest usual distance."""
 MOST = 30
-"""Largest number of suspicious labels in the report."""
+"""Maximum number of suspicious labels in the report."""
 
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
@@ -444,7 +456,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         for name, indices in split.items()
         if len(indices)
     }
-    # The likelihoods are those of the calibrated network, before it learned from the validation pictures.
+    # These likelihoods come from the calibrated network, before it learned from the validation pictures.
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     learned = np.concatenate([split["train"], split["validation"]])
     learned_px = median(errors[learned])
@@ -484,7 +496,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
 
 
 def _suspects_among(learned: Integers, run: TrainingRun, xy_px: Array) -> list[dict[str, Any]]:
-    """Return the suspicious labels in the pictures, given by index, that the network learned from.
+    """Return the suspicious labels in the pictures with indices `learned`, which the network learned from.
 
     In other pictures, a disagreement may be an error of the network.
     """
@@ -494,7 +506,7 @@ def _suspects_among(learned: Integers, run: TrainingRun, xy_px: Array) -> list[d
 
 
 def _validation_fields(history: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the best error in held-out pictures, and the step from which the network also learned from them."""
+    """Return the best error in the validation pictures, and the step from which the network also learned from them."""
     before_finish = [row for row in history if "finishing" not in row]
     held_out = [row for row in before_finish if "validation_px" in row]
     best = min(held_out, key=lambda row: row["validation_px"], default=None)
@@ -507,7 +519,7 @@ def _validation_fields(history: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _errors_of_part(
     run: TrainingRun, spec: net.Spec, indices: Integers, xy_px: Array, likelihood: Array
 ) -> dict[str, Any]:
-    """Return the scores of predictions in some pictures, with distances relative to the animal's length in them."""
+    """Return the scores of predictions in some pictures, relative to the animal's length in these pictures."""
     truth = run.labels.xy_px[indices]
     length_px = median(data.extents_px(truth))
     length_px = length_px if np.isfinite(length_px) else spec.body_length_px
@@ -618,7 +630,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
     labels : Labels
         N pictures of K keypoints.
     xy_px : ndarray
-        The network's points in pixels of the clip, shape (N, K, 2), NaN in pictures that it has not learned from.
+        The network's points in pixels of the clip, shape (N, K, 2), NaN in pictures outside the training.
     length_px : float
         Length of the animal, px.
 
@@ -626,8 +638,8 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
     -------
     list of dict
         `image`, `keypoint`, `x_px` and `y_px` describe the label. `network` is the distance from the network's point,
-        and `others` the excess over the usual distance from the other labels, in body lengths (NaN if unknown). `rank`
-        is the sum of those that exceed their limits. `reasons` states the reasons in words.
+        and `others` is the excess over the usual distance from the other labels, both in body lengths (NaN if unknown).
+        `rank` is the sum of the values that exceed their limits. `reasons` states the reasons in words.
     """
     clues = {
         "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
@@ -646,7 +658,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
-    """Return the smallest excess (N, K), px, of a label's distances from the other labels over the usual ones."""
+    """Return the smallest excess (N, K), px, of a label's distance from another label over the usual distance."""
     n, k = xy_px.shape[:2]
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan
