@@ -423,8 +423,8 @@ class TrainedNetwork:
     ) -> Array:
         """Refine the points (B, K, 2) of the first stage by the second stage, weighting both by their variances.
 
-        The second stage sees the part of each picture that contains the likely points. The first stage's points outside this
-        part are kept.
+        The second stage sees the part of each picture that contains the likely points. The points of the first
+        stage outside this part are kept.
         """
         low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_cells + MARGIN_PX, pictures[0].shape[1::-1])
         parts = [(slice(y, y + size[1]), slice(x, x + size[0])) for x, y in low]
