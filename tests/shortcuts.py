@@ -36,7 +36,7 @@ EMPTY_FILES = {"png": b64decode(PIXEL), "svg": b'<svg xmlns="http://www.w3.org/2
 
 
 def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let `recon demo` take its fit from `whole_results` and make no page; `test_demo` does both."""
+    """Let `recon demo` take its fit from `whole_results` and make no page; the test of `recon demo` does both."""
 
     def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))

@@ -49,7 +49,7 @@ def fit(clips: list[Clip], out: Path, overwrite: bool = False) -> list[tuple[str
     return [(planned.action, planned.reason) for planned in plan]
 
 
-def test_finished_clips_are_known_by_their_content(clips, tmp_path):
+def test_finished_clips_are_recognised_by_content(clips, tmp_path):
     out, one = tmp_path / "out", clips / "a.csv"
     camera = shutil.copy(CAMERA, tmp_path / "camera.toml")
     assert fit(found(one, camera=camera), out) == [("new", "")]
@@ -91,7 +91,7 @@ def test_finished_clips_are_known_by_their_content(clips, tmp_path):
     assert planned(fps=60) == ("done", "")
 
 
-def test_corrections_in_a_clip_s_folder_are_fitted(clips, tmp_path):
+def test_corrections_in_a_clip_s_folder_are_used(clips, tmp_path):
     out, clip = tmp_path / "out", found(clips / "a.csv")
     (out / "a").mkdir(parents=True)
     (out / "a" / "corrections.csv").write_text("frame,keypoint,now_x_px,now_y_px\n3,nose,,\n")
@@ -100,7 +100,7 @@ def test_corrections_in_a_clip_s_folder_are_fitted(clips, tmp_path):
     assert "corrections" in planned.identity["inputs"]
 
 
-def test_another_version_does_not_count(clips, tmp_path):
+def test_results_of_another_version_are_fitted_again(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     record = out / RECORD
@@ -108,7 +108,7 @@ def test_another_version_does_not_count(clips, tmp_path):
     assert plan_batch(found(clips / "a.csv"), out)[0].reason == "changed: version of recon"
 
 
-def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
+def test_a_killed_fit_is_not_finished(clips, tmp_path):
     """A fit that was killed between the arrival of its results and the end of the record is not finished."""
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
@@ -120,7 +120,7 @@ def test_a_fit_that_was_killed_is_not_finished(clips, tmp_path):
     assert fit(found(clips / "a.csv"), out) == [("done", "")]
 
 
-def test_results_of_others_are_left_alone(clips, tmp_path):
+def test_results_from_outside_the_batch_are_refused(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     run_clip(FitSettings(keypoints=clips / "b.csv", **QUICK), out / "b")  # a fit outside the batch
@@ -136,7 +136,7 @@ def test_results_of_others_are_left_alone(clips, tmp_path):
     assert [p.reason for p in plan_batch(found(clips), out, overwrite=True)] == ["--overwrite"] * 3
 
 
-def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
+def test_files_added_after_the_fit_cause_no_new_fit(clips, tmp_path):
     """A clip is not fitted again after files are added to its results, but it is if results are missing.
 
     Results that somebody changed are not touched.
@@ -157,7 +157,7 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
     assert (out / "a" / "pose3d.csv").read_bytes() == table
 
 
-def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monkeypatch):
+def test_a_folder_in_use_by_another_process_is_refused(clips, tmp_path, monkeypatch):
     monkeypatch.setattr("recon.api.batch.DYING_S", 0.0)
     out = tmp_path / "out"
     (planned,) = plan_batch(found(clips / "a.csv"), out)
@@ -171,7 +171,7 @@ def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monke
     assert not out.exists()
 
 
-def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path, in_process):
+def test_a_failed_clip_keeps_its_earlier_results(clips, tmp_path, in_process):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     for name in "ab":
@@ -187,7 +187,7 @@ def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path, in_
     assert plan_batch(found(clips / "a.csv"), out)[0].reason == "not finished before"
 
 
-def test_another_version_on_the_worker(clips, tmp_path):
+def test_another_version_on_the_worker_fails_the_clip(clips, tmp_path):
     (planned,) = plan_batch(found(clips / "a.csv"), tmp_path / "out")
     planned = replace(planned, identity={**planned.identity, "version": "99"})
     outcome = outcome_of(fit_planned, planned, silent)
@@ -196,7 +196,7 @@ def test_another_version_on_the_worker(clips, tmp_path):
     assert not (tmp_path / "out" / "a").exists()
 
 
-def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
+def test_a_new_batch_reduces_the_record_to_one_row_per_clip(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv", clips / "b.csv"), out)
     assert len((out / RECORD).read_text().splitlines()) == 4
@@ -210,7 +210,7 @@ def test_the_record_has_one_row_a_clip_when_a_batch_begins(clips, tmp_path):
     assert Record(out / RECORD).rows.items() > before.items()
 
 
-def test_a_record_that_somebody_spoilt_is_named_by_line_and_field(clips, tmp_path):
+def test_a_damaged_record_is_reported_with_line_and_field(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     row = Record(out / RECORD).rows["a"]
@@ -237,7 +237,7 @@ def test_a_record_that_somebody_spoilt_is_named_by_line_and_field(clips, tmp_pat
     assert plan_batch(found(clips / "a.csv"), out)[0].action == "refit"
 
 
-def test_a_summary_that_somebody_spoilt_is_named_by_line_and_column(clips, tmp_path):
+def test_a_damaged_summary_is_reported_with_line_and_column(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     summary = out / "summary.csv"
@@ -248,7 +248,7 @@ def test_a_summary_that_somebody_spoilt_is_named_by_line_and_column(clips, tmp_p
     refused(["report", out], (f"{summary}, line 2", "clip", "nothing", "text"))
 
 
-def test_input_problems(clips, tmp_path):
+def test_input_problems_are_listed_by_clip(clips, tmp_path):
     (clips / "a.csv").write_text("scorer,x\n")
     (clips / "b.csv").unlink()
     path = manifest(clips, "keypoints,camera\na.csv,none.toml\nb.csv,\nc.csv,\n")
@@ -268,7 +268,7 @@ def test_input_problems(clips, tmp_path):
         ({"camera": None, "hfov_deg": 60, "image_size_px": "300x200"}, "image size"),
     ],
 )
-def test_a_look_finds_what_the_fit_refuses(clips, wrong, field):
+def test_input_problems_equal_those_of_the_fit(clips, wrong, field):
     (clip,) = found(clips / "a.csv", **wrong)
     with pytest.raises(InputError) as caught:
         fit_clip(clip.settings)
@@ -277,7 +277,7 @@ def test_a_look_finds_what_the_fit_refuses(clips, wrong, field):
     assert [problem.field for problem in seen] == [field]
 
 
-def test_what_many_clips_lack_is_said_once(clips, tmp_path):
+def test_a_problem_of_many_clips_is_reported_once(clips, tmp_path):
     """A problem that many clips share is stated once, also if each clip has its own camera file."""
     plain = "matrix = [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]]\nsize = [1920, 1080]\ndistortions = [0, 0, 0, 0, 0]\n"
     pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]\n"
@@ -315,7 +315,7 @@ def killer(*, once: str = "", always: str = "") -> Any:
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
-def test_faults_take_only_their_clip(clips, tmp_path):
+def test_a_crash_fails_only_its_clip(clips, tmp_path):
     (clips / "broken.csv").write_text("scorer,x\n")
     (clips / "empty.csv").touch()
     shutil.copy(clips / "a.csv", clips / "d.csv")
@@ -362,7 +362,7 @@ def test_faults_take_only_their_clip(clips, tmp_path):
     assert [planned.action for planned in again] == ["done", "new", "new", "done", "done", "new"]
 
 
-def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
+def test_failed_clips_are_fitted_again(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     speed = str(Record(out / RECORD).rows["a"]["row"]["peak_speed_m_s"])
@@ -385,7 +385,7 @@ def args(clips: Path, out: Path, *more: object) -> list[object]:
     return ["batch", clips, *given, "--set", f"method={QUICK['method']}", "--out", out, *more]
 
 
-def test_dry_run_looks_only(clips, tmp_path):
+def test_dry_run_writes_nothing(clips, tmp_path):
     out = tmp_path / "out"
     (clips / "c.csv").write_text("scorer,x\n")
     fit(found(clips / "a.csv", clips / "b.csv"), out)
@@ -429,7 +429,7 @@ def test_command(clips, tmp_path, in_process):
     }
 
 
-def test_unusable_input_ends_it_before_any_work(clips, tmp_path):
+def test_unusable_input_ends_a_batch_before_any_work(clips, tmp_path):
     out = tmp_path / "out"
     command = ["batch", clips, "--fps", 30, "--out", out]
     refused(command, ("--camera", "camera", "nothing"))
@@ -480,12 +480,12 @@ def note_and_wait(self, part, made_from, **details):
 Record.note = note_and_wait
 main()
 """
-"""A command line in which `recon batch` waits after starting two clips, so that it runs until a test stops it."""
+"""Program that runs `recon batch` and waits after starting two clips, until a test stops it."""
 
 
 @pytest.fixture
 def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path, list[object]]]:
-    """Start `recon batch` on four clips; after the first clip, yield the process, its folder and its arguments."""
+    """Start `recon batch` on four clips, and yield the process, its folder and its arguments after the first clip."""
     shutil.copy(clips / "a.csv", clips / "d.csv")
     command = args(clips, tmp_path / "out", "--jobs", 1)
     code = [sys.executable, "-c", HELD, *map(str, command)]
@@ -513,7 +513,7 @@ def some_left(clips: Path, done: dict[str, int]) -> int:
 
 @pytest.mark.slow
 @linux
-def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, in_process):
+def test_ctrl_c_keeps_finished_clips(clips, in_the_middle, in_process):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.send_signal(signal.SIGINT)
@@ -536,7 +536,7 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, in_process):
 
 @pytest.mark.slow
 @linux
-def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle, in_process):
+def test_after_a_kill_finished_clips_are_not_fitted_again(clips, in_the_middle, in_process):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.kill()
@@ -567,7 +567,7 @@ def cluster() -> Iterator[Any]:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Dask raises warnings of its own
-def test_dask_cluster(clips, tmp_path, cluster):
+def test_a_batch_runs_on_a_dask_cluster(clips, tmp_path, cluster):
     (clips / "broken.csv").write_text("scorer,x\n")
     out = tmp_path / "out"
     plan = plan_batch(found(clips / "*.csv"), out)
@@ -611,7 +611,7 @@ def certificates(tmp_path) -> dict[str, str]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Dask raises warnings of its own
 def test_a_cluster_with_certificates(clips, tmp_path, certificates):
-    """A cluster uses the certificates of Dask's own configuration; without them a message ends the batch."""
+    """A batch connects to an encrypted cluster with the certificates of Dask's configuration, and not without."""
     dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
     one, out = clips / "a.csv", tmp_path / "out"
     with dask.config.set(certificates):
@@ -626,14 +626,14 @@ def test_a_cluster_with_certificates(clips, tmp_path, certificates):
         assert (ended.code, statuses(out)) == (0, ["done"])
 
 
-def test_no_cluster(clips, tmp_path):
+def test_an_unreachable_cluster_is_reported(clips, tmp_path):
     pytest.importorskip("distributed")
     nonsense = "nonsense://here"
     refused(args(clips, tmp_path / "out", "--scheduler", nonsense), ("--scheduler", nonsense, "nonsense", "tcp://"))
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
-def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
+def test_a_silent_scheduler_ends_with_a_message(scheme, monkeypatch):
     pytest.importorskip("distributed")
 
     monkeypatch.setattr(parallel, "CONNECT_S", 0.3)

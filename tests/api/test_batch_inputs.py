@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("no_playback", "undrawn", "frames_solved_on
 # Inputs
 
 
-def test_files_patterns_and_folders(clips):
+def test_files_patterns_and_folders_are_clips(clips):
     (clips / "video.mp4").write_bytes(bytes(range(256)))
     (clips / "notes.csv").write_text("day,weather\n1,rain\n")
     assert names(clips / "b.csv", clips / "a.csv") == ["b", "a"]
@@ -40,7 +40,7 @@ def test_files_patterns_and_folders(clips):
     assert {clip.settings.fps for clip in of_folder} == {30}
 
 
-def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
+def test_an_unreadable_file_is_reported(clips, monkeypatch):
     readable = os.access
     monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "b.csv" and readable(path, mode))
     _, notes = find_clips([clips], QUICK)
@@ -58,7 +58,7 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
         assert names(clips / "*.csv") == ["a", "b", "c", "mem"]
 
 
-def test_no_cell_of_the_summary_is_a_formula(tmp_path):
+def test_summary_cells_are_not_formulas(tmp_path):
     summary = Summary([], tmp_path)
     names = ["=1+1", "@a", "'b", "'=c", "plain"]
     summary.rows = {name: dict.fromkeys(COLUMNS) | {"clip": name, "status": name, "frames": -1} for name in names}
@@ -70,14 +70,14 @@ def test_no_cell_of_the_summary_is_a_formula(tmp_path):
     assert [row["clip"] for row in read_rows(summary.path)] == names
 
 
-def test_a_folder_has_one_clip_for_a_table_in_two_formats(clips):
+def test_a_table_in_two_formats_is_one_clip(clips):
     (clips / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(600))  # damaged, which the fit of the clip reports
     of_folder, notes = find_clips([clips], QUICK)
     assert [clip.settings.keypoints[0].name for clip in of_folder] == ["a.csv", "b.h5", "c.csv"]
     assert [says(note, clips, "same name: b.csv") for note in notes] == [True]
 
 
-def test_folders_within_a_folder(clips):
+def test_subfolders_are_read_with_recursive(clips):
     (clips / "day2" / "late").mkdir(parents=True)
     shutil.copy(clips / "a.csv", clips / "day2" / "late" / "d.csv")
     of_folder, notes = find_clips([clips], QUICK)
@@ -96,7 +96,7 @@ def test_folders_within_a_folder(clips):
     assert says(note, "camera files", "manifest", "own.toml")
 
 
-def test_names_are_unique_and_follow_from_the_paths(tmp_path):
+def test_clip_names_are_unique_and_made_from_the_paths(tmp_path):
     for name in ("x/day1/run.csv", "y/day1/run.csv", "z/day2/run.csv", "z/day2/RUN.h5", "z/walk.csv", "walk.csv"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("data")
@@ -114,7 +114,7 @@ def test_names_are_unique_and_follow_from_the_paths(tmp_path):
     assert [expected[f.relative_to(tmp_path).as_posix()] for f in backwards] == names(*backwards)
 
 
-def test_manifest_rows_overrule_the_common_options(clips):
+def test_manifest_rows_override_the_common_options(clips):
     shutil.copy(CAMERA, clips / "mine.toml")
     path = manifest(
         clips,
@@ -142,7 +142,7 @@ def test_manifest_rows_overrule_the_common_options(clips):
     )
 
 
-def test_lines_that_end_as_on_old_macs(clips):
+def test_carriage_returns_end_lines_of_manifest_and_keypoints(clips):
     """A manifest and a keypoint file with the line ends of old Macs are read."""
     table = (clips / "a.csv").read_bytes().replace(b"\r\n", b"\n")
     (clips / "a.csv").write_bytes(table.replace(b"\n", b"\r"))
@@ -155,14 +155,14 @@ def test_lines_that_end_as_on_old_macs(clips):
     refuses([clips / "long.csv"], ("long.csv", "line 3", 131072))
 
 
-def test_common_options_lie_over_config(clips, tmp_path):
+def test_common_options_override_the_config(clips, tmp_path):
     config = tmp_path / "settings.toml"
     config.write_text(f'[recon.fit]\nfps = 25\nsigma_px = 5.0\ncamera = "{CAMERA.as_posix()}"\nmethod = "frame"\n')
     (clip,), _ = find_clips([clips / "a.csv"], {"fps": 50.0, "camera": None}, config)
     assert (clip.settings.fps, clip.settings.sigma_px, clip.settings.camera) == (50, 5, (CAMERA,))
 
 
-def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
+def test_common_options_do_not_apply_to_rows_of_the_other_method(clips):
     path = manifest(clips, "keypoints,method,form\na.csv,,\nb.csv,frame,printed\n")
     common = {"camera": CAMERA, "fps": 30, "fast": True}
     first, second = (clip.settings for clip in find_clips([path], common)[0])
@@ -170,7 +170,7 @@ def test_common_options_of_one_method_are_not_for_rows_of_the_other(clips):
     assert (second.method, second.fast, second.form) == ("frame", False, "printed")
 
 
-def test_clips_of_one_file_are_told_apart(clips):
+def test_clips_of_one_file_have_different_names(clips):
     path = manifest(
         clips, "keypoints;individual;out\na.csv;wolf;\na.csv;dog;\na.csv;dog;\nb.csv;;a-dog-2\nb.csv;;\nc.csv;a/b:c;\n"
     )
@@ -190,7 +190,7 @@ def test_each_animal_of_a_file_is_a_clip(tmp_path):
     assert names(rows) == ["run-one", "run-two", "other"]
 
 
-def test_all_problems_of_a_manifest_at_once(clips):
+def test_all_problems_with_a_manifest_are_reported(clips):
     path = manifest(
         clips,
         "keypoints,fps,method,out,frames\na.csv,-3,frame,x,\nb.csv,30,walk,X,9:2\n,30,,,\nc.csv,,,../up,\n",
@@ -210,14 +210,14 @@ def test_all_problems_of_a_manifest_at_once(clips):
     )
 
 
-def test_names_that_are_too_long_are_no_files(clips):
+def test_inputs_with_too_long_names_are_refused(clips):
     name = "a" * 300
     path = manifest(clips, f"keypoints\n{name}*.csv\n")
     none = (path, "line 2, keypoints", f"{name}*.csv")
     refuses([path, name, f"{name}*"], none, (name, "file"), (f"{name}*", "files", "none that match"))
 
 
-def test_problems_of_several_inputs_at_once(clips, tmp_path):
+def test_problems_with_several_inputs_are_reported_together(clips, tmp_path):
     path = manifest(clips, "keypoints,speed,fps\na.csv,1,2,3,4\n")
     empty = manifest(clips, "keypoints\n", "empty_manifest.csv")
     (tmp_path / "none").mkdir()
@@ -232,7 +232,7 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
     )
 
 
-def test_what_every_clip_lacks_is_said_once(clips):
+def test_a_setting_that_every_clip_lacks_is_reported_once(clips):
     refuses([clips], ("--camera", "camera", "nothing", ["--hfov-deg", "columns keypoints, camera and fps"]), common={})
 
 
@@ -243,7 +243,7 @@ TWO = {"camera": SCENE, "fps": 120, "fast": True, "frames": "0:8"}
 
 
 def filmed(folder: Path, *names: str) -> None:
-    """Write keypoint files of the sample for two cameras; a 2 or B in the name means the second camera."""
+    """Write keypoint files of the sample, of the second camera if the name contains 2 or B, else of the first."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         camera = "cam2" if {"2", "B"} & {*name} else "cam1"
@@ -255,7 +255,7 @@ def cameras(inputs: list[Path], common: dict[str, Any] = TWO, by: str = "auto") 
     return {clip.name: clip.settings.camera_name for clip in find_clips(inputs, common, cameras_by=by)[0]}
 
 
-def test_files_of_one_clip_are_known_by_the_names_of_cameras(tmp_path):
+def test_files_are_joined_by_the_names_of_cameras(tmp_path):
     filmed(tmp_path / "day", "walk-cam1.csv", "walk-cam2.csv", "cam2_trot.csv", "cam1.csv", "cam2.csv")
     clips, notes = find_clips([tmp_path / "day"], TWO)
     assert {clip.name: [path.name for path in clip.settings.keypoints] for clip in clips} == {
@@ -288,13 +288,13 @@ def test_files_of_single_frames_are_one_clip(tmp_path, given):
     ("common", "by"),
     [(TWO, "none"), (TWO | {"camera_name": "cam2"}, "auto"), (QUICK | {"camera": SCENE}, "auto"), (QUICK, "auto")],
 )
-def test_files_are_clips_by_themselves_where_that_is_meant(tmp_path, common, by):
+def test_each_file_is_a_clip_without_joining(tmp_path, common, by):
     """Each file is a clip if `--cameras-by none` is given, one camera is chosen, or the frame method is used."""
     filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv")
     assert [*cameras([tmp_path], common, by)] == ["walk-cam1", "walk-cam2"]
 
 
-def test_one_file_of_each_clip_is_as_it_always_was(tmp_path):
+def test_one_file_for_each_clip_needs_no_joining(tmp_path):
     filmed(tmp_path, "walk-cam1.csv", "trot-cam2.csv")
     assert cameras([tmp_path]) == {"trot-cam2": None, "walk-cam1": None}
 
@@ -313,7 +313,7 @@ def test_a_pattern_finds_cameras_and_clips(tmp_path):
     assert cameras([tmp_path / "s1 v*.csv"], by="v[12]") == named
 
 
-def test_what_is_wrong_with_cameras_in_names(tmp_path):
+def test_problems_with_camera_names_in_file_names(tmp_path):
     filmed(tmp_path, "a-cam1.csv", "a_cam1.csv", "b-cam2.csv")
 
     (twice, _), _ = find_clips([tmp_path], TWO)
@@ -355,14 +355,14 @@ def anipose(project: Path, calibration: Path, square: float, *files: str) -> Non
 
 
 @pytest.mark.parametrize("pattern", ["(a+)+$", "(a|a)+$", "(?:a?){40}b", "a*a*a*a*b", "a" * 300])
-def test_a_pattern_of_a_file_that_can_take_for_ever_is_refused(tmp_path, pattern):
+def test_a_pattern_with_unbounded_search_time_is_refused(tmp_path, pattern):
     anipose(tmp_path, Path("rex/calibration"), 25.0, f"rex/day1/pose-2d/{'a' * 44}!.csv")
     (tmp_path / "config.toml").write_text(tomli_w.dumps({"nesting": 2, "triangulation": {"cam_regex": pattern}}))
     with refusal((tmp_path / "config.toml", "cam_regex", "may never end", "--cameras-by")):
         find_clips([tmp_path], {"fps": 120, "camera_unit": "mm"})
 
 
-def test_projects_of_anipose(tmp_path):
+def test_anipose_projects_are_found(tmp_path):
     """Projects of Anipose are found two folders deep, with a calibration per day and with filtered poses."""
     walk = ("rex/day1/pose-2d/walk-camA.csv", "rex/day1/pose-2d/walk-camB.csv")
     trot = (
@@ -389,7 +389,7 @@ def test_projects_of_anipose(tmp_path):
     assert cameras(both[:1], common) == {"walk": ("A", "B")}
 
 
-def test_what_projects_of_anipose_lack(tmp_path):
+def test_missing_parts_of_anipose_projects_are_reported(tmp_path):
     anipose(tmp_path, Path("calibration"), 25.0, "pose-2d/walk-camA.csv", "pose-2d/walk-camB.csv")
     config = tmp_path / "config.toml"
     in_mm = (config, "board_square_side_length", [25, "not in metres"], "--camera-unit mm")
@@ -399,7 +399,7 @@ def test_what_projects_of_anipose_lack(tmp_path):
     refuses([tmp_path], none, common={"fps": 30})
 
 
-def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
+def test_a_manifest_row_can_list_several_cameras(tmp_path):
     filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv", "x1.csv", "y2.csv")
     scene = shutil.copy(SCENE, tmp_path / "scene.json")
     path = manifest(
@@ -421,7 +421,7 @@ def test_a_row_of_a_manifest_with_several_cameras(tmp_path):
     assert not is_manifest(path)  # a table of keypoints with a column of cameras
 
 
-def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
+def test_a_clip_with_another_set_of_cameras_is_fitted_again(tmp_path):
     """A clip with a camera more or less is the same clip again, but an unrelated file is another clip."""
     out = tmp_path / "out"
     filmed(tmp_path / "clips", "walk-cam1.csv", "walk-cam2.csv")
@@ -450,7 +450,7 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
         plan_batch([clip], out)
 
 
-def test_a_look_says_which_cameras_a_clip_has(tmp_path):
+def test_dry_run_lists_the_cameras_of_each_clip(tmp_path):
     filmed(tmp_path, "walk-cam1.csv", "walk-cam2.csv")
     command = ("batch", tmp_path, "--camera", SCENE, "--fps", 120, "--out", tmp_path / "out", "--dry-run")
     (row,) = json.loads(run(*command, "--json").out)["clips"]

@@ -43,7 +43,7 @@ pytestmark = pytest.mark.usefixtures("no_playback")
 SAMPLES = samples_folder()
 
 
-def test_a_file_is_that_of_the_camera_that_its_name_contains(runs):
+def test_cameras_are_matched_by_the_file_name(runs):
     given = prepare(settings(runs, 2, 1))
     assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
     assert [source.camera.name for source in prepare(settings(runs, 1)).sources] == ["cam1"]
@@ -70,7 +70,7 @@ def test_names_of_cameras_in_names_of_files(name, found):
     assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02", "hires_cam3_params", "int_cam4_img"])] == found
 
 
-def test_the_camera_whose_name_a_file_has_as_it_is_written_is_meant():
+def test_an_exact_camera_name_takes_precedence():
     for name in ("cam1", "cam01", "Cam1"):
         assert [*cameras_in(f"run_{name}", ["cam1", "cam01", "Cam1"])] == [name]
     assert [*cameras_in("run_cam001", ["cam1", "cam01"])] == ["cam1", "cam01"]
@@ -93,20 +93,20 @@ def test_cameras_in_millimetres(runs):
         FitSettings(keypoints=(Path("a.csv"),), hfov_deg=60, image_size_px=(9, 9), camera_unit="mm")
 
 
-def test_a_wrong_unit_is_found_in_few_of_the_frames(runs, monkeypatch):
+def test_a_wrong_unit_is_found_from_few_frames(runs, monkeypatch):
     """The second camera's file begins at frame 10, so the first frames do not show the unit."""
     monkeypatch.setattr("recon.api.clip_inputs.FRAMES_FOR_UNIT", 8)
     with refusal(("--camera-unit", "camera_unit", ["mm", "times as large"], "probably m")):
         prepare(settings(runs, 1, 2, camera_unit="mm"))
 
 
-def test_or_as_given(runs):
+def test_cameras_can_be_named_by_option(runs):
     given = prepare(settings(runs, 1, 2, camera_name=["cam2", "cam1"]))
     assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
 
 
 def test_views_have_the_same_frames(runs):
-    """All views have the same frames: the second camera's file begins at frame 10, so its view is empty before."""
+    """The second camera's file begins at frame 10. Its view has all frames, and is empty before frame 10."""
     first, second = prepare(settings(runs, 1, 2)).sources
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(40))
     np.testing.assert_array_equal(second.keypoints.frames, np.arange(40))
@@ -121,7 +121,7 @@ def test_a_range_of_frames_is_the_first_cameras(runs):
     assert second.keypoints.present[5:].all()
 
 
-def test_cameras_that_began_later():
+def test_offsets_of_cameras_shift_their_frames():
     """A camera that began 2.25 frames later has its frame 0 between frames 2 and 3 of the clip."""
     xy_px = np.arange(5.0)[:, None, None] + np.zeros((5, len(BODY.markers), 2))
     sources = [Source(CAMERA, *clean(keypoints_of(values), 0.5), BODY.markers) for values in (xy_px + 100, xy_px + 200)]
@@ -144,7 +144,7 @@ def test_a_clip_of_two_cameras(runs):
 
 
 @pytest.mark.parametrize(("up", "turned"), [("z", False), ("-y", True), ("0,-2,0", True), ("first-camera", None)])
-def test_up_as_it_is_said(runs, tmp_path, up, turned):
+def test_up_turns_the_cameras(runs, tmp_path, up, turned):
     """`up` states the up direction of cameras whose world has -y up, as OpenCV's boards have, or z up."""
     R = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if turned else np.eye(3)  # from z up to the file's axes
     given = read_cameras(runs / "scene.json")
@@ -158,14 +158,14 @@ def test_up_as_it_is_said(runs, tmp_path, up, turned):
         assert np.linalg.det(source.camera.rotation) == pytest.approx(1)
 
 
-def test_up_is_not_said_twice_or_in_other_words(runs):
+def test_up_is_refused_if_known_or_not_a_direction(runs):
     with refusal(("--set up", "direction", "'upwards'", "first-camera")):
         prepare(settings(runs, 1, 2, up="upwards"))
     with refusal(("--set up", "camera cam1", "no pose")):
         prepare(settings(runs, 1, camera=None, hfov_deg=60.0, image_size_px=(1920, 1080), up="z"))
 
 
-def test_an_entry_of_a_camera_that_was_copied_is_named(runs, tmp_path):
+def test_a_copied_camera_entry_is_reported(runs, tmp_path):
     one, other, *_ = read_cameras(runs / "scene.json")
     write_cameras([one, replace(one, name=other.name)], tmp_path / "copied.toml")
     with refusal((tmp_path / "copied.toml", "cameras cam1 and cam2", "same pose")):
@@ -173,8 +173,8 @@ def test_an_entry_of_a_camera_that_was_copied_is_named(runs, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(runs, tmp_path):
-    """A tenth of the animal before a tenth of the rig gives the same pictures and a tenth of the motion."""
+def test_a_tenth_of_animal_and_rig_gives_a_tenth_of_the_motion(runs, tmp_path):
+    """An animal and a rig of a tenth of the size give the same pictures, and a tenth of the motion."""
     cameras = [
         replace(one, translation_m=0.1 * np.asarray(one.translation_m)) for one in read_cameras(runs / "scene.json")
     ]
@@ -188,7 +188,7 @@ def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(runs, tmp_
     assert np.nanmedian(off_m) < 0.02
 
 
-def test_what_is_wrong_is_said(runs, tmp_path):
+def test_wrong_inputs_of_several_cameras_are_refused(runs, tmp_path):
     with refusal(("settings", "camera_name", "1: cam1", 2), ("settings", "offset_s", "3: 0.0, 0.1, 0.2", 2)):
         settings(runs, 1, 2, camera_name=["cam1"], offset_s=[0.0, 0.1, 0.2])
     with refusal(("settings", "keypoints", f"{runs / 'run_cam1.csv'}, {runs / 'run_cam1.csv'}", "different file")):
@@ -231,8 +231,8 @@ def test_command(runs, tmp_path):
     assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()
 
 
-def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
-    """Refined poses are used if they fit better: those of a camera turned by 2 degrees, but not of a correct camera."""
+def test_refined_poses_are_used_if_they_fit_better(runs, tmp_path):
+    """Refined poses are used for a camera that was turned by 2 degrees, and not for one with the correct pose."""
     as_it_is = fit_clip(settings(runs, 1, 2, refine_cameras=True, frames="10:30"))
     assert [one.code for one in as_it_is.findings if one.code.startswith("cameras_")] == ["cameras_as_calibrated"]
     scene = json.loads((runs / "scene.json").read_text())
@@ -260,7 +260,7 @@ def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_path):
+def test_a_turned_camera_of_a_pair_is_refined_automatically(runs, tmp_path):
     """The pose of a camera turned by 2 degrees in a pair is refined automatically, unless poses are stated as exact."""
     scene = json.loads((runs / "scene.json").read_text())
     beside = View(FISHEYE, ASIDE, np.zeros((1, 1, 2)), np.ones((1, 1)))
@@ -279,7 +279,7 @@ def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_p
 
 
 @pytest.mark.slow
-def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatch):
+def test_refinement_that_makes_a_camera_an_outlier_is_dropped(runs, monkeypatch):
     """A refinement that makes one camera an outlier, as the robust cost allows in a small rig, is not used."""
 
     def solve(views, body, prior, fps, options, progress):
@@ -301,7 +301,7 @@ def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatc
     assert [s.camera.to_dict() for s in motion.sources] == [s.camera.to_dict() for s in given]
 
 
-def test_only_several_cameras_that_stand_still_are_refined(runs):
+def test_only_several_static_cameras_are_refined(runs):
     with refusal(("settings", "refine_cameras", "one keypoint file", "several cameras")):
         settings(runs, 1, refine_cameras=True)
     with refusal(("settings", "cameras_known", "together with refine_cameras", "only one of the two")):
@@ -310,7 +310,7 @@ def test_only_several_cameras_that_stand_still_are_refined(runs):
         settings(runs, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])
 
 
-def test_where_cameras_stand_from_the_animal_alone(runs, tmp_path):
+def test_camera_poses_are_found_from_the_animal_alone(runs, tmp_path):
     """Camera poses follow from two views of one run, roughly after half a second, without reading the file's poses."""
     cameras, report = run_extrinsics([settings(runs, 1, 2, frames="10:36")], tmp_path / "found.toml")
     true, found = (read_cameras(path) for path in (runs / "scene.json", tmp_path / "found.toml"))
@@ -331,7 +331,7 @@ def test_where_cameras_stand_from_the_animal_alone(runs, tmp_path):
 
 
 @pytest.mark.slow
-def test_heights_have_deviations(tmp_path):
+def test_camera_heights_have_standard_deviations(tmp_path):
     """Camera heights, 1.5 and 1.6 m in the sample, have standard deviations."""
     files, given = [SAMPLES / f"whole_cam{n}.csv" for n in (1, 2)], {"camera": SAMPLES / "whole_scene.json", "fps": 60}
     more = {"fast": True, "frames": "10:40"}
@@ -346,8 +346,8 @@ def test_heights_have_deviations(tmp_path):
     ]
 
 
-def test_clips_of_one_rig(runs, tmp_path):
-    """Clips of one rig are grouped by camera name; refined poses of the file keep its world and the first camera."""
+def test_clips_of_one_rig_are_grouped_by_camera_name(runs, tmp_path):
+    """Files are grouped to clips by camera name, and refined poses keep the file's world and first camera."""
     for number in (1, 2):
         for clip in ("a", "b"):
             (tmp_path / f"{clip}_cam{number}.csv").write_bytes((runs / f"run_cam{number}.csv").read_bytes())
@@ -370,7 +370,7 @@ def test_clips_of_one_rig(runs, tmp_path):
     assert only.keypoints == clips[0].keypoints
 
 
-def test_cameras_that_the_clips_do_not_tell_are_refused(runs, tmp_path, monkeypatch):
+def test_cameras_that_the_clips_do_not_determine_are_refused(runs, tmp_path, monkeypatch):
     def solve(*given):
         rig = solve_extrinsics(*given)
         return replace(rig, sigma=np.where(np.arange(2)[:, None] == 1, np.radians(15.0), rig.sigma))
@@ -383,8 +383,8 @@ def test_cameras_that_the_clips_do_not_tell_are_refused(runs, tmp_path, monkeypa
 
 
 @pytest.mark.slow
-def test_cameras_out_of_step_without_poses(runs, tmp_path):
-    """Cameras out of step can be calibrated: by the file's frame numbers, or by searching the four frames of delay."""
+def test_unsynchronised_cameras_are_calibrated(runs, tmp_path):
+    """Cameras that began at different times are calibrated, with a time offset found within half a frame."""
     table = (runs / "run_cam2.csv").read_text().splitlines()
     late = [line.split(",", 1) for line in table[3:]]
     rows = [f"{int(frame) - 4},{rest}" for frame, rest in late]
@@ -411,7 +411,7 @@ def test_refined_extrinsics_need_poses(runs, tmp_path):
         )
 
 
-def test_which_way_is_up_is_said_once(runs, tmp_path):
+def test_up_in_option_and_file_is_refused(runs, tmp_path):
     """The up direction cannot be stated twice, in the option and in a file whose poses are read."""
     clip, out = settings(runs, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
     beside = ("up", "--set refine-cameras=true", "only one of the two")
@@ -420,7 +420,7 @@ def test_which_way_is_up_is_said_once(runs, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_tilt_beside_poses_that_are_not_read(runs, tmp_path):
+def test_a_tilt_is_used_if_poses_are_not_read(runs, tmp_path):
     cameras, _ = run_extrinsics(
         [settings(runs, 1, 2, frames="10:36", tilt_deg=10.0)], tmp_path / "out.toml", level_rad=np.radians(0.5)
     )
@@ -439,7 +439,7 @@ def test_a_camera_has_one_lens(runs, tmp_path):
         )
 
 
-def test_one_camera_has_no_place_beside_others(runs, tmp_path):
+def test_poses_of_a_single_camera_cannot_be_estimated(runs, tmp_path):
     with refusal(
         ("run_cam1.csv", "cameras", "cam1", "two or more"),
         ("--out", "file", f"'{tmp_path / 'found.csv'}'", "ends in .toml"),
@@ -447,7 +447,7 @@ def test_one_camera_has_no_place_beside_others(runs, tmp_path):
         run_extrinsics([settings(runs, 1)], tmp_path / "found.csv")
 
 
-def test_an_animal_that_stays_does_not_tell_where_cameras_stand(runs, tmp_path):
+def test_a_standing_animal_does_not_determine_camera_poses(runs, tmp_path):
     for number in (1, 2):
         moving = read_keypoints(runs / f"run_cam{number}.csv")
         stays = moving.xy_px - np.nanmean(moving.xy_px, axis=1, keepdims=True) + (960.0, 540.0)

@@ -44,7 +44,7 @@ def sample(**options) -> FitSettings:
 
 
 @pytest.mark.parametrize("fps", [0.5, 0.999, 10_001.0, 1e5])
-def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_path):
+def test_an_impossible_frame_rate_is_refused(fps: float, tmp_path):
     with refusal(("--fps", "fps", f"{fps:g}", "1 to 10000")):
         prepare(sample(fps=fps))
     write_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
@@ -52,7 +52,7 @@ def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_pa
         prepare(sample(keypoints=tmp_path / "stated.csv", fps=None))
 
 
-def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
+def test_a_frame_far_outside_the_picture_is_left_out_and_reported(tmp_path):
     file = read_keypoints(samples_folder() / "noisy.csv")
     xy_px = file.xy_px.copy()
     xy_px[2] += 1e300
@@ -65,7 +65,7 @@ def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
     assert source.cleaning.total("rejected") == np.isfinite(file.xy_px[2, :, 0]).sum()
 
 
-def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
+def test_keypoints_slightly_outside_the_picture_are_accepted(tmp_path):
     file = read_keypoints(samples_folder() / "noisy.csv")
     xy_px = file.xy_px.copy()
     _, height = read_camera(samples_folder() / "camera.toml").image_size_px
@@ -86,7 +86,7 @@ def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
         (lambda xy: xy - 3000.0, "camera"),
     ],
 )
-def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, change, perhaps):
+def test_points_outside_the_picture_are_refused_with_causes(tmp_path, change, perhaps):
     file = read_keypoints(samples_folder() / "noisy.csv")
     xy_px = 0.5 * file.xy_px / np.nanmax(file.xy_px, axis=(0, 1)) * (1920, 1080) + (960, 540)
     write_csv(replace(file, xy_px=change(xy_px)), tmp_path / "other.csv")
@@ -96,7 +96,7 @@ def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, cha
     assert says(caught.value.problems[0].expected, "perhaps") == (perhaps != "camera")
 
 
-def test_the_camera_of_the_file_that_shows_the_points_is_named(tmp_path):
+def test_another_camera_that_fits_the_points_is_suggested(tmp_path):
     lens = "matrix = [[900, 0, 150], [0, 900, 100], [0, 0, 1]]\ndistortions = [0, 0, 0, 0, 0]"
     pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]"
     sizes = {"small": (300, 200), "large": (1920, 1080)}
@@ -157,14 +157,14 @@ def test_default_prior_is_the_one_for_the_skeleton():
         fit_clip(sample(skeleton="cheetah-8u", prior="running-cheetah"))
 
 
-def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
+def test_results_of_the_other_method_are_replaced_completely(tmp_path):
     for method in ("trajectory", "frame"):
         settings = sample(method=method, frames="0:3", skeleton="cheetah-8u")
         write_clip(fit_clip(settings), settings, tmp_path)
         assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
 
 
-def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
+def test_frame_method_and_side_are_refused_for_a_whole_animal():
     with refusal(("--skeleton", "name or file", "'cheetah-24'", "cheetah-8u")):
         fit_clip(sample(method="frame", skeleton="cheetah-24"))
     with refusal(("--set side", "side", "'left'", "cheetah-24")):
@@ -175,7 +175,7 @@ def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
     assert len(caught.value.problems) == 4
 
 
-def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
+def test_tilt_of_a_camera_without_a_pose():
     rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
     motion = fit_clip(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
     np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
@@ -183,7 +183,7 @@ def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
         fit_clip(sample(tilt_deg=4.0))
 
 
-def test_progress_goes_from_nothing_to_all():
+def test_progress_grows_from_0_to_1():
     for method in ("trajectory", "frame"):
         seen = []
         fit_clip(
@@ -197,14 +197,14 @@ def test_progress_goes_from_nothing_to_all():
 
 
 @pytest.mark.parametrize("method", ["trajectory", "frame"])
-def test_points_outside_the_picture_are_another_cameras(method):
+def test_points_outside_the_picture_are_refused(method):
     camera = {"camera": None, "hfov_deg": 64.0, "image_size_px": (320, 240)}
     with refusal(("--image-size", "image size", "320x240", "3 times as large")):
         fit_clip(sample(method=method, **camera))
 
 
 @pytest.mark.parametrize("method", ["trajectory", "frame"])
-def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, method):
+def test_the_side_with_points_is_fitted_if_the_facing_side_has_none(tmp_path, method):
     """If the side that faces the camera has no points, the other side is fitted."""
     lines = (samples_folder() / "noisy.csv").read_text().splitlines()
     keep = [i for i, name in enumerate(lines[1].split(",")) if not name.startswith("r_")]
@@ -216,8 +216,8 @@ def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, m
     assert motion.solved.all()
 
 
-def test_a_pose_out_of_sight_is_not_converged():
-    """A pose outside the camera's view is not converged: all detections are in one pixel."""
+def test_a_pose_outside_the_view_is_not_converged():
+    """If all detections are in one pixel, the pose is outside the camera's view and not converged."""
     camera = read_camera(samples_folder() / "camera.toml")
     point = np.full((2, 9, 2), 700.0) + np.linspace(0, 0.5, 9)[:, None]
     solution = solve_frames(still_view(camera, point, np.ones((2, 9))), load_chain("cheetah-8u"), 30.0, FrameOptions())
@@ -227,7 +227,7 @@ def test_a_pose_out_of_sight_is_not_converged():
 # Several cameras
 
 
-def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_trajectory, tmp_path):
+def test_a_run_with_fewer_cameras_removes_tables_of_others(two_cameras, world_trajectory, tmp_path):
     """A run with fewer cameras leaves no tables of other cameras, even if no manifest names them after a killed run."""
     settings, out = sample(), tmp_path / "out"
     write_clip(two_cameras, settings, out)
@@ -241,7 +241,7 @@ def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_
     assert not (out / "reprojection.csv").exists()
 
 
-def test_tables_of_cameras_are_results(two_cameras, tmp_path):
+def test_tables_of_cameras_count_as_results(two_cameras, tmp_path):
     write_clip(two_cameras, sample(), tmp_path)
     for path in tmp_path.iterdir():
         if not path.name.startswith(("reprojection_", RECORD)):

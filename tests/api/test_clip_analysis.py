@@ -53,7 +53,7 @@ def tables(whole, tmp_path_factory) -> dict[str, pd.DataFrame]:
     return {path.stem: pd.read_csv(path) for path in folder.iterdir()}
 
 
-def test_velocities_are_central_differences_but_for_their_third_order(whole, tables):
+def test_velocities_are_central_differences_to_third_order(whole, tables):
     position = whole.pose.xyz_m[:, whole.pose.names.index("spine")]
     central = (position[2:] - position[:-2]) * 30
     found = tables["velocities"][[f"spine_v{axis}_m_s" for axis in "xyz"]].to_numpy()
@@ -99,7 +99,7 @@ def test_errors_of_a_slower_animal_last_longer(whole):
     assert place > pose == pytest.approx(POSE_ERROR_TIME * error_time_s(pose_m, whole.motion.fps))
 
 
-def test_a_larger_animal_is_as_much_faster(whole):
+def test_speed_is_proportional_to_size(whole):
     solution, size_given = whole.motion.solution, whole.moved(whole.reference, with_size=False).series
     series = whole.reference_motion.series
     by_size = series.rate_sigma**2 - size_given.rate_sigma**2
@@ -107,7 +107,7 @@ def test_a_larger_animal_is_as_much_faster(whole):
     np.testing.assert_array_equal(series.rate, size_given.rate)
 
 
-def test_a_place_that_moves_as_a_whole_turns_no_angle(whole):
+def test_uncertainty_of_position_does_not_widen_angles(whole):
     """The uncertainty of angles comes from the pose alone; the position would make it several times as large."""
     knee = whole.angles["l_back_knee"]
     assert np.degrees(np.median(knee.series.value_sigma)) < 30
@@ -163,7 +163,7 @@ def test_strides_and_closures(whole, tables):
     assert closures.loc["l_hind_thigh_pitch", "closure_angle_percent"] == pytest.approx(expected, abs=1e-5)
 
 
-def test_every_closure_has_a_deviation_and_the_share_of_its_angle(whole, tables):
+def test_closures_have_sigma_and_information_fraction(whole, tables):
     closures = tables["closures"].set_index("angle")
     assert dict(closures["data_share"]) == pytest.approx(whole.motion.data_shares, abs=1e-5)
     assert closures["closure_angle_sigma_percent"].between(5, 35).all()
@@ -174,7 +174,7 @@ def test_every_closure_has_a_deviation_and_the_share_of_its_angle(whole, tables)
 
 
 @pytest.mark.parametrize("fit", ["one_sided", "chain"])
-def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
+def test_transverse_angles_are_not_visible_from_the_side(fit, request):
     found = request.getfixturevalue(fit)
     phis = [name for name in found.motion.posture_names if name.startswith("phi")]
     assert {*phis} < {*found.not_measured}
@@ -185,7 +185,7 @@ def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
     assert f"grey in figures: {', '.join(found.not_measured)}." in [*notes(found)][fit == "one_sided"]
 
 
-def test_strides_slower_than_a_leg_swings_by_itself_are_said(whole):
+def test_strides_slower_than_a_free_leg_swing_are_noted(whole):
     moved, gait = whole.reference_motion, whole.gait
     slow = replace(gait, stride_frequency_hz=0.4)
     swing_s = 2 * np.pi * np.sqrt(2 * gait.tracks.leg_m / (3 * 9.81))
@@ -206,7 +206,7 @@ def test_strides_are_those_of_the_sample(fit, request):
         assert found.stride is None
 
 
-def test_a_stride_of_ones_own(chain_results, tmp_path):
+def test_a_stride_can_be_given(chain_results, tmp_path):
     done = run("analyse", chain_results, "--stride", "0.31:0.62", "--out", tmp_path / "a", "--no-figures", "--json")
     stride = json.loads(done.out)["stride"]
     # It begins at the nearest of 30 frames a second, as in inverse kinematics.
@@ -255,7 +255,7 @@ def test_without_a_path_the_straight_run_has_the_speed(frame_results, one_sided)
     assert told["speed"].startswith("about 14 m/s if the animal ran straight; not known more closely: ")
 
 
-def test_too_few_poses(frame_results):
+def test_too_few_poses_are_refused(frame_results):
     motion = Motion.load(frame_results)
     joints_m = motion.solution.joints_m.copy()
     joints_m[3:] = np.nan
@@ -268,7 +268,7 @@ def test_too_few_poses(frame_results):
     assert found.stride is None
 
 
-def test_a_motion_that_was_just_fitted(small_trajectory):
+def test_a_motion_is_analysed_without_a_folder(small_trajectory):
     """A motion that was just fitted is analysed without any folder."""
     found = analyse(small_trajectory)
     assert found.joints["spine"].mean_speed_m_s == pytest.approx(9.0, abs=0.05)
@@ -339,7 +339,7 @@ def test_each_figure_can_be_saved(name, whole, tmp_path):
     assert (tmp_path / "figure.svg").stat().st_size > 5000
 
 
-def test_what_is_hardly_known_is_not_drawn(whole):
+def test_an_uncertain_acceleration_is_stated_in_words(whole):
     """Instead of an acceleration that is hardly known, the figure shows the words of the page."""
     why = whole.reference_motion.why_no_acceleration
     figure = figures_of(whole)["speed"]()
@@ -380,7 +380,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
 
 
 @pytest.mark.usefixtures("remembered_analyses")
-def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, monkeypatch):
+def test_command_replaces_an_analysis_only_with_overwrite(of_results, tmp_path, monkeypatch):
     _, ran_in = of_results("recon analyse results/clip")
     monkeypatch.chdir(shutil.copytree(ran_in, tmp_path / "ran"))
     folder = Path("results/clip")
@@ -390,7 +390,7 @@ def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, 
     assert json.loads(as_json.out) == summary
 
 
-def test_command_says_what_is_missing(frame_results, tmp_path):
+def test_command_reports_missing_results(frame_results, tmp_path):
     folder = shutil.copytree(frame_results, tmp_path / "fit")
     done = run("analyse", folder, "--out", tmp_path / "a", "--no-figures")
     assert done.code == 0
@@ -411,7 +411,7 @@ def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp
     assert re.search(averaged, " ".join(many.out.split())), many.out
 
 
-def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whole, one_sided):
+def test_known_standard_deviations_of_angles_are_in_the_table(whole, one_sided):
     with_sigma = {"spine_flexion_sigma_rad", "spine_flexion_rate_sigma_rad_s"}
     assert with_sigma <= {*angle_rates(whole)}
     columns = angle_rates(one_sided)
@@ -438,7 +438,7 @@ def test_a_back_of_one_segment_has_no_flexion(whole):
 
 
 @pytest.mark.usefixtures("remembered_analyses")
-def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):
+def test_tables_are_written_even_if_figures_fail(whole_results, tmp_path, monkeypatch):
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -450,7 +450,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
 
 
-def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
+def test_unknown_speeds_are_not_in_tables_and_drawn_grey(whole, one_sided):
     """Speeds of the frame method that are not known are missing from the tables and grey in figures."""
     columns, rows = joints(whole)
     assert {row[-1] for row in rows} == {"yes"}

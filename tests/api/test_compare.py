@@ -38,7 +38,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory, whole_motion: Motion) -> Pat
     return folder
 
 
-def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path, whole_analysis: ClipAnalysis):
+def test_each_group_and_each_stride_has_a_row(clips: Path, tmp_path: Path, whole_analysis: ClipAnalysis):
     out = tmp_path / "out"
     # The arguments that a shell passes for all/*.
     ended = run("compare", *clips.iterdir(), "--table", clips / "animals.csv", "--by", "sex", "--out", out)
@@ -76,7 +76,7 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
             assert f == pytest.approx(m / 2**0.5, rel=1e-4)
 
 
-def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
+def test_results_of_the_same_run_are_noted(tmp_path: Path, whole_motion: Motion):
     (source,) = whole_motion.sources
     later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
     other = {**whole_motion.settings, "keypoints": "other.csv"}  # filmed by the same camera
@@ -111,7 +111,7 @@ def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, wh
     assert [*table["clip"]] == ["a", "c", "'=later"]  # the quote keeps a spreadsheet from running it as a formula
 
 
-def test_only_what_some_clip_has_is_drawn():
+def test_quantities_that_no_clip_has_are_not_drawn():
     row = {"clip": "a", "group": "all", "verdict": "use", "strides": 0, "size_sigma": 0.1}
     clips = pd.DataFrame([row | {name: np.nan for q in QUANTITIES for name in (q, f"{q}_sigma", f"{q}_own_sigma")}])
     assert [axes.get_title() for axes in _figure(clips, _group_rows(clips)).axes] == [""]
@@ -133,7 +133,7 @@ def test_clips_without_a_complete_stride_are_named():
     assert [*_by_period(clips[clips["clip"] != "b"])] == []
 
 
-def test_the_mean_of_clips_knows_their_spread():
+def test_sigma_of_the_mean_includes_the_spread_of_clips():
     rng = np.random.default_rng(0)
     inside, spreads = [], []
     for _ in range(300):
@@ -146,7 +146,7 @@ def test_the_mean_of_clips_knows_their_spread():
     assert np.median(spreads) == pytest.approx(0.5, rel=0.15)
 
 
-def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_motion: Motion):
+def test_unusable_comparisons_are_refused(clips: Path, tmp_path: Path, whole_motion: Motion):
     out = tmp_path / "out"
     lacking = tmp_path / "lacking.csv"
     lacking.write_text("clip,sex\na,f\n")

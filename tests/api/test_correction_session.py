@@ -50,7 +50,7 @@ def test_a_change_is_saved_and_fitted(session: CorrectionSession, whole_results:
 def test_after_a_pause_the_clip_is_fitted_as_recon_fit_does(
     session: CorrectionSession, monkeypatch: pytest.MonkeyPatch
 ):
-    """After a correction a quick fit starts from the present motion; after a pause the whole fit follows."""
+    """A quick fit from the present motion follows a correction, and a whole fit follows after a pause."""
     monkeypatch.setattr("recon.api.corrections.IDLE_S", 0.0)
     fits, original = [], session.motion
     quick, whole = replace(original), replace(original)
@@ -107,14 +107,14 @@ def test_an_unchanged_correction_keeps_its_date(session: CorrectionSession, monk
         {"reason": "x" * 1000},
     ],
 )
-def test_what_is_no_correction_of_the_clip_is_not_saved(session: CorrectionSession, changes: dict[str, object]):
+def test_invalid_corrections_are_not_saved(session: CorrectionSession, changes: dict[str, object]):
     with pytest.raises(InputError, match="row 1"):
         session.save([a_row(session.motion, **changes)])
     assert not session.out.exists()
 
 
 @pytest.mark.parametrize("rest", ["9" * 5000, "-1", "1.jpg", "../corrections.csv", "%2e%2e/corrections.csv", "", "²"])
-def test_hostile_addresses_are_answered_without_a_file(session: CorrectionSession, tmp_path: Path, rest: str):
+def test_hostile_addresses_return_no_file(session: CorrectionSession, tmp_path: Path, rest: str):
     (tmp_path / "pictures").mkdir()
     (tmp_path / "pictures" / "2.jpg").write_bytes(b"jpeg")
     server = _server(session, tmp_path / "pictures", has_video=True)
@@ -126,7 +126,7 @@ def test_hostile_addresses_are_answered_without_a_file(session: CorrectionSessio
     assert json.loads(server.pages["state"](rest, None).content)["version"] == 1
 
 
-def test_names_of_files_are_text_on_the_page(session: CorrectionSession, tmp_path: Path):
+def test_file_names_are_plain_text_on_the_page(session: CorrectionSession, tmp_path: Path):
     session.folder = tmp_path / "<img src=x onerror=alert(1)>"
     session.problem = "</script><script>alert(2)</script>"
     server = _server(session, tmp_path, has_video=False)
@@ -137,7 +137,7 @@ def test_names_of_files_are_text_on_the_page(session: CorrectionSession, tmp_pat
     assert "Correct &lt;img" in page
 
 
-def test_a_file_that_another_program_changed_stays(session: CorrectionSession, monkeypatch: pytest.MonkeyPatch):
+def test_a_file_changed_by_another_program_is_not_replaced(session: CorrectionSession, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(session, "_fit", lambda: None)
     session.save([a_row(session.motion)])
     session.out.write_text("mine")
@@ -146,7 +146,7 @@ def test_a_file_that_another_program_changed_stays(session: CorrectionSession, m
     assert session.out.read_text() == "mine"
 
 
-def test_corrections_that_are_there_are_continued(
+def test_existing_corrections_are_kept(
     session: CorrectionSession, whole_results: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(session, "_fit", lambda: None)
@@ -166,8 +166,8 @@ def test_two_editors_of_one_file_are_refused(tmp_path: Path):
     assert not [*tmp_path.iterdir()]
 
 
-def test_corrections_made_in_a_spreadsheet_are_taken_up(session: CorrectionSession, whole_results: Path):
-    """Corrections saved by a spreadsheet are read: semicolons, decimal commas, no name of the only camera."""
+def test_corrections_from_a_spreadsheet_are_read(session: CorrectionSession, whole_results: Path):
+    """Corrections with semicolons, decimal commas and no camera name, as from a spreadsheet, are read."""
     session.out.write_text("frame;keypoint;now_x_px;now_y_px\n20;nose;3,5;4\n", encoding="utf-8")
     again = CorrectionSession.open(whole_results, session.out)
     (row,) = again.corrections
@@ -175,7 +175,7 @@ def test_corrections_made_in_a_spreadsheet_are_taken_up(session: CorrectionSessi
 
 
 @pytest.mark.parametrize("row", ["5000,nose,1,2", "20,beak,1,2"])
-def test_corrections_of_another_clip_do_not_open(session: CorrectionSession, whole_results: Path, row: str):
+def test_corrections_of_another_clip_are_refused(session: CorrectionSession, whole_results: Path, row: str):
     session.out.write_text(f"frame,keypoint,now_x_px,now_y_px\n{row}\n", encoding="utf-8")
     content = session.out.read_text()
     with refusal((session.out, "corrections", row.split(",")[0], "another --out")):
@@ -183,7 +183,7 @@ def test_corrections_of_another_clip_do_not_open(session: CorrectionSession, who
     assert session.out.read_text() == content
 
 
-def test_a_video_that_ends_before_the_clip_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_video_that_ends_before_the_clip_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A video that ends before the clip is reported before the page opens, or when decoding ends."""
     video, frames = SAMPLES / "rendered.mp4", np.arange(500)
     with refusal((video, "video", "90 frames", "500 or more")):

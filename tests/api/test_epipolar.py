@@ -1,4 +1,4 @@
-"""Test the lines on which a keypoint of another camera lies."""
+"""Test epipolar lines: the possible positions in one picture of a keypoint that another camera sees."""
 
 from __future__ import annotations
 

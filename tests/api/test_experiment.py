@@ -116,7 +116,7 @@ def joined(
     return joint_posterior(*arrays)
 
 
-def test_cameras_of_a_run_weigh_by_their_uncertainty_and_share_the_size():
+def test_cameras_of_a_run_are_weighted_and_share_the_size_error():
     assert joined([4.0, 4.1], [0.1, 0.2]) == pytest.approx((4.02, 1 / np.sqrt(125), 0.0))
     # Errors of the expected size and of the focal length do not average out; errors of a measured size do.
     assert joined([4.0, 4.0], [0.1, 0.1], size=0.1, prior=0.1)[1:] == pytest.approx((0.1 / np.sqrt(2), 0.1))
@@ -134,7 +134,7 @@ def test_cameras_of_a_run_weigh_by_their_uncertainty_and_share_the_size():
     assert joined([3.5, 4.5], [0.1, 0.1])[1] == pytest.approx(0.5)
 
 
-def test_joint_posteriors_of_simulated_cameras_hold_the_truth():
+def test_joint_posteriors_of_simulated_cameras_cover_the_truth():
     rng, prior, pictures = np.random.default_rng(0), 0.1, np.array([0.08, 0.15])
     size = (prior**-2 + pictures**-2) ** -0.5
     errors = []
@@ -164,7 +164,7 @@ def test_the_cameras_of_a_run_count_once(experiment: Experiment, tables: tuple[p
 # The mixed model
 
 
-def test_the_effect_of_a_group_with_the_speed_as_covariate(experiment: Experiment):
+def test_group_effect_with_speed_as_covariate(experiment: Experiment):
     rows = {quantity: {} for quantity in WITH_SIZE}
     for row in experiment.effects.to_dict("records"):
         rows[row["quantity"]][row["effect"]] = row
@@ -183,7 +183,7 @@ def test_the_effect_of_a_group_with_the_speed_as_covariate(experiment: Experimen
     assert [*rows["speed_m_s"]] == ["mean of control", "mean of treated", "treated - control"]
 
 
-def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFrame, pd.DataFrame]):
+def test_inseparable_components_of_variance_are_noted(tables: tuple[pd.DataFrame, pd.DataFrame]):
     clips, strides = tables
     single = clips[clips["clip"].isin(CLIPS[2:])]
     experiment = model_experiment(single, strides.iloc[:0], {"duty_factor": False})
@@ -205,7 +205,7 @@ def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFra
 # Plans
 
 
-def test_a_plan_says_how_many_animals_an_effect_needs(experiment: Experiment):
+def test_a_plan_gives_the_number_of_animals(experiment: Experiment):
     known = LevelSigmas(0.4, 0.2, 0.2, 0.15)
     text = "effect=10% mean=3 animal=0.4 run=0.2 stride=0.2 measurement=0.15"
     table = plan_experiment(read_plan([text, "runs=1,2 strides=5 cameras=2"]))

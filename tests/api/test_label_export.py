@@ -98,7 +98,7 @@ def test_accepted_points_are_labels_on_request(whole_results: Path, corrections:
     assert clip.labels("run", "me").origins[0][k] == ""
 
 
-def test_a_corrected_table(whole_results: Path, corrections: Path, tmp_path: Path):
+def test_the_corrected_table_has_the_corrections(whole_results: Path, corrections: Path, tmp_path: Path):
     out = tmp_path / "corrected.csv"
     done = run("fix", whole_results, "--out", corrections, "--export-table", out)
     assert (done.code, done.err) == (0, "")
@@ -118,5 +118,5 @@ def test_a_corrected_table(whole_results: Path, corrections: Path, tmp_path: Pat
         (("--export-table", "corrected.txt"), ("--export-table", "file", "corrected.txt", ".csv or .h5")),
     ],
 )
-def test_options_that_do_not_fit_are_refused(whole_results: Path, options: tuple[str, ...], expected):
+def test_conflicting_options_are_refused(whole_results: Path, options: tuple[str, ...], expected):
     refused(("fix", whole_results, *options), expected)

@@ -36,7 +36,7 @@ def session(film: Path, tmp_path: Path) -> LabelSession:
     return LabelSession.open(film, tmp_path, NAMES, "me", 3)
 
 
-def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
+def test_chosen_frames_cover_every_scene_and_are_reproducible(film: Path):
     chosen = choose_frames(film, 3)
     assert [number // 10 for number in chosen] == [0, 1, 2]
     assert choose_frames(film, 3) == chosen
@@ -44,7 +44,7 @@ def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
     assert len(choose_frames(film, 12)) == 12  # the film has fewer than 12 different pictures
 
 
-def test_with_a_result_frames_are_those_whose_labels_tell_most(small_motion: Motion):
+def test_with_a_result_the_most_useful_frames_are_chosen(small_motion: Motion):
     """If a result is given, the chosen frames are those whose labels reduce the error most.
 
     A neighbour of a chosen frame adds little. Frame numbers are those of the keypoint file.
@@ -68,7 +68,7 @@ def test_preferred_frames_come_first_and_others_differ(film: Path, tmp_path: Pat
     assert {number // 10 for number in session.frames} > {0}
 
 
-def test_what_is_saved_is_what_recon_train_reads(session: LabelSession, tmp_path: Path):
+def test_saved_labels_are_read_for_training(session: LabelSession, tmp_path: Path):
     first, second, third = session.frames
     assert session.save([[first, 0, 10.0, 20.5], [first, 1, 30.0, 20.0], [third, 1, 5.0, 6.0]]) == 3
     labels = read_labels(tmp_path)
@@ -81,7 +81,7 @@ def test_what_is_saved_is_what_recon_train_reads(session: LabelSession, tmp_path
     assert session.picture(second + 1) is None
 
 
-def test_the_next_session_goes_on(session: LabelSession, film: Path, tmp_path: Path):
+def test_the_next_session_continues_with_earlier_labels(session: LabelSession, film: Path, tmp_path: Path):
     session.save([[session.frames[1], 0, 10.0, 20.0]])
     again = LabelSession.open(film, tmp_path, NAMES, "me", 3)
     assert again.points_px == session.points_px
@@ -92,7 +92,7 @@ def test_the_next_session_goes_on(session: LabelSession, film: Path, tmp_path: P
         LabelSession.open(film, tmp_path, ("paw",), "me", 3)
 
 
-def test_labels_that_somebody_else_made_are_not_replaced(session: LabelSession, film: Path, tmp_path: Path):
+def test_labels_from_elsewhere_are_not_replaced(session: LabelSession, film: Path, tmp_path: Path):
     session.save([[session.frames[0], 0, 10.0, 20.0]])
     table = session.output.folder / "CollectedData_me.csv"
     table.write_text("mine")
@@ -117,7 +117,7 @@ def test_labels_that_somebody_else_made_are_not_replaced(session: LabelSession, 
         "x",
     ],
 )
-def test_what_is_no_label_is_not_saved(session: LabelSession, row: object):
+def test_invalid_labels_are_not_saved(session: LabelSession, row: object):
     if isinstance(row, list) and row[0] == 0:
         row[0] = session.frames[0]
     with refusal(("labels", "row 1")):
@@ -126,7 +126,7 @@ def test_what_is_no_label_is_not_saved(session: LabelSession, row: object):
 
 
 @pytest.mark.parametrize("names", [(), ("nose", "nose"), ("nose", "")])
-def test_names_that_are_none_are_refused(film: Path, tmp_path: Path, names: tuple[str, ...]):
+def test_invalid_keypoint_names_are_refused(film: Path, tmp_path: Path, names: tuple[str, ...]):
     pytest.importorskip("tables")
     with refusal(("--names", "names")):
         LabelSession.open(film, tmp_path, names, "me", 3)

@@ -18,7 +18,7 @@ from recon.io.hdf5_poses import dataset_of
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 
 
-def test_a_motion_is_a_table(world_trajectory: Motion):
+def test_a_motion_converts_to_a_table(world_trajectory: Motion):
     motion = world_trajectory
     long, wide = motion.to_dataframe(), motion.to_dataframe(wide=True)
     assert list(long.columns[:6]) == ["frame", "time_s", "joint", "x_m", "y_m", "z_m"]
@@ -31,7 +31,7 @@ def test_a_motion_is_a_table(world_trajectory: Motion):
     assert wide.shape == (len(motion.frames), 6 * len(motion.names))
 
 
-def test_a_motion_is_movements_dataset(world_trajectory: Motion):
+def test_a_motion_converts_to_a_movement_dataset(world_trajectory: Motion):
     pytest.importorskip("xarray")
     motion = world_trajectory
     data = motion.to_xarray()
@@ -53,7 +53,7 @@ def test_a_notebook_shows_verdict_picture_and_summary(sample_fit: Motion):
     assert "http" not in shown
 
 
-def test_results_show_themselves_in_a_line(sample_fit: Motion, tmp_path: Path):
+def test_results_are_shown_in_one_line(sample_fit: Motion, tmp_path: Path):
     motion, analysis = sample_fit, recon.analyse(sample_fit)
     solution, truth = motion.solution, recon.read_pose3d(SAMPLES / "whole_truth.csv")
     evaluation = recon.evaluate(motion.upright, truth)
@@ -70,7 +70,7 @@ def test_results_show_themselves_in_a_line(sample_fit: Motion, tmp_path: Path):
     assert repr(clips[0].settings).endswith("fps=60.0)")
 
 
-def test_speed_has_its_times_and_its_band(sample_fit: Motion):
+def test_speed_has_times_and_an_interval(sample_fit: Motion):
     speed = recon.analyse(sample_fit).speed
     assert speed.index.name == "time_s"
     known = speed.dropna()
@@ -136,7 +136,7 @@ def test_other_tables_are_refused(table, field, found, expected):
         recon.Keypoints.from_dataframe(pd.DataFrame(table))
 
 
-def test_all_that_is_public_explains_itself_and_completion_shows_no_more():
+def test_public_names_have_docstrings_and_completion_lists_only_them():
     assert dir(recon) == sorted(recon.__all__)
     assert isinstance(recon.__version__, str)
     for name in {*recon.__all__} - {"__version__"}:
@@ -149,8 +149,8 @@ def test_all_that_is_public_explains_itself_and_completion_shows_no_more():
                 assert function.__doc__, f"{name}.{attribute}"
 
 
-def test_messages_are_for_who_listens(caplog, capfd):
-    """Nothing is printed from Python; messages go to the logger "recon"."""
+def test_messages_go_to_the_logger(caplog, capfd):
+    """Functions print nothing, and send messages to the logger "recon"."""
     settings = recon.FitSettings(
         keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:8", fast=True
     )

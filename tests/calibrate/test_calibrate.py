@@ -75,7 +75,7 @@ def chess_views() -> BoardViews:
 # Boards
 
 
-def test_boards_are_read():
+def test_board_descriptions_are_parsed():
     assert parse_board(CHESS) == Board(9, 6, 0.025)
     assert parse_board("charuco:5x7:4cm:0.03m:dict_4x4_50") == Board(5, 7, 0.04, 0.03, "DICT_4X4_50")
     assert parse_board("charuco:5x8:40mm:30mm:DICT_4X4_50:legacy") == replace(
@@ -102,7 +102,7 @@ def test_every_fault_of_a_board_is_named(text, fields):
 
 
 @pytest.mark.parametrize("text", ["charuco:5x8:40mm:30mm:DICT_4X4_50", "charuco:5x8:40mm:30mm:DICT_4X4_50:legacy"])
-def test_rendered_charuco_is_the_board_that_opencv_prints(text):
+def test_a_rendered_charuco_board_equals_the_picture_by_opencv(text):
     """A rendered ChArUco board, seen squarely at 10 px per cell, is that of OpenCV's `CharucoBoard.generateImage`."""
     board = parse_board(text)
     printed = board.charuco.generateImage((5 * 60, 8 * 60), marginSize=0)
@@ -141,7 +141,7 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
         pytest.param("radtan", CHARUCO, marks=pytest.mark.slow),
     ],
 )
-def test_intrinsics_come_back(lens, text):
+def test_intrinsics_are_recovered(lens, text):
     """Intrinsics are found within 0.5 % of the truth, and the lens within a pixel where boards were seen."""
     camera, board = BOARD_CAMERAS[lens], parse_board(text)
     count = 14 if text == CHESS else 24  # ChArUco boards have half as many corners, with twice the error
@@ -221,7 +221,7 @@ def test_a_good_calibration_is_not_refused(chess_views):
 
 
 def test_parallel_boards_are_refused():
-    """Parallel boards are refused, because focal length and distance are confounded; the message says by how much."""
+    """Parallel boards, which confound focal length and distance, are refused with a message that gives the limit."""
     board, camera = Board(9, 6, 0.025), BOARD_CAMERAS["radtan"]
     centre = board.points_m.mean(axis=0)
     rng = np.random.default_rng(0)
@@ -265,8 +265,8 @@ def test_each_limit_is_measured(chess_views):
     assert [said[name].verdict for name in ("focal length", "principal point")] == ["refused", "refused"]
 
 
-def test_coverage_is_the_area_of_the_boards():
-    """The coverage is the area of the boards: one board that fills the middle ninth of the picture."""
+def test_coverage_is_the_area_that_the_boards_cover():
+    """One board that fills the middle ninth of the picture has a coverage of a ninth."""
     board = Board(9, 6, 0.025)
     camera = Camera("c", BOARD_CAMERAS["pinhole"].matrix, np.zeros(0), "pinhole", SIZE_PX)
     xy = board.points_m[:, :2] / [0.2, 0.125] * [266.6, 200] + [266.7, 200]
@@ -279,7 +279,7 @@ def test_coverage_is_the_area_of_the_boards():
     assert values["border"].value == pytest.approx(100 / 3, abs=0.2)
 
 
-def test_too_few_views_is_an_input_error(chess_views):
+def test_too_few_views_are_refused(chess_views):
     with refusal(("pictures", "views", "2 of 14 pictures", "3 or more")):
         calibrate(replace(chess_views, views=chess_views.views[:2]), "radtan")
 
@@ -288,7 +288,7 @@ def test_too_few_views_is_an_input_error(chess_views):
 
 
 def test_sharp_and_different_frames_are_chosen():
-    """Sharp and different frames are chosen: two are blurred, and one of three positions is held for a second."""
+    """Of nine frames, those that are blurred or that show the board where another frame does are left out."""
     places = np.array([0.1] * 5 + [0.5, 0.9, 0.7, 0.3])
     outlines = np.zeros((9, 4, 2))
     outlines[..., 0] = places[:, None]
@@ -314,7 +314,7 @@ def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
 
 @pytest.mark.slow
 def test_a_video_gives_some_of_its_frames(tmp_path):
-    """A video gives some of its frames; while the board rests, all frames count as one view."""
+    """All frames of a video in which the board rests count as one view."""
     camera, board = BOARD_CAMERAS["pinhole"], parse_board(CHARUCO)
     glide = [np.array([-0.25 + 0.02 * n, -0.16 + 0.01 * n, 0.6 - 0.01 * n]) for n in range(12)]
     with video_writer(tmp_path / "board.avi", SIZE_PX, 5.0) as write:
@@ -347,7 +347,7 @@ def test_all_bad_inputs_are_named_at_once(tmp_path):
         find_views([tmp_path / "0.png"], parse_board(CHESS))
 
 
-def test_picture_shows_corners_where_they_were_found(chess_views):
+def test_coverage_picture_shows_detected_corners(chess_views):
     found = calibrate(chess_views, "radtan")
     kept = replace(found, views=(replace(found.views[0], used=False), *found.views[1:]))
     axes, bar = plots.calibration(kept).axes
@@ -401,7 +401,7 @@ def test_command_refuses_and_can_be_forced(radtan_folder, tmp_path):
     assert read_camera(out).model == "pinhole"
 
 
-def test_command_names_all_that_is_wrong_with_its_options(tmp_path):
+def test_command_reports_all_problems_with_its_options(tmp_path):
     args = [
         "calibrate",
         str(tmp_path),

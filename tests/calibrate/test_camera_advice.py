@@ -41,7 +41,7 @@ def test_the_camera_looks_at_the_middle_and_stands_upright():
         np.testing.assert_allclose(centre - target, expected, atol=1e-12)
 
 
-def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse():
+def test_theta_is_visible_from_the_side_and_phi_from_above():
     sagittal, transverse = {"target": "theta_1"}, {"target": "phi_1"}
     theta, phi = ([seen_from(place, **what) for place in (SIDE, ABOVE)] for what in (sagittal, transverse))
     assert theta[0][1] > 0.7
@@ -51,7 +51,7 @@ def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse()
     assert phi[1][0] < phi[0][0]
 
 
-def test_without_noise_the_pixels_say_all(monkeypatch):
+def test_without_noise_all_information_comes_from_the_pixels(monkeypatch):
     """If keypoints lie on their joints with a noise of 0.01 px, hardly anything comes from the prior, even for phi."""
     exact = TrajectoryOptions(sigma_px=0.01, keypoint_sigma_m=0.0)
     for least, what in ((0.99, {"target": "theta_6"}), (0.9, {"target": "phi_6"}), (0.99, {"target": "J8"})):
@@ -63,13 +63,13 @@ def test_without_noise_the_pixels_say_all(monkeypatch):
         assert sigma < usual[0] / 2
 
 
-def test_nearer_is_better_and_out_of_the_picture_is_nothing():
+def test_precision_grows_nearer_and_is_zero_outside_the_picture():
     near, far = (seen_from(SIDE, target="J4", distance_m=distance)[0] for distance in (4.0, 40.0))
     assert near < 0.9 * far
     assert seen_from(SIDE, distance_m=0.01) == (np.inf, 0.0)
 
 
-def test_the_stride_runs_straight_with_the_prior_s_swing():
+def test_the_mean_stride_is_straight_and_swings_as_in_the_prior():
     speed = np.diff(STATES[:, 0]) * 60
     np.testing.assert_allclose(speed, 5 * length_m(BODY))
     np.testing.assert_allclose(STATES[:20, 4:].mean(axis=0), PRIOR.mean, atol=1e-9)  # the mean over one period
@@ -77,7 +77,7 @@ def test_the_stride_runs_straight_with_the_prior_s_swing():
     assert np.abs(STATES[:, 4:] - PRIOR.mean).max() == pytest.approx(top, rel=0.01)
 
 
-def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(monkeypatch):
+def test_best_position_has_the_least_sigma_and_a_second_camera_lowers_it(monkeypatch):
     few = np.radians([0.0, 90.0, 180.0])
     monkeypatch.setattr("recon.calibrate.camera_advice.AZIMUTHS_RAD", few)
     monkeypatch.setattr("recon.calibrate.camera_advice.ELEVATIONS_RAD", ELEVATIONS_RAD[:2])
@@ -92,7 +92,7 @@ def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(
     assert one.distance_m == pytest.approx(4 * length_m(BODY))
 
 
-def test_places_in_words():
+def test_directions_are_put_into_words():
     assert direction_text(0.0, 0.1) == "ahead of the animal, level with its middle (0°)"
     assert direction_text(np.radians(270), 0.5) == "on the animal's right side, raised (270°)"
     assert direction_text(np.radians(120), np.radians(80)) == "behind the animal, to its left, almost above it (120°)"
@@ -119,7 +119,7 @@ def test_command(directions, tmp_path, monkeypatch):
     refused(["camera-advice", "--skeleton", "cheetah-8u", "--out", out], there)
 
 
-def test_every_mistake_is_said(tmp_path):
+def test_every_problem_is_reported(tmp_path):
     given = ("camera-advice", "--skeleton", "cheetah-8u", "--out", tmp_path / "a")
     refused(
         [*given, "--cameras", "3", "--hfov-deg", "0", "--distance-m", "-1"],

@@ -53,7 +53,7 @@ def directions(camera: Camera, zoom: float = 1.0) -> np.ndarray:
 
 
 def seen(rotation: np.ndarray, camera: Camera = PINHOLE, zoom: float = 1.0, px_rad: float = 300.0) -> np.ndarray:
-    """Return what a camera sees of the texture all around it."""
+    """Return the picture of a camera inside a sphere with the texture."""
     x, y, z = (directions(camera, zoom) @ rotation).T
     u, v = px_rad * np.arctan2(x, z), px_rad * np.arcsin(np.clip(y, -1, 1))
     return sampled(u.reshape(SIZE[::-1]), v.reshape(SIZE[::-1]))
@@ -94,7 +94,7 @@ def with_patch(pictures, share: float):
 
 
 @pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), pytest.param(FISHEYE, 0.9, marks=pytest.mark.slow)])
-def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
+def test_a_pan_and_the_focal_length_are_estimated(camera, by):
     """A pan is found together with the focal length, without drift or with an error within its standard deviation."""
     rotations = pan(12, 14.0)
     told = replace(camera, matrix=camera.matrix * [[by, 1, 1], [1, by, 1], [1, 1, 1]])
@@ -113,7 +113,7 @@ def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
 
 
 @pytest.mark.slow
-def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background():
+def test_a_followed_subject_over_40_percent_is_not_background():
     rotations = pan(14, 12.0)
     pictures = ((128 + 0.25 * (seen(R) - 128.0)).astype(np.uint8) for R in rotations)
     motion = tracked(with_patch(pictures, 0.4))
@@ -124,7 +124,7 @@ def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background():
 
 
 @pytest.mark.slow
-def test_the_animal_is_masked_by_its_points():
+def test_keypoints_mask_an_animal_larger_than_the_background():
     """The animal is masked by its points, although it covers more than half of the picture."""
     rotations = pan(7, 8.0)
     hull = np.array([[60.0, 40], [260, 40], [260, 140], [60, 140]])
@@ -133,7 +133,7 @@ def test_the_animal_is_masked_by_its_points():
     assert errors_deg(tracked(pictures, masked=lambda number: hull), rotations).max() < 0.06
 
 
-def test_zoom_is_found_with_the_turn():
+def test_zoom_and_rotation_are_estimated_together():
     rotations, zooms = pan(10, 8.0), np.linspace(1, 1.3, 10)
     motion = tracked((seen(R, zoom=z) for R, z in zip(rotations, zooms, strict=True)), solve_zoom=True)
     found = np.array([one.zoom for one in motion.orientations])
@@ -142,7 +142,7 @@ def test_zoom_is_found_with_the_turn():
 
 
 @pytest.mark.slow
-def test_it_is_found_again_after_frames_without_background():
+def test_orientation_is_found_again_after_frames_without_background():
     rotations = pan(12, 8.0)
     pictures = [seen(R) for R in rotations]
     pictures[5:7] = [np.full_like(pictures[0], 120)] * 2
@@ -153,7 +153,7 @@ def test_it_is_found_again_after_frames_without_background():
     assert errors_deg(motion, rotations).max() < 0.03
 
 
-def test_a_cut_is_seen():
+def test_a_cut_is_detected():
     x, y = np.meshgrid(np.arange(320.0), np.arange(180.0))
     pictures = [seen(R) for R in pan(6, 3.0)] + [sampled(x, y, seed=3)]
     assert tracked(pictures).cut == 6
@@ -177,7 +177,7 @@ def test_a_camera_that_is_carried_is_recognised(follows):
     assert not motion.turned_only
 
 
-def test_level_is_the_first_frame_as_told_or_the_mean_frame():
+def test_the_world_is_level_by_the_given_tilt_or_on_average():
     orientations = [Orientation(R) for R in pan(9, 10.0)]
     told = as_level(orientations, up_at_tilt(np.radians(12)))[0].rotation
     np.testing.assert_allclose(told[2, 2], -np.sin(np.radians(12)))
@@ -204,7 +204,7 @@ POSTS = [("vertical", t, 5 * AWAY + x * ACROSS + np.outer([-2.2, 2.2], UP)) for 
 
 
 @pytest.mark.parametrize("lines", [[HORIZON], POSTS, [HORIZON, *POSTS]], ids=["horizon", "posts", "both"])
-def test_marks_tell_which_way_is_up(tmp_path, lines):
+def test_up_is_found_from_level_marks(tmp_path, lines):
     path, orientations = marked(tmp_path, lines), [Orientation(R) for R in pan(9, 10.0)]
     up, sigma = up_by_marks(
         path, read_marks(path), FISHEYE, {t + 3: orientation for t, orientation in enumerate(orientations)}
@@ -214,7 +214,7 @@ def test_marks_tell_which_way_is_up(tmp_path, lines):
     np.testing.assert_allclose(as_level(orientations, up)[4].rotation[:, 2], orientations[4].rotation @ UP, atol=1e-4)
 
 
-def test_marks_that_do_not_tell_are_refused(tmp_path):
+def test_marks_that_do_not_determine_up_are_refused(tmp_path):
     orientations = {t + 3: Orientation(R) for t, R in enumerate(pan(9, 10.0))}
     path = marked(tmp_path, POSTS[:1])
     with refusal((path, "marks", ["determine", "upward direction"])):
@@ -274,7 +274,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_is_missing(tmp_path):
+def test_frame_numbers_of_a_damaged_video_are_those_of_a_detector(tmp_path):
     """A damaged video keeps the frame numbers of a detector, which numbers decodable frames, and gaps are reported."""
     frames = 14
     rotations, video = pan(frames, 6.0), tmp_path / "pan.mkv"
@@ -309,7 +309,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
 
 
 @pytest.mark.slow
-def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):
+def test_without_a_tilt_the_output_names_the_mean_frame_as_level(pan_film, tmp_path):
     ended = run(
         "camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "track.csv"
     )
@@ -317,7 +317,7 @@ def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):
     assert says(ended.out, "mean of all frames")
 
 
-def test_level_by_marks_is_said_and_so_is_what_does_not_fit(pan_film, tmp_path):
+def test_level_marks_are_reported_and_exclude_a_tilt(pan_film, tmp_path):
     (tmp_path / "level.csv").write_text("kind,frame,x1,y1,x2,y2\nhorizon,0,10,95,300,85\n")
     given = ("camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "a.csv")
     ended = run(*given, "--level-marks", tmp_path / "level.csv")
@@ -342,7 +342,7 @@ def film_refused(
     assert not out.exists()
 
 
-def test_bad_input_is_one_clear_message(tmp_path):
+def test_bad_videos_and_keypoints_are_refused(tmp_path):
     still = [seen(np.eye(3))] * 3
     other = Camera.from_hfov(60, (640, 360))
     film_refused(tmp_path, still, ("film.avi", "size", "320x180", "640x360"), other)
@@ -357,7 +357,7 @@ def test_bad_input_is_one_clear_message(tmp_path):
 
 
 @pytest.mark.slow
-def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_path):
+def test_a_focal_length_that_the_rotations_contradict_is_reported(tmp_path):
     """A focal length that the rotations contradict by a tenth or more is refused, and a smaller difference is noted."""
     film(tmp_path / "pan.avi", (seen(R) for R in pan(10, 12.0)))
     (tmp_path / "off").mkdir()
@@ -377,7 +377,7 @@ def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_pat
         assert json.load(file)["focal_px"]["file"] == pytest.approx(315)
 
 
-def test_zoom_that_is_not_asked_for_is_refused_and_so_is_a_carried_camera(tmp_path):
+def test_a_zoom_without_the_option_and_a_carried_camera_are_refused(tmp_path):
     zooming = [seen(np.eye(3), zoom=z) for z in np.linspace(1, 1.4, 10)]
     film_refused(tmp_path, zooming, ("film.avi", "motion", ["no turn", "grows"], "--zoom"))
     carried = [driven(x, 0.0) for x in 0.1 * np.arange(10)]

@@ -10,7 +10,7 @@ import pytest
 from recon.cli.answers import RemainingTime, duration_text, say, say_table, table_of, terminal
 
 
-def test_the_time_left_is_right_within_a_factor_of_two_where_work_comes_in_pieces():
+def test_remaining_time_is_right_within_a_factor_of_two():
     """The remaining time is right within a factor of two, although clips of 30 s finish two at a time."""
     now_s, shown = 0.0, {}
     remaining = RemainingTime(lambda: now_s)
@@ -32,7 +32,7 @@ def test_durations_have_two_units_at_most(seconds, text):
     assert duration_text(seconds) == text
 
 
-def test_a_terminal_breaks_lines_between_words():
+def test_lines_on_a_terminal_break_between_words():
     words = "Suspicious " * 12
     narrow = terminal(file=io.StringIO(), width=80, force_terminal=True)
     say(narrow, words)
@@ -44,7 +44,7 @@ def test_a_terminal_breaks_lines_between_words():
     assert piped.file.getvalue() == words + "\n"
 
 
-def test_a_table_in_a_pipe_is_as_wide_as_its_words():
+def test_a_table_in_a_pipe_is_not_wrapped():
     names = [f"column_{i:02}_with_a_long_name" for i in range(9)]
     pipe = terminal(file=io.StringIO(), width=80)
     say_table(pipe, table_of("method", numbers=names, rows=[["damped", *("123456789" for _ in names)]]))

@@ -106,7 +106,7 @@ def fitted(tmp_path_factory) -> tuple[Path, Ended]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> tuple[Path, Ended]:
-    """Return folder and outcome of `recon fit` with the default method, which fits the whole animal."""
+    """Return the folder and the outcome of `recon fit` with the default method, which fits the whole animal."""
     out = tmp_path_factory.mktemp("fit") / "whole"
     return out, run(*whole_args(out))
 
@@ -181,7 +181,7 @@ def test_pose3d_has_two_header_rows_and_the_frames_of_the_clip(fitted):
     assert evaluate_files(out / "pose3d.csv", TRUTH).mpjpe_m.mean < 0.06
 
 
-def test_the_other_outputs_read_back(fitted):
+def test_angles_and_reprojection_agree_with_the_report(fitted):
     out, _ = fitted
     angles = pd.read_csv(out / "angles.csv", index_col="frame")
     assert angles.index.tolist() == list(range(30))
@@ -199,7 +199,7 @@ def test_the_other_outputs_read_back(fitted):
     assert (out / "motion.rrd").read_bytes()[:3] == b"RRF"
 
 
-def test_report_and_config_say_what_was_done(fitted):
+def test_report_and_config_of_a_chain_record_inputs_and_settings(fitted):
     out, _ = fitted
     report = report_of(out)
     assert report["schema"]["name"] == "recon.fit.report"
@@ -231,7 +231,7 @@ def test_options_overrule_the_config(fitted, tmp_path):
 
 
 @pytest.mark.usefixtures("no_playback", "undrawn")
-def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatch):
+def test_results_can_be_moved_together_with_their_inputs(tmp_path, monkeypatch):
     """Results can be moved together with their inputs, and no file in them contains the old path."""
     house, skeleton = (
         tmp_path / "home" / "me",
@@ -253,7 +253,7 @@ def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatc
 
 
 @pytest.mark.usefixtures("no_playback", "frames_solved_once")
-def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
+def test_a_config_with_missing_or_changed_files_is_reported(tmp_path):
     for path in (CLIP, CAMERA):
         shutil.copy(path, tmp_path / path.name)
     out, config = tmp_path / "moved" / "out", tmp_path / "moved" / "out" / "config.toml"
@@ -271,7 +271,7 @@ def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
 
 
 @pytest.mark.usefixtures("no_playback")
-def test_camera_from_its_field_of_view(tmp_path):
+def test_fit_with_a_field_of_view_instead_of_a_camera_file(tmp_path):
     args = fit_args(tmp_path, "--hfov-deg", 60, "--image-size", "1920x1080", "--frames", ":10", camera=None)
     assert run(*args).code == 0
     report = report_of(tmp_path)
@@ -284,14 +284,14 @@ def test_camera_from_its_field_of_view(tmp_path):
 
 
 @pytest.mark.usefixtures("no_playback")
-def test_size_of_the_image_from_the_command_line(inputs, tmp_path):
+def test_image_size_is_read_from_the_command_line(inputs, tmp_path):
     args = fit_args(tmp_path, "--image-size", "1920x1080", "--frames", ":3", camera=inputs / "no_size.json")
     assert run(*args).code == 0
     assert report_of(tmp_path)["summary"]["frames_converged"] == 3
 
 
 @pytest.mark.usefixtures("no_playback")
-def test_choice_of_camera_and_animal(inputs, tmp_path):
+def test_options_choose_the_camera_and_the_animal(inputs, tmp_path):
     more = ("--camera-name", "cam_b", "--individual", "animal2", "--frames", ":3")
     assert run(*fit_args(tmp_path, *more, keypoints=inputs / "animals.csv", camera=inputs / "two.toml")).code == 0
     assert report_of(tmp_path)["settings"]["camera_name"] == "cam_b"
@@ -305,7 +305,7 @@ def test_quiet_prints_nothing(command, tmp_path):
 
 
 @pytest.mark.usefixtures("no_playback", "frames_solved_once")
-def test_brackets_in_names_are_printed_as_they_are(tmp_path):
+def test_brackets_in_names_are_printed_unchanged(tmp_path):
     out = tmp_path / "[red]run [1]"
     ended = run(*fit_args(out, "--frames", ":3"))
     assert f"Results are in {out}." in ended.out
@@ -327,7 +327,7 @@ def test_trajectory_writes_every_output(whole):
     assert f"recon view {out}" in ended.out
 
 
-def test_tables_of_a_trajectory_read_back(whole):
+def test_tables_of_a_trajectory_can_be_read(whole):
     out, _ = whole
     pose = pd.read_csv(out / "pose3d.csv", header=[0, 1], index_col=0)
     sigma = pd.read_csv(out / "pose3d_sigma.csv", header=[0, 1], index_col=0)
@@ -349,7 +349,7 @@ def test_tables_of_a_trajectory_read_back(whole):
     assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], abs=5e-3)
 
 
-def test_report_and_config_of_a_trajectory_say_what_was_done(whole):
+def test_report_and_config_of_a_trajectory_record_inputs_and_settings(whole):
     out, _ = whole
     report = report_of(out)
     assert report["method"] == "trajectory"
@@ -381,7 +381,7 @@ def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("no_playback")
-def test_options_of_a_trajectory(tmp_path):
+def test_options_of_the_trajectory_method_reach_the_fit(tmp_path):
     more = (
         "--skeleton",
         "cheetah-24",
@@ -408,7 +408,7 @@ def test_options_of_a_trajectory(tmp_path):
 
 
 @pytest.mark.usefixtures("no_playback")
-def test_a_chain_over_the_whole_clip(tmp_path):
+def test_a_chain_is_fitted_by_the_trajectory_method(tmp_path):
     assert run(*whole_args(tmp_path, "--skeleton", "cheetah-8u")).code == 0
     table = pd.read_csv(tmp_path / "pose3d.csv", header=[0, 1], index_col=0)
     assert set(table.columns.get_level_values(0)) == FITTED
@@ -420,7 +420,7 @@ def test_a_chain_over_the_whole_clip(tmp_path):
 
 
 @pytest.mark.slow
-def test_tilted_camera(tmp_path):
+def test_tilt_of_the_camera_is_in_the_report(tmp_path):
     args = ("--hfov-deg", 60, "--image-size", "1920x1080", "--tilt-deg", 3, "--frames", ":6")
     assert run(*whole_args(tmp_path, *args, camera=None)).code == 0
     assumptions = report_of(tmp_path)["assumptions"]
@@ -433,7 +433,7 @@ def test_tilted_camera(tmp_path):
 NO_OUT = ("--out", "folder", "nothing", "results/clip1")
 FRAME = ["--set", "method=frame"]
 OF_A_SKELETON = ["title", "forward", "feet", "keypoint_sigma_m", "size_sigma", "segments", "markers", "limbs"]
-"""Fields of a whole animal; a file without links is read as a whole animal."""
+"""Required fields in the file of a whole animal. A file without links is read as one."""
 BAD_INPUT: dict[str, tuple[list[str], list[Refusal]]] = {
     "missing file": (["{in}/no.csv"], [("{in}/no.csv", "file", "no such file")]),
     "folder for a file": (["{in}"], [("{in}", "file", "a folder")]),
@@ -574,12 +574,12 @@ def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_everything_that_is_needed_and_not_given_is_named():
+def test_all_missing_required_options_are_named():
     refused(["fit"], ("KEYPOINTS", "keypoints", "nothing"), ("--camera", "camera", "nothing"), NO_OUT)
 
 
 @pytest.mark.usefixtures("no_playback", "frames_solved_once")
-def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
+def test_frame_rate_is_read_from_the_file_or_required(tmp_path):
     args = ["fit", CLIP, "--camera", tmp_path / "none.toml", "--out", tmp_path / "a"]
     refused(args, ("--fps", "fps", ["nothing", "noisy.csv"]), (tmp_path / "none.toml", "file", "no such file"))
     two = [SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv"]
@@ -594,11 +594,11 @@ def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
     assert report_of(tmp_path / "c")["input"]["fps"] == 60.0
 
 
-def test_no_out():
+def test_a_missing_out_is_refused():
     refused(["fit", CLIP, "--camera", CAMERA, "--fps", 30], NO_OUT)
 
 
-def test_no_camera(tmp_path):
+def test_a_missing_camera_is_refused(tmp_path):
     nothing = ("--camera", "camera", "nothing", "--hfov-deg")
     out = tmp_path / "a"
     refused(fit_args(out, camera=None), nothing)
@@ -611,14 +611,14 @@ def test_no_camera(tmp_path):
 
 
 @pytest.mark.parametrize("below", [False, True])
-def test_out_is_a_file(tmp_path, below):
+def test_a_file_as_out_is_refused(tmp_path, below):
     file = tmp_path / "file"
     file.write_text("mine")
     refused(fit_args(file / "clip" if below else file), ("--out", "folder", f"file {file}", "folder"))
     assert file.read_text() == "mine"
 
 
-def test_results_are_not_replaced_unasked(tmp_path):
+def test_results_are_not_replaced_without_overwrite(tmp_path):
     (tmp_path / "angles.csv").write_text("mine")
     # This problem is reported before any other file is read.
     there = (tmp_path / "angles.csv", "file", "did not write, or that was changed since", "another --out")
@@ -634,7 +634,7 @@ def test_results_are_not_replaced_unasked(tmp_path):
     "args",
     [["fit", "--fps", "fast"], ["fit", "--frames"], ["fit", "--fpps", "3"], ["fits"], ["evaluate", "one.csv"]],
 )
-def test_options_that_cannot_be_parsed(args):
+def test_options_that_cannot_be_parsed_are_refused(args):
     ended = run(*args)
     assert ended.code == 2
     assert ended.out == ""
@@ -649,13 +649,13 @@ def test_options_that_cannot_be_parsed(args):
         (["view", "no"], ("no/motion.rrd", "file", "no such file")),
     ],
 )
-def test_bad_input_makes_nothing(args, expected, tmp_path, monkeypatch):
+def test_bad_input_creates_no_folder(args, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused(args, expected)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_bad_input_in_a_process_of_its_own_is_one_line(tmp_path, monkeypatch):
+def test_bad_input_ends_a_process_with_one_line(tmp_path, monkeypatch):
     """Bad input ends a process with one line: the sentence of the problem."""
     monkeypatch.chdir(tmp_path)
     ended = run_process("evaluate", "no.csv", TRUTH)
@@ -748,7 +748,7 @@ recon.show.view.write = half
 
 @pytest.mark.slow
 @needs_sigkill
-def test_killed_run_leaves_no_output_and_the_next_works(tmp_path):
+def test_a_killed_run_leaves_no_output_and_can_be_repeated(tmp_path):
     out = tmp_path / "out"
     args = whole_args(out, "--frames", ":6")
     assert run_process(*args, before=KILLED_APPROACHING).code == -signal.SIGKILL
@@ -759,7 +759,7 @@ def test_killed_run_leaves_no_output_and_the_next_works(tmp_path):
 
 @pytest.mark.slow
 @needs_sigkill
-def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
+def test_a_killed_overwrite_leaves_the_earlier_results(tmp_path):
     write_old(tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     args = whole_args(tmp_path, "--frames", ":6", "--overwrite")
@@ -771,7 +771,7 @@ def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
 
 @pytest.mark.usefixtures("frames_solved_once")
 @pytest.mark.parametrize("full", ["motion.rrd", "quality.csv"])
-def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
+def test_a_failing_writer_leaves_no_output(full, tmp_path, monkeypatch):
     def write(motion, path):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device", str(path))
@@ -825,7 +825,7 @@ def test_evaluate_as_json(fitted):
     assert json.loads(ended.out) == to_plain(evaluate_files(pose, TRUTH).to_dict())
 
 
-def test_evaluate_names_what_could_not_be_compared(tmp_path):
+def test_evaluate_names_joints_and_frames_that_cannot_be_compared(tmp_path):
     header = "bodyparts,a,a,a,[b],[b],[b],c,c,c\ncoords,x,y,z,x,y,z,x,y,z\n"
     (tmp_path / "pose.csv").write_text(header + "0,0,0,0,1,2,1,,,\n1,,,,,,,,,\n2,0,0,0,1,2,1,,,\n")
     (tmp_path / "truth.csv").write_text(header + "0,0,0,0,1,2,1,2,3,2\n1,0,0,0,1,2,1,2,3,2\n4,0,0,0,1,2,1,2,3,2\n")
@@ -841,7 +841,7 @@ def test_evaluate_names_what_could_not_be_compared(tmp_path):
 
 
 @pytest.mark.slow
-def test_demo(tmp_path):
+def test_demo_writes_results_and_prints_the_error(tmp_path):
     ended = run("demo", "--out", tmp_path / "demo")
     assert (ended.code, ended.err) == (0, "")
     names = sorted(path.name for path in (tmp_path / "demo").iterdir())
@@ -854,7 +854,7 @@ def test_demo(tmp_path):
     refused(["demo", "--out", tmp_path / "demo"], ("--out", "folder", ["pose3d.csv", tmp_path / "demo"], "--overwrite"))
 
 
-def test_view_without_a_recording(tmp_path):
+def test_view_refuses_a_folder_without_a_recording(tmp_path):
     refused(["view", tmp_path], (tmp_path / "motion.rrd", "file", "no such file", "recon fit"))
 
 
@@ -882,7 +882,7 @@ def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypat
 
 
 def test_only_short_clips_have_a_playback_by_default(tmp_path, fitted, monkeypatch):
-    """Only short clips have a playback by default; for a longer clip an earlier playback is deleted."""
+    """By default, a short clip gets a playback, and a longer clip loses that of an earlier fit."""
     out, opened = tmp_path / "clip", []
     monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.parent, path.name)))
     settings, motion = replace(read_config(fitted[0] / CONFIG, {}), playback="auto"), Motion.load(fitted[0])
@@ -918,7 +918,7 @@ def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitt
 
 
 @pytest.mark.slow
-def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
+def test_view_shows_the_plots_of_the_analysis(fitted, tmp_path, monkeypatch):
     """`recon view` shows the plots of an analysis, and changes nothing in the folder of results."""
     out, seen = tmp_path / "clip", []
     shutil.copytree(fitted[0], out)
@@ -941,7 +941,7 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_the_terminal_alone_breaks_the_lines_of_a_help():
+def test_only_the_terminal_breaks_the_lines_of_a_help_text():
     def made_up():
         """Do one thing.
 
@@ -963,7 +963,7 @@ def test_help_has_an_example_and_units(command):
             assert phrase in text
 
 
-def test_brackets_in_names_are_no_markup():
+def test_brackets_in_names_are_not_read_as_markup():
     """Square brackets in names are not read as markup by any console of the commands."""
     stream = io.StringIO()
     terminal(file=stream).print("x[/b] [red]y :smile:")
@@ -974,7 +974,7 @@ def test_brackets_in_names_are_no_markup():
     assert others == []
 
 
-def test_commands_to_a_terminal_in_names_are_shown_as_codes(capsys):
+def test_control_characters_in_names_are_shown_as_codes(capsys):
     console = terminal()
     say(console, "file \x1b[31mred\n.csv")
     console.print(table_of("a\x1b]0;x", title="one\ntwo"))

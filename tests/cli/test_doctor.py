@@ -34,7 +34,7 @@ def statuses(checks) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def doctor() -> tuple[_Check, ...]:
-    """Return the checks of this machine; the demo makes no page, as in `test_demo`."""
+    """Return the checks of this machine, in which the demo makes no page."""
     without = "import recon.cli.demo as it; it.report = lambda *_: it.Answer({'page': None}); "
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_MODULE", without + module._MODULE)
@@ -45,7 +45,7 @@ def doctor() -> tuple[_Check, ...]:
 
 
 @pytest.mark.slow
-def test_all_is_well_here(doctor, monkeypatch):
+def test_no_check_of_this_machine_is_broken(doctor, monkeypatch):
     assert [check for check in doctor if check.status == "broken"] == []
     found = {check.name: check.state for check in doctor}
     assert f"numpy {metadata.version('numpy')}, opencv" in found["packages"]
@@ -60,7 +60,7 @@ def test_all_is_well_here(doctor, monkeypatch):
 
 
 def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(monkeypatch):
-    """The command prints a table of 80 columns or JSON, and ends with 0 or 1; the slow test covers the slow checks."""
+    """The command prints a table of 80 columns or JSON, and ends with 0 or 1. Slow checks are replaced."""
     doctor = (*versions(), *packages(), _Check("viewer", "ok", "rerun-cli 0.1"))
     monkeypatch.setattr("recon.cli.doctor.run_doctor", lambda progress: doctor)
     ended = run("doctor")
@@ -90,7 +90,7 @@ def test_versions_that_are_too_old_or_missing_are_broken():
     assert (found.status, found.state) == ("ok", f"numpy {metadata.version('numpy')}")
 
 
-def test_a_module_of_another_distribution_counts(monkeypatch):
+def test_a_module_from_another_distribution_is_accepted(monkeypatch):
     """A module of another distribution counts: opencv-python instead of opencv-python-headless."""
     real = metadata.version
 
@@ -104,8 +104,8 @@ def test_a_module_of_another_distribution_counts(monkeypatch):
     assert statuses(packages(["opencv-python-headless>=4.9"])) == {"packages": "ok"}
 
 
-def test_the_package_of_somebody_else_is_found(monkeypatch):
-    """Another project's package `recon` is found, although it has files of the same names."""
+def test_another_package_named_recon_is_reported(monkeypatch):
+    """Another project's package `recon`, which has files of the same names, is reported as broken."""
     assert "another recon" not in {check.name for check in versions()}
     real = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "3.1" if name == "recon" else real(name))
@@ -115,7 +115,7 @@ def test_the_package_of_somebody_else_is_found(monkeypatch):
     assert says(found.hint, "pip uninstall recon recon-motion")
 
 
-def test_optional_parts_say_how_to_get_them():
+def test_missing_optional_packages_have_an_install_hint():
     requires = [
         "rich>=1; extra == 'robots'",
         "no-such-thing>=1; extra == 'formats'",
@@ -128,7 +128,7 @@ def test_optional_parts_say_how_to_get_them():
     assert says(found["formats"].state, "no-such-thing", f"rich {metadata.version('rich')}, not >=999")
 
 
-def test_every_extra_of_the_project_is_explained_or_for_developers():
+def test_every_extra_is_explained_or_for_developers():
     import tomllib
 
     pyproject = Path(__file__).parents[2] / "pyproject.toml"
@@ -136,7 +136,7 @@ def test_every_extra_of_the_project_is_explained_or_for_developers():
     assert set(project["optional-dependencies"]) - {"dev"} <= set(module.EXTRAS)
 
 
-def test_viewer_that_is_not_there_or_fails_is_broken(monkeypatch):
+def test_a_missing_or_failing_viewer_is_broken(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")
     assert statuses(viewer()) == {"viewer": "ok", "display": "ok"}
     monkeypatch.delenv("DISPLAY")
@@ -170,13 +170,13 @@ def test_a_temporary_folder_that_cannot_be_written_to_is_broken(monkeypatch, tmp
         ),
     ],
 )
-def test_self_test_survives_what_it_finds(monkeypatch, program, found):
+def test_a_crashing_self_test_is_broken(monkeypatch, program, found):
     monkeypatch.setattr(module, "_MODULE", program)
     (check,) = self_test()
     assert (check.status, check.state) == ("broken", found)
 
 
-def test_self_test_that_does_not_end(monkeypatch):
+def test_a_self_test_that_does_not_end_is_broken(monkeypatch):
     monkeypatch.setattr(module, "_MODULE", "import time; time.sleep(60)")
     monkeypatch.setattr(module, "SELF_TEST_S", 0.5)
     (check,) = self_test()
@@ -267,7 +267,7 @@ def test_no_color_is_respected_on_a_terminal(args, monkeypatch):
     assert not COLOUR.search(ended.out + ended.err)
 
 
-def test_there_is_colour_without_it(monkeypatch):
+def test_output_is_coloured_without_no_color(monkeypatch):
     """Colours appear without NO_COLOR, so that the test above can fail."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
@@ -325,7 +325,7 @@ def test_completion_offers_commands_and_options(monkeypatch, words, offered):
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_script(shell, monkeypatch):
+def test_completion_script_is_printed_for_each_shell(shell, monkeypatch):
     """The completion script is printed for the stated shell."""
     script = called(monkeypatch, "--show-completion", shell, _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
     assert f"_RECON_COMPLETE=complete_{shell}" in script

@@ -45,7 +45,7 @@ def report(small_trajectory, tmp_path_factory) -> str:
 
 @pytest.fixture
 def called(monkeypatch, report, small_trajectory) -> list[str]:
-    """Return the list of stages that are carried out; each stage only writes its files."""
+    """Replace each stage by a function that only writes its files, and return the list of stages carried out."""
     names: list[str] = []
     numbers = count()
 
@@ -107,19 +107,19 @@ def job(film: Path, **more) -> _Job:
 
 
 def done(job: _Job, called: list[str]) -> list[str]:
-    """Return the stages that are carried out for these settings."""
+    """Run the stages of a job, and return the names of those that were carried out."""
     called.clear()
     stages, _ = run_video(job)
     assert [stage.stage for stage in stages if stage.status == "done"] == called
     return called.copy()
 
 
-def test_a_camera_is_chosen_before_the_keypoints_are_found(film):
+def test_camera_is_chosen_before_keypoints_are_detected(film):
     with refusal(("whole_scene.json", "camera", "2 cameras, none of them chosen", "--camera-name")):
         module._check_inputs(job(film, model=film.parent / "net", given={"camera": SAMPLES / "whole_scene.json"}))
 
 
-def test_nothing_is_done_twice(film, called):
+def test_finished_stages_are_skipped(film, called):
     assert done(job(film), called) == ALL
     # The note of the earlier run is repeated.
     assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), (), ()]
@@ -139,7 +139,7 @@ def test_nothing_is_done_twice(film, called):
     assert done(job(film, first_frame=3), called) == ["overlay", "playback", "page"]
 
 
-def test_corrections_in_the_folder_are_fitted(film, called):
+def test_corrections_in_the_folder_are_used(film, called):
     done(job(film), called)
     out = film.parent / "out"
     (out / "corrections.csv").write_text("frame,keypoint,now_x_px,now_y_px\n3,nose,,\n")
@@ -154,7 +154,7 @@ def test_corrections_in_the_folder_are_fitted(film, called):
         _RunSettings(video=film.parent, out=out, keypoints=film.parent, corrections=chosen)
 
 
-def test_the_network_finds_the_keypoints_once(film, called):
+def test_the_network_runs_again_only_if_it_changed(film, called):
     of_network = {"model": film.parent / "net"}
     assert done(job(film, **of_network), called) == ["detect", *ALL]
     assert done(job(film, **of_network), called) == []
@@ -163,7 +163,7 @@ def test_the_network_finds_the_keypoints_once(film, called):
     assert (film.parent / "out" / "run_keypoints.csv").read_bytes() == (SAMPLES / "whole.csv").read_bytes()
 
 
-def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
+def test_finished_stages_do_not_depend_on_the_working_directory(film, called, monkeypatch):
     monkeypatch.chdir(film.parent)
     camera = {"camera": SAMPLES / "camera.toml"}
     turns = _RunSettings(video=Path("run.avi"), out=Path("out"), model=Path("net"), camera_motion="turns")
@@ -174,7 +174,7 @@ def test_names_of_files_are_relative_to_where_one_is(film, called, monkeypatch):
     assert done(job(film, model=film.parent / "net", camera_motion="turns"), called) == []
 
 
-def test_a_camera_that_turns(film, called, monkeypatch):
+def test_a_turning_camera_has_a_camera_motion_stage(film, called, monkeypatch):
     fitted, write = [], module.fit_into
 
     def noted(out: Path, settings, progress) -> dict:
@@ -190,7 +190,7 @@ def test_a_camera_that_turns(film, called, monkeypatch):
     assert done(job(film, camera_motion="zooms", given={"tilt_deg": 3.0}), called)[0] == "camera-motion"
 
 
-def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
+def test_an_interrupted_stage_is_repeated(film, called, monkeypatch):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
@@ -203,7 +203,7 @@ def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
     assert done(job(film), called) == ["overlay", "playback", "page"]
 
 
-def test_files_of_a_user_s_are_not_replaced(film, called):
+def test_files_of_a_user_are_not_replaced(film, called):
     out = film.parent / "out"
     out.mkdir()
     names = ("pose3d.csv", "report.html", "overlay.mp4", "analysis")
@@ -227,7 +227,7 @@ def test_files_of_a_user_s_are_not_replaced(film, called):
     assert done(job(film), called) == []
 
 
-def test_results_of_another_command_are_replaced_only_if_asked_for(film, called, small_trajectory):
+def test_results_of_another_command_are_replaced_only_with_overwrite(film, called, small_trajectory):
     out = film.parent / "out"
     write_clip(small_trajectory, job(film).fit, out)
     with refusal((out / "pose3d.csv", "file", ["another command", "more"], "--overwrite")):
@@ -236,7 +236,7 @@ def test_results_of_another_command_are_replaced_only_if_asked_for(film, called,
     assert not (out / "angles.csv").exists()
 
 
-def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkeypatch):
+def test_a_fit_without_a_pose_gets_only_a_page(film, called, report, monkeypatch):
     nothing = json.loads(report)
     nothing["summary"] |= {"frames_with_pose": 0}
     nothing["unsolved"] = True
@@ -259,7 +259,7 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
     assert says(ended.err, "no frame")
 
 
-def test_the_command_says_what_was_done(film, called):
+def test_the_command_prints_the_outcome_of_each_stage(film, called):
     args = (
         "run", film, "--camera", SAMPLES / "camera.toml", "--keypoints", film.parent / "points.csv",
         "--out", film.parent / "out",
@@ -279,7 +279,7 @@ def test_the_command_says_what_was_done(film, called):
     assert shown["summary"]["frames"] == 8
 
 
-def test_all_mistakes_are_said_before_any_work(film, called):
+def test_all_problems_are_reported_before_any_work(film, called):
     options = ("--camera-motion", "spins", "--from", "detekt")
     refused(
         ["run", film, "--out", film.parent / "out", *options],
@@ -299,7 +299,7 @@ def test_all_mistakes_are_said_before_any_work(film, called):
     assert not (film.parent / "out").exists()
 
 
-def test_a_video_of_another_size_is_refused_before_the_network_looks_at_it(film, monkeypatch):
+def test_a_video_of_another_size_is_refused_before_detection(film, monkeypatch):
     with refusal((film, "size", "64x48", "1920x1080")):
         run_video(job(film, model=film.parent / "net"))
     assert not (film.parent / "out" / "run_keypoints.csv").exists()
@@ -312,8 +312,8 @@ def test_a_video_of_another_size_is_refused_before_the_fit(film):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
-    """The stages are those of the commands, on the beginning of the rendered film, without slow figures."""
+def test_all_stages_run_on_a_rendered_film(tmp_path, monkeypatch):
+    """All stages run on the beginning of the rendered film, write the listed files, and are done afterwards."""
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr(
         "recon.cli.look.clip_page", lambda _, stills, behind, files, camera, *more: f"{page} {behind} {files}"
@@ -342,7 +342,7 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
 # Folders
 
 
-def test_the_keypoints_of_a_video_have_its_name(tmp_path):
+def test_keypoint_files_are_matched_to_videos_by_name(tmp_path):
     for name in ("run.csv", "runDLC_resnet50.h5", "run2DLC_a.csv", "run2DLC_b.csv", "run3-labels.csv"):
         shutil.copy(SAMPLES / "whole.csv", tmp_path / name.replace(".h5", ".csv"))
     write_film(tmp_path / "run5.avi")
@@ -357,7 +357,7 @@ def test_the_keypoints_of_a_video_have_its_name(tmp_path):
             keypoints_of(tmp_path / f"{stem}.mp4", tmp_path)
 
 
-def test_a_folder_is_a_batch(tmp_path, called, monkeypatch):
+def test_a_folder_of_videos_is_run_as_a_batch(tmp_path, called, monkeypatch):
     def run_tasks(work, tasks, tell, **more) -> None:
         assert [job.threads for _, job in tasks] == [1] * len(tasks)
         run_tasks_here(work, pickle.loads(pickle.dumps(tasks)), tell, **more)

@@ -26,20 +26,20 @@ def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[s
 
 
 @pytest.mark.parametrize("option", ["--help", pytest.param("--version", marks=pytest.mark.slow)])
-def test_the_start_imports_nothing_slow(option):
+def test_help_and_version_import_no_slow_library(option):
     modules = imported_by(option)
     assert "typer" in modules
     assert modules & SLOW == set()
 
 
 @pytest.mark.slow
-def test_the_help_of_what_shows_a_result_imports_as_little_as_that_of_a_fit():
+def test_help_of_report_imports_as_little_as_help_of_fit():
     fit, report = (imported_by(command, "--help") for command in ("fit", "report"))
     assert report - fit == {"recon.cli.look_options", "recon.cli.show"}
 
 
 @pytest.mark.slow
-def test_a_fit_imports_what_it_uses(tmp_path):
+def test_a_fit_imports_only_the_libraries_that_it_uses(tmp_path):
     samples = ROOT / "data" / "samples"
     fit = (
         "fit",
@@ -86,14 +86,14 @@ def test_a_page_and_an_analysis_import_no_pandas(tmp_path, whole_results, comman
 
 
 @pytest.mark.slow
-def test_the_process_that_fits_many_clips_imports_what_it_uses():
+def test_a_batch_worker_imports_only_the_libraries_that_it_uses():
     modules = imported_by(what=("-c", "import recon.api.batch"))
     assert "recon.api.clip" in modules
     unused = {"recon.show.plots", "recon.keypoint_net", "cv2", "torch", "matplotlib"}
     assert modules & unused == set()
 
 
-def test_public_names_come_from_where_editors_look_for_them():
+def test_public_names_come_from_the_modules_in_the_stub():
     """Public names come from the modules in which editors look for them.
 
     The imports that type checkers see run on first use, and define `from recon import *`.

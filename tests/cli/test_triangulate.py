@@ -36,7 +36,7 @@ def command(clip, out, *more):
     return run("triangulate", *cameras, "--camera", files["rig"], "--fps", 50, "--out", out, *more)
 
 
-def test_the_points_are_where_the_keypoints_are(clip, tmp_path):
+def test_triangulated_points_are_near_the_true_markers(clip, tmp_path):
     ended = command(clip, tmp_path / "points")
     assert ended.code == 0, ended.err
     pose = read_pose3d(tmp_path / "points" / POINTS)
@@ -49,7 +49,7 @@ def test_the_points_are_where_the_keypoints_are(clip, tmp_path):
     assert np.nanmedian(np.linalg.norm(pose.xyz_m - truth.xyz_m - middle_m, axis=-1)) < 0.02
 
 
-def test_covariances_and_summary(clip, tmp_path):
+def test_covariances_and_summary_are_written(clip, tmp_path):
     out = tmp_path / "points"
     assert command(clip, out, "--json").code == 0
     summary = json.loads((out / SUMMARY).read_text())
@@ -64,7 +64,7 @@ def test_covariances_and_summary(clip, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_result_is_evaluated_and_converted(clip, tmp_path):
+def test_other_commands_read_the_points(clip, tmp_path):
     out = tmp_path / "points"
     assert command(clip, out, "--smooth").code == 0
     folder, _, _ = clip
@@ -75,7 +75,7 @@ def test_the_result_is_evaluated_and_converted(clip, tmp_path):
     assert run("convert", out / POINTS, tmp_path / "points.trc", "--fps", 50).code == 0
 
 
-def test_nothing_of_a_user_is_replaced(clip, tmp_path):
+def test_files_of_a_user_are_not_replaced(clip, tmp_path):
     out = tmp_path / "points"
     out.mkdir()
     (out / POINTS).write_text("mine")
@@ -95,7 +95,7 @@ def test_one_file_is_refused(clip, tmp_path):
     assert not (tmp_path / "points").exists()
 
 
-def test_from_python(clip):
+def test_points_triangulated_from_python_are_near_the_truth(clip):
     _, files, truth = clip
     keypoints = [read_keypoints(files[f"cam{i}"], None, FPS) for i in (1, 2)]
     cameras = read_cameras((files["rig"],), None)
