@@ -1,14 +1,15 @@
-"""Analyse the kinematics, angles, gait, vector fields and closures of a fitted clip.
+"""Analyse a fitted clip: kinematics, joint angles, gait, phase portraits and dynamics.
 
 The joints of a fit without uncertainty (the frame method) jitter from frame to frame, and the derivatives of exact
-splines through them are mostly noise. Paths and angles of such a fit are therefore smoothed according to the jitter,
-and everything else is computed from the smoothed paths and angles.
+splines through them are mostly noise. The paths and angles of such a fit are therefore smoothed according to the
+jitter, and all further results are computed from the smoothed paths and angles.
 
 The errors of a fit with uncertainty have three components with different correlation times. The error of the animal's
 size is constant: it changes the distance from a single camera by the same factor in every frame. The errors of the
 whole animal's position and of its pose change as fast as the errors of the detections and the animal's motion. Their
-correlation time is the geometric mean of these two times (`error_time_s`), multiplied by a factor with which the
-standard deviations of velocities are large enough on average in real runs (`python benchmarks/gait.py --only rates`).
+correlation time is the geometric mean of these two times (`error_time_s`), multiplied by a factor. The factor was
+chosen so that the stated standard deviations of velocities agree on average with the errors in real runs (`python
+benchmarks/gait.py --only rates`).
 """
 
 from __future__ import annotations
@@ -56,48 +57,49 @@ POSE_ERROR_TIME = 0.6
 The value was measured on running cheetahs, as was `POSITION_ERROR_TIME`.
 """
 RUNNING_S = 0.1
-"""`error_time_s` of a running animal, s; the stances of every animal are found with this value.
+"""Value of `error_time_s` for a running animal, s, with which the stances of every animal are found.
 
-The stances of a walking dog would be 5 to 20 % too short with the dog's own `error_time_s`.
+With the `error_time_s` of a walking dog, the dog's stances would be 5 to 20 % too short.
 """
 SPEED_KNOWN = 0.2
-"""Largest relative standard deviation of a peak speed at which speeds count as known."""
+"""Largest standard deviation of a peak speed, relative to that speed, at which speeds are reported."""
 UNSEEN_S = 0.2
-"""Longest time, s, between a frame and a detection that still determines the foot's position in that frame.
+"""Longest time without a detection of a foot, s, for which the foot's position is used to find stances.
 
-Further away from detections, only the prior determines the position.
+In longer times without a detection, the position comes from the prior only.
 """
 BELT_GIVEN = (
     "Only the analysis used the belt's speed, not the fit. Fit again with --set belt-speed-m-s for the best result."
 )
 STIFF_RAD = 1e-6
-"""Smallest change of the back's angle, rad. A smaller change means that all joints of the back are on one segment, so
-that there is no flexion.
+"""Smallest range of the back's angle over a clip that counts as flexion, rad.
+
+The range is smaller only if all joints of the back are on one segment.
 """
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClipAnalysis(Brief):
-    """Analysis of a motion of T frames; each part is computed on first use.
+    """Analysis of a fitted motion of T frames and J joints, each part of which is computed on first use.
 
-    The fine grid has N times, ten per frame. Every part except the gait's ground needs `MIN_POINTS` frames with a pose;
-    `analyse` checks this.
+    The fine grid has N times, ten per frame. The motion needs at least `MIN_POINTS` frames with a pose (`analyse`
+    raises an error otherwise).
     """
 
     motion: Motion
     given: Stride | None = None
-    """Stride given by the user."""
+    """Stride given by the user; None to use a stride found in the clip."""
     body_mass_kg: float | None = None
-    """Mass of the animal, if known."""
+    """Mass of the animal; None if unknown."""
 
     @property
     def reference(self) -> str:
-        """Return the joint that represents the animal's position."""
+        """Return the name of the joint that represents the animal's position."""
         return self.motion.reference
 
     @cached_property
     def errors(self) -> Sequence[Errors]:
-        """Return the errors of the size, the position and the pose.
+        """Return the position errors of the joints due to the animal's size, position and pose, each (T, J, 3), metres.
 
         If the fit states no uncertainty over time, the errors are estimated from the jitter of the joints.
         """
@@ -136,7 +138,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def joints(self) -> dict[str, JointKinematics]:
-        """Return the motion of each joint by its name.
+        """Return a dictionary of the motion of every joint, with the joints' names as keys.
 
         To save memory, only the reference joint has values between the frames.
         """
@@ -156,7 +158,10 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
-        """Return the angles at the inner joints of each limb and, if the skeleton has a spine, its flexion, by name."""
+        """Return a dictionary of the angles at the inner joints of each limb, and of the flexion of the spine.
+
+        The keys are the joints' names, and "spine_flexion" if the skeleton has a flexible back.
+        """
         # A displacement of all joints together does not change the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
         result, fps = {}, self.motion.fps
@@ -188,7 +193,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
-        """Return the angles that the fit solved for, such as the trunk's pitch and the joints' angles, by name."""
+        """Return a dictionary of the angles that the fit solved for, such as the pitch of the trunk."""
         motion = self.motion
         sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
         stated = [[Errors(column, self.errors[-1].correlation_s)] for column in sigma.T]
@@ -213,7 +218,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def quantities(self) -> dict[str, GaitQuantity]:
-        """Return speed, strides, steps, limb phases and asymmetry with their uncertainty, by name."""
+        """Return a dictionary of speed, strides, steps, limb phases and asymmetries, with their uncertainty."""
         unsized = self.moved(self.reference, with_size=False)
         parts = AnalysedClip(self.motion, self.gait, self.errors, self.reference_motion, unsized, self.why_no_speed)
         return gait_quantities(parts)
@@ -231,7 +236,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def fields(self) -> dict[str, tuple[phase.LinkField, ...]]:
-        """Return the vector fields of the links, by limb."""
+        """Return a dictionary of the vector fields of each limb's links, with the limbs' names as keys."""
         motion, chains, forward = self.motion, limb_chains(self.motion), self.motion.forward_names
         fields = {
             limb: phase.pose_vector_field(self.pose, chain, motion.fps, forward) for limb, chain in chains.items()
@@ -250,11 +255,11 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def stride(self) -> Stride | None:
-        """Return the stride that phase portraits show, or None.
+        """Return the stride that phase portraits show, or None if the clip has no stride.
 
-        The result is the stride given by the user, or else the first complete stride of the foot with the most strides.
-        For a chain, it is the first stride of the end effector or, if there is no complete stride, the end effector's
-        nearest return. `recon ik` uses the same stride of a chain.
+        A stride given by the user has precedence. Otherwise the first complete stride of the foot with the most strides
+        is used or, for a chain, the first stride of the end effector. For a chain without a complete stride, the
+        nearest return of the end effector takes the place of the stride. `recon ik` uses the same stride of a chain.
         """
         if self.given is not None:
             return self.given
@@ -271,12 +276,11 @@ class ClipAnalysis(Brief):
     def end_effector(self) -> EndEffector | None:
         """Return the path of a chain's fore foot relative to the reference joint.
 
-        The result is None for a whole animal, and for a clip too short to be smoothed, such as one of four frames.
+        Return None for a whole animal, and for a clip that is too short to be smoothed, such as four frames.
         """
         return self._effector_of(self.pose)
 
     def _effector_of(self, pose: Pose3D) -> EndEffector | None:
-        """Return the path of a chain's fore foot in a pose of the motion."""
         motion = self.motion
         label = next((label for label in motion.foot_names if label.endswith("F")), None)
         if motion.chain is None or label is None:
@@ -290,7 +294,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def _effector_stride(self) -> Stride | None:
-        """Return the first stride of a chain's end effector."""
+        """Return the first complete stride of a chain's end effector, or None without such a stride."""
         motion, effector = self.motion, self.end_effector
         span_s = None if effector is None else effector.stride_s(motion.time_s[longest_stretch(motion.solved)])
         if effector is None or span_s is None:
@@ -314,7 +318,7 @@ class ClipAnalysis(Brief):
         return self._stride_over(effector.foot, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
 
     def _stride_over(self, foot: str, span_s: tuple[float, float], at: Literal["end effector", "return"]) -> Stride:
-        """Return the stride between two times, s, with the length of the body's path."""
+        """Return a stride of a foot between two times, s, as long as the body's path in this time."""
         series = self.reference_motion.series
         begin, end = (
             np.array([np.interp(at_s, series.time_s, series.value[:, axis]) for axis in (0, 1)]) for at_s in span_s
@@ -323,7 +327,10 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
-        """Return centre of mass, energy and vertical forces; None if masses are unknown or only one side was fitted."""
+        """Return the centre of mass, the energies and the vertical forces of the feet.
+
+        Return None if the segments' masses are unknown or only one side of the animal was fitted.
+        """
         return dynamics(self.motion, self.gait, self.errors)
 
     @property
@@ -356,15 +363,17 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:
-        """Return the names of angles for which the pixels provide less than `MEASURED_SHARE` of the precision."""
+        """Return the names of the fit's angles whose precision comes mostly from the prior, not from the detections.
+
+        The detections provide less than the fraction `MEASURED_SHARE` of the precision of these angles.
+        """
         return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
 
     @cached_property
     def why_no_speed(self) -> str | None:
-        """Return why no joint's speed is known, or None if speeds are known or the fit states their uncertainty.
+        """Return the reason why speeds are unknown, or None if speeds are known or the fit states their uncertainty.
 
-        Speeds are unknown if the distance of the animal from the camera is too uncertain, since all joints share this
-        error.
+        The speeds of all joints are unknown if the distance of the animal from the camera is too uncertain.
         """
         if not self.motion.jitters:
             return None
@@ -375,7 +384,7 @@ class ClipAnalysis(Brief):
 
     @property
     def during_stride(self) -> Bools:
-        """Return a mask (T,) of the frames of `stride`; without a stride, all frames are included."""
+        """Return a mask (T,) of the frames within `stride`, or of all frames without a stride."""
         time_s, half = self.motion.time_s, 0.5 / self.motion.fps
         if self.stride is None:
             return np.ones(len(time_s), dtype=bool)
@@ -389,7 +398,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def closures(self) -> dict[str, phase.Closure]:
-        """Return the degree of closure of each portrait that has no gap in `stride`; empty without a stride."""
+        """Return the degree of closure of each phase portrait that has no gap in `stride`; empty without a stride."""
         if self.stride is None:
             return {}
         complete = {
@@ -401,7 +410,7 @@ class ClipAnalysis(Brief):
 def analyse(
     motion: Motion, stride_s: tuple[float, float] | None = None, belt_speed_m_s: float | None = None
 ) -> ClipAnalysis:
-    """Analyse a fitted motion.
+    """Return the analysis of a fitted motion, whose parts are computed on first use.
 
     Parameters
     ----------
@@ -411,7 +420,8 @@ def analyse(
         Start and end of the stride that phase portraits show, s; by default the first complete stride or, for a chain
         without a complete stride, the nearest return of its foot.
     belt_speed_m_s : float, optional
-        Speed of a treadmill's belt, m/s, if the fit was made without this speed.
+        Speed of a treadmill's belt, m/s, so that the motion is analysed relative to the belt. None for a motion over
+        ground, and for a fit that already had the belt's speed.
 
     Raises
     ------
@@ -428,7 +438,9 @@ def analyse(
 
 
 def over_belt(motion: Motion, speed_m_s: float) -> Motion:
-    """Return a motion relative to a treadmill's belt (speed in m/s), without the finding that its feet slide.
+    """Return a motion on a treadmill relative to the belt, which moves at `speed_m_s`.
+
+    The finding that standing feet slide is removed from the motion's verdict.
 
     Raises
     ------
@@ -466,7 +478,7 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
 
 
 def _from_pose(motion: Motion, stride: Stride) -> Stride:
-    """Return the stride moved to begin at the nearest frame with a pose and to end before the last such frame."""
+    """Return the stride, moved so that it begins in a frame with a pose and ends before the last frame with a pose."""
     known_s = motion.time_s[longest_stretch(motion.solved)]
     if not len(known_s):
         return stride
@@ -477,10 +489,10 @@ def _from_pose(motion: Motion, stride: Stride) -> Stride:
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
-    """Return the joints along each limb attached to the trunk and along the trunk itself, by name.
+    """Return a dictionary of the joints along the trunk and along each limb attached to the trunk.
 
-    Chains have at least three joints. The chain of a limb begins with the preceding joint of the trunk, so that the
-    limb's first link has a parent.
+    The keys are the limbs' names. Chains have at least three joints. The chain of a limb begins with the preceding
+    joint of the trunk, so that the limb's first link has a parent.
     """
     limbs = {limb: tuple(motion.names[j] for j in along) for limb, along in motion.limbs.items()}
     trunk = next((along for along in limbs.values() if set(motion.forward_names) <= {*along}), motion.forward_names)
@@ -497,7 +509,10 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
-    """Return the errors of a motion's joints (T, J, 3), given the motion's `error_time_s`."""
+    """Return the independent errors of the joints' positions (T, J, 3), metres.
+
+    `error_s` is the correlation time that `error_time_s` returns for the positions, s.
+    """
     solution, floor = motion.solution, 1e-4
     if motion.jitters:
         independent_and_lasting, path = lasting_errors(xyz_m, motion.fps), solution.reference_path
@@ -518,9 +533,9 @@ def _errors(motion: Motion, xyz_m: Array, error_s: float) -> Sequence[Errors]:
 
 
 def _by_size(motion: Motion) -> Array:
-    """Return the errors of joints (T, J, 3), in metres, due to the uncertainty of the animal's size.
+    """Return the signed standard deviations of the joints' positions due to the animal's size, (T, J, 3), metres.
 
-    The size scales the distance from the camera.
+    The size scales the distance from the camera, so its error moves all joints along their lines of sight.
     """
     solution = motion.solution
     size_sigma = getattr(solution, "size_sigma", None) or 0.0
@@ -549,7 +564,7 @@ def _with_sigma(
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[phase.LinkField, ...]]:
-    """Return the fields with standard deviations, which follow from independent errors of the angles' rates."""
+    """Return the vector fields with standard deviations propagated from independent errors of the angles' rates."""
     rates = [angle.series.rate_sigma for angle in angles]
     names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}
@@ -571,7 +586,10 @@ def _with_sigma(
 
 
 def _seen(motion: Motion, pose: Pose3D) -> Pose3D:
-    """Return the pose with a foot set to NaN while it and the joint above it are unseen for over `UNSEEN_S`."""
+    """Return the pose without the feet that are not seen for more than `UNSEEN_S`.
+
+    A foot is NaN in these frames. A foot counts as seen if it or the joint above it was detected.
+    """
     xyz_m = pose.xyz_m.copy()
     for joint in motion.foot_names.values():
         foot = motion.names.index(joint)

@@ -1,9 +1,9 @@
 """Compute the centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
 
 All values are per kilogram of the animal; forces are in body weights. The centre of mass is computed from the segments,
-each with its mass in the middle of its capsules. About this point a segment rotates as a rod with the capsules' radius
-of gyration. The uncertainty comes from position and pose (`recon.gait.clip`) and from the masses. Derivatives come from
-splines (`recon.gait.kinematics`).
+each with its mass in the middle of its capsules. A segment rotates about this point like a rod with the radius of
+gyration of the capsules. The uncertainty results from the errors of the position and the pose (`recon.gait.clip`) and
+of the masses. Derivatives are computed from splines (`recon.gait.kinematics`).
 
 The second derivative of the centre of mass does not give the forces of single stances: even from several cameras its
 error is 0.6 to 1.3 body weights. Fitting the forces, integrated twice, to the heights of the centre of mass by least
@@ -14,10 +14,10 @@ not known well enough for a balance of pitch moments. Instead, the force of each
 
 and all stances of a stride together have the impulse of the body's weight over the stride, because over a stride on
 level ground the height returns to its initial value. The duration of the stride is the mean of the strides around a
-stance. `GALLOP_FORE` is the fraction of the impulse on the fore feet; the feet of a pair share their part equally
-within `FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at an
-instant is the mean of the draws. The maximum of this force is lower than the peak, because the time of the peak is not
-known exactly. The shape and the spread within a pair were measured by force plates under two galloping cheetahs
+stance. `GALLOP_FORE` is the fraction of the impulse on the fore feet. The left and the right foot share this fraction
+equally, within `FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at
+an instant is the mean of the draws. The maximum of this force is lower than the peak, because the time of the peak is
+not known exactly. The shape and the spread within a pair were measured by force plates under two galloping cheetahs
 (`benchmarks/gait.py`); other animals or gaits may differ by more. Joint torques are left out, because their intervals
 would be wider than the values.
 """
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
-"""Components of the kinetic energy of the centre of mass."""
+"""Names of the components of the kinetic energy of the centre of mass."""
 SKEW = 0.8
 """Exponent of time in the force over a stance. The force rises faster than it falls, so its centroid is at 0.41 of the
 stance (0.36 to 0.48).
@@ -63,7 +63,7 @@ The two values summarise these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (gr
 OTHER_FORE = (0.5, 0.16)
 """Fraction of the impulse on the fore feet in other gaits, and its standard deviation, both guessed."""
 FOOT = 0.4
-"""Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
+"""Standard deviation of the logarithm of a foot's impulse, relative to the mean of the left and the right foot."""
 STANCE_SPREAD = 0.2
 """Standard deviation of a stance's duration, relative to the median of the stances around it.
 
@@ -77,9 +77,9 @@ SEED = 0
 NODES = 41
 """Number of times in and around a stance at which the force is computed. Values in between are interpolated."""
 FLIGHT_FRAMES = 5
-"""Smallest number of frames of a flight for which an acceleration is computed."""
+"""Minimum number of frames in a flight whose acceleration is computed."""
 OFF_GRAVITY = 3.0
-"""Deviation of a flight's acceleration from gravity, in standard deviations, above which a finding is reported."""
+"""Deviation of a flight's acceleration from free fall, in standard deviations, above which a finding is reported."""
 NET_FRAMES = 500
 """Maximum number of frames used for the net acceleration of a clip. More add little, because errors last for several
 frames.
@@ -103,16 +103,16 @@ class StanceForce(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """A part of the clip in which no foot stands, within the errors of touch-down and lift-off."""
+    """Part of the clip in which no foot stands, after allowing for the errors of touch-down and lift-off."""
 
     first: int
-    """Row of the flight's first frame."""
+    """Index of the flight's first frame in the clip."""
     stop: int
-    """Row after the flight's last frame."""
+    """Index of the first frame after the flight."""
     start_s: float
     end_s: float
     up_m_s2: float
-    """Upward acceleration of a parabola through the heights of the centre of mass; -`G_M_S2` in free fall."""
+    """Upward acceleration of the centre of mass, from a parabola fitted to its heights; -`G_M_S2` in free fall."""
     sigma_m_s2: float
     """Standard deviation of `up_m_s2` from the errors of position, pose and masses."""
 
@@ -127,7 +127,7 @@ class Dynamics(Brief):
     centre: JointKinematics
     """Motion of the centre of mass in the upright frame."""
     net_acceleration_m_s2: tuple[float, float]
-    """Acceleration of the centre of mass along its direction of travel over the clip, and its standard deviation."""
+    """Mean acceleration of the centre of mass along the direction of travel, and its standard deviation."""
     internal_j_kg: Array
     """Kinetic energy of the segments' motion about the centre of mass, shape (N,)."""
     internal_sigma_j_kg: Array
@@ -161,7 +161,10 @@ class Dynamics(Brief):
 
     @property
     def mean_peak_bw(self) -> tuple[float, float, float] | None:
-        """Return the mean peak force and the means of the ends of its intervals, or None without complete stances."""
+        """Return the mean peak force over the complete stances, and the means of the ends of the 90 % intervals.
+
+        The values are in body weights. Return None without complete stances.
+        """
         if not self.stance_forces:
             return None
         peak, low, high = zip(*((s.peak_bw, s.peak_low_bw, s.peak_high_bw) for s in self.stance_forces), strict=True)
@@ -169,7 +172,7 @@ class Dynamics(Brief):
 
     @cached_property
     def directions(self) -> Array:
-        """Return unit vectors forwards (along the centre's path over the clip), sideways and up, in columns (3, 3)."""
+        """Return unit vectors forwards (the direction of travel over the clip), sideways and up, as columns (3, 3)."""
         level_m = self.centre.series.value[:, :2]
         known_m = level_m[np.isfinite(level_m[:, 0])]
         direction = known_m[-1] - known_m[0] if len(known_m) > 1 else np.array([1.0, 0.0])
@@ -178,7 +181,10 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_j_kg(self) -> dict[str, Array]:
-        """Return potential, kinetic (forwards, sideways, up), internal and total energy (N,), J/kg, by name."""
+        """Return a dictionary of the potential, kinetic, internal and total energy, each of shape (N,), J/kg.
+
+        The kinetic energy of the centre of mass has three components, forwards, sideways and up.
+        """
         series = self.centre.series
         energy = {"potential": G_M_S2 * (series.value[:, 2] - self.ground_m)}
         energy |= dict(zip(KINETIC, 0.5 * (series.rate @ self.directions).T ** 2, strict=True))
@@ -187,7 +193,7 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_sigma_j_kg(self) -> dict[str, Array]:
-        """Return the standard deviation (N,) of each energy, J/kg, by name."""
+        """Return a dictionary of the standard deviations of the energies, each of shape (N,), J/kg."""
         series = self.centre.series
         kinetic_sigma = np.abs(series.rate @ self.directions) * np.sqrt(series.rate_sigma**2 @ self.directions**2)
         sigma = {"potential": G_M_S2 * series.value_sigma[:, 2]} | dict(zip(KINETIC, kinetic_sigma.T, strict=True))
@@ -198,7 +204,7 @@ class Dynamics(Brief):
 def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dynamics | None:
     """Return the dynamics of a motion; None for a chain or a skeleton without masses or feet.
 
-    `errors` (T, J, 3) are those of the joints, metres, as in `recon.gait.clip`.
+    `errors` are the independent errors of the joints' positions, each (T, J, 3), metres (`ClipAnalysis.errors`).
     """
     shares = motion.body.mass
     if not shares or gait is None or motion.side is not None:
@@ -277,12 +283,25 @@ def _nearest(motion: Motion, rods_m: Array) -> Integers:
 def _turning_sigma(
     at_m: Array, rate_m_s: Array, share: Array, share_sigma: Array, end_joints: Integers, errors: Errors
 ) -> Array:
-    """Return the standard deviations (T, 4) of the internal energy and the angular momentum of the rods.
+    """Return the standard deviations (T, 4) of the internal energy and the angular momentum of the segments.
 
-    Each end of a rod has the error of its nearest joint: equal for all ends of a joint, independent between joints. An
-    error that lasts for `correlation_s` changes at the rate sigma / correlation_s. The rods have their ends at `at_m`
-    (T, E, 3), two for each segment, with the velocities `rate_m_s` (T, E, 3) and the fractions `share` (E,) of the
-    mass. `share_sigma` (S,) holds the standard deviations of the segments' fractions.
+    Each end of a rod has the error of its nearest joint. The ends at one joint have the same error, and the errors of
+    different joints are independent. An error with the correlation time `correlation_s` changes at the rate
+    sigma / correlation_s.
+
+    Parameters
+    ----------
+    at_m, rate_m_s : ndarray
+        Positions, m, and velocities, m/s, of the rods' ends relative to the centre of mass, shape (T, E, 3). There are
+        two ends for each segment.
+    share : ndarray
+        Fraction of the animal's mass at each end, shape (E,).
+    share_sigma : ndarray
+        Standard deviation of each segment's fraction of the mass, shape (S,).
+    end_joints : ndarray
+        Joint nearest to each end, shape (E,).
+    errors : Errors
+        Errors of the joints' positions, (T, J, 3), metres.
     """
     axes = np.eye(3)
     by_rate = np.concatenate([rate_m_s[:, :, :, None], np.cross(at_m[:, :, None], axes)], axis=3)
@@ -300,7 +319,7 @@ def _turning_sigma(
 
 
 def shape(share: Array) -> Array:
-    """Return the force relative to its peak at fractions of a stance, 0 outside the stance."""
+    """Return the vertical force, relative to its peak, at fractions of a stance; 0 outside the stance."""
     is_inside = (share > 0) & (share < 1)
     return np.where(is_inside, np.sin(np.pi * np.clip(share, 0, 1) ** SKEW), 0.0)
 
@@ -311,9 +330,9 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 
 
 def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
-    """Draw times of touch-down and lift-off, and impulses, of S stances, shape (D, S).
+    """Return D random draws of the touch-down and lift-off, s, and the impulse, body weights s, of S stances.
 
-    The first draw has the central value of every distribution.
+    Each array has the shape (D, S). The first draw has the central value of every distribution.
     """
     rng, stances = np.random.default_rng(SEED), gait.stances
     count, feet = len(stances), gait.tracks.feet
@@ -357,7 +376,11 @@ _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
 def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
-    """Return the forces of complete stances, and each foot's force over time, NaN in stances cut by the clip."""
+    """Return the forces of complete stances, and a dictionary of each foot's force over time, shape (N, 3).
+
+    The columns are the expected force and the ends of its 90 % interval, body weights. The force is NaN in stances that
+    the clip cuts.
+    """
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []
     durations_s = np.where([stance.begins and stance.ends for stance in gait.stances], ends - starts, np.nan)
@@ -384,10 +407,10 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
 
 
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> list[Flight]:
-    """Return the flights between the first and the last stance, for an animal with four known feet.
+    """Return the flights between the first and the last stance of an animal with four feet.
 
-    `by_mass_m` (T, S, 3) is the shift of the centre of mass for one standard deviation of each segment's mass fraction,
-    metres. `errors` (T, 3) are the errors of the centre from all other causes, metres.
+    `by_mass_m` is the shift of the centre of mass for one standard deviation of each segment's mass fraction, shape
+    (T, S, 3), metres. `errors` are the errors of the centre of mass from all other causes, each (T, 3), metres.
     """
     time_s, flights = motion.time_s, list[Flight]()
     if len(gait.tracks.feet) >= 4 and gait.stances:
@@ -412,7 +435,7 @@ def off_gravity(flights: Sequence[Flight]) -> Array:
 
 
 def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...]:
-    """Return a finding if a flight deviates from free fall by far more than its uncertainty."""
+    """Return a finding if the acceleration in a flight differs from free fall by more than `OFF_GRAVITY` sigmas."""
     deviation = np.abs(off_gravity(result.flight_parts))
     if not (deviation > OFF_GRAVITY).any():
         return ()
@@ -422,23 +445,23 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 OVER_STRIDE = {"net_work": "_j_kg", "net_power": "_w_kg", "net_acceleration": "_m_s2", "exchange": ""}
-"""Results of `over_stride`, each with the unit at the end of its column's name."""
+"""Names of the quantities that `over_stride` returns, each with the suffix that states the unit in column names."""
 
 
 def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tuple[float, float, float]]:
     """Return net work, power, acceleration and energy exchange over a stride, each with the ends of its 90 % interval.
 
-    Net work and power are computed from the total energy without the internal energy. The net acceleration is that of
-    the centre of mass along its path. The exchange is Cavagna's energy recovery: the fraction of the increases of two
-    energies that is covered by decreases of the other. The two are the potential plus vertical kinetic energy, and the
-    horizontal kinetic energy. The exchange is near 1 for a pendulum and near 0 for a spring.
+    Net work and power are computed from the total energy without the internal energy. The net acceleration is the
+    acceleration of the centre of mass along its path. The exchange is Cavagna's energy recovery, the fraction of the
+    increases of one energy that decreases of the other cover. The two energies are the potential plus vertical kinetic
+    energy, and the horizontal kinetic energy. The exchange is near 1 for a pendulum and near 0 for a spring.
     """
     series, energy, sigma = result.centre.series, result.energy_j_kg, result.energy_sigma_j_kg
     ends = np.minimum(np.searchsorted(series.time_s, [start_s, end_s - 1e-9]), len(series.time_s) - 1)
     rows = slice(ends[0], ends[1] + 1)
 
     def rises(names: Sequence[str]) -> tuple[float, float]:
-        """Return how far the sum of some energies rises in total, and the standard deviation, J/kg."""
+        """Return the sum of all increases of the named energies' total over the stride, and its sigma, J/kg."""
         steps = np.diff(np.sum([energy[name][rows] for name in names], axis=0))
         turns = np.diff((steps > 0).astype(int), prepend=0, append=0) != 0
         variance = np.sum([sigma[name][rows][turns] ** 2 for name in names])

@@ -1,10 +1,10 @@
 """Find the boundaries of strides from the end effector, the foot of a chain, as published (see References).
 
 The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
-strides its horizontal position has a local minimum, so its horizontal velocity crosses zero upwards, near an extremum
-of its height: the foot is rearmost and begins to swing. A minimum counts if it is in the rear `REAR_SHARE` of the
-range, and if the foot has moved forwards by `SWING_SHARE` of the range since the last minimum. If there is no such
-movement between two minima, the one further to the rear is the boundary. A stride lasts from one boundary to the next.
+strides, the foot is rearmost and begins to swing: its horizontal position has a local minimum near an extremum of its
+height. A minimum counts if it is in the rear `REAR_SHARE` of the range of the horizontal position, and if the foot has
+been ahead of `SWING_SHARE` of this range since the last boundary. If the foot has not been as far ahead between two
+minima, the rearmost of the two is the boundary. A stride lasts from one boundary to the next.
 
 References
 ----------
@@ -21,35 +21,38 @@ from recon.base.arrays import Array, Index
 from recon.gait.series import series_kinematics
 
 REAR_SHARE = 0.25
-"""Rear fraction of the range of the horizontal position, within which a swing may begin."""
+"""Rear fraction of the foot's horizontal range in which a swing may begin."""
 SWING_SHARE = 0.5
-"""Smallest forward movement between two boundaries, as a fraction of the range of the horizontal position."""
+"""Position in its horizontal range, from 0 at the rear to 1, that the foot has to reach between two boundaries."""
 _SHORT_M = 0.1
-"""Shortest path of the body that defines a direction of travel."""
+"""Shortest distance that the body has to travel to define the direction of travel; otherwise the heading is used."""
 
 
 @dataclass(frozen=True, eq=False)
 class EndEffector:
-    """Path of an end effector relative to the body at N times, ten per frame, and the boundaries of its strides."""
+    """Path of a chain's foot relative to the body at N times, ten per frame, and the B boundaries of its strides."""
 
     foot: str
     time_s: Array
-    """Times, shape (N,)."""
+    """Times of the samples, shape (N,)."""
     forward_m: Array
-    """Position relative to the body along the direction of travel, shape (N,); NaN in gaps."""
+    """Position of the foot relative to the body along the direction of travel, shape (N,); NaN in gaps."""
     up_m: Array
-    """Height relative to the body, shape (N,)."""
+    """Height of the foot relative to the body, shape (N,)."""
     forward_rate_m_s: Array
-    """Rate of `forward_m`, shape (N,)."""
+    """Derivative of `forward_m` with respect to time, shape (N,)."""
     boundaries_s: Array
     """Times of the boundaries between strides, shape (B,)."""
     height_extrema_s: Array
     """Time of the extremum of `up_m` nearest to each boundary, shape (B,); NaN without an extremum."""
     oversampling: int = 10
-    """Number of times per frame."""
+    """Number of samples per frame."""
 
     def stride_s(self, frames_s: Array) -> tuple[float, float] | None:
-        """Return the beginning and end, s, of the first stride that begins at one of the frames (F,), or None."""
+        """Return the start and end, s, of the first complete stride in the clip, or None without such a stride.
+
+        The stride is shifted to start at a frame. `frames_s` are the times of the frames, shape (F,).
+        """
         for begin, end in zip(self.boundaries_s[:-1], self.boundaries_s[1:], strict=True):
             start = float(frames_s[np.argmin(np.abs(frames_s - begin))])
             if start + (end - begin) <= frames_s[-1] + 1e-9:
@@ -69,7 +72,7 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
     foot_m, body_m : ndarray
         Positions of the foot and of the body's reference joint, metres, z up, shape (T, 3), NaN where unknown.
     heading : ndarray
-        Direction in which the animal faces, shape (3,); used if the body hardly moves.
+        Direction in which the animal faces, shape (3,), used if the body hardly moves.
     """
     known = body_m[np.isfinite(body_m).all(axis=1)]
     chord = (known[-1] - known[0])[:2] if len(known) else np.full(2, np.nan)
@@ -94,13 +97,13 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
 
 
 def _sign_changes(values: Array) -> Index:
-    """Return the indices before which values change sign."""
+    """Return the index of the first value after each change of sign."""
     with np.errstate(invalid="ignore"):
         return np.flatnonzero(values[:-1] * values[1:] < 0) + 1
 
 
 def _boundaries(forward: Array, rate: Array) -> Index:
-    """Return the indices of the minima of the horizontal position that count as boundaries (see the module)."""
+    """Return the indices of the minima of the horizontal position that are boundaries between strides."""
     if not np.isfinite(forward).any():
         return np.empty(0, int)
     low, high = float(np.nanmin(forward)), float(np.nanmax(forward))

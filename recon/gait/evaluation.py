@@ -6,8 +6,8 @@ reconstruction and the truth have it. Centring, scaling and rotating use only th
 Every mean is first taken within a frame and then over frames, so that all frames have equal weight for any number of
 known joints.
 
-The errors of a fit differ from frame to frame. If one transform of the whole clip removes most of the error, the two
-files differ in axes, units or names (`mismatches`).
+The errors of a fit differ from frame to frame. If a single transform of the whole clip removes most of the error, the
+axes, the units or the names of the two files probably differ (`mismatches`).
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 PCK_THRESHOLDS_M = (0.05, 0.1, 0.15)
-"""Thresholds of the percentage of correct keypoints (PCK) for large animals."""
+"""Thresholds of the percentage of correct keypoints (PCK) for large animals, metres."""
 PCK_LARGEST = 1 / 3
-"""Largest PCK threshold as a fraction of the animal's extent.
+"""Upper limit of the PCK thresholds, as a fraction of the animal's extent.
 
-The thresholds are divided by ten until they are small enough, since a whole mouse is smaller than 0.15 m.
+`PCK_THRESHOLDS_M` are divided by ten until all are below this limit, because a whole mouse is smaller than 0.15 m.
 """
 SAME_RATE = 2e-3
-"""Relative difference up to which frame rates count as equal, such as 29.97 and 30."""
+"""Relative difference up to which two frame rates, such as 29.97 and 30, count as equal."""
 WHOLE_FRAME = 1e-4
-"""Distance from a frame, in frames, below which a time counts as that frame's time."""
+"""Difference between a time and a frame's time, in frames, below which the two count as equal."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
-"""Names of the files that `recon triangulate` writes."""
+"""Names of two files that `recon triangulate` writes, the positions and the summary."""
 LEVELS = (0.5, 0.9)
-"""Probabilities of the intervals that are compared with the truth."""
+"""Probabilities of the stated intervals whose coverage is evaluated."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,9 +60,9 @@ class _Score(Brief):
     mean: float
     """Mean of `per_frame` over the frames."""
     per_frame: np.ndarray
-    """Mean over the joints of each frame, shape (T,)."""
+    """Mean over the joints in each frame, shape (T,)."""
     per_joint: np.ndarray
-    """Mean over each joint's frames, shape (J,)."""
+    """Mean over the frames for each joint, shape (J,)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,27 +73,27 @@ class Evaluation(Brief):
     """
 
     pose: str
-    """File of the reconstruction."""
+    """Path of the reconstruction's file."""
     truth: str
-    """File of the truth."""
+    """Path of the truth's file."""
     names: tuple[str, ...]
     frames: np.ndarray
     mpjpe_m: _Score
-    """Error after both poses of a frame are centred on the mean of their common joints."""
+    """Mean per-joint position error after both poses of a frame are centred on the mean of their common joints."""
     mpe_m: _Score
-    """Error of the positions, without centring."""
+    """Mean position error without centring."""
     scale_mpjpe_m: _Score
-    """Error after centring and scaling each frame."""
+    """Mean per-joint position error after centring and scaling the pose of each frame."""
     pa_mpjpe_m: _Score
-    """Error after the best similarity transform (Procrustes) of each frame."""
+    """Mean per-joint position error after the best similarity transform of each frame (Procrustes analysis)."""
     position_m: float
-    """Distance between the two means of a frame's common joints, averaged over the frames."""
+    """Distance between the mean of the joints in the pose and in the truth, averaged over the frames."""
     pck: tuple[tuple[float, _Score], ...]
     """PCK thresholds (m), each with the fraction of centred errors that do not exceed it."""
     inside: dict[str, tuple[float, ...]]
-    """Fraction of the coordinates within the stated intervals for each of `LEVELS`.
+    """Fraction of the true coordinates within the stated intervals of each probability in `LEVELS`.
 
-    The keys are "place" for positions and "pose" for positions after centring. Empty if no intervals are stated.
+    The keys are "place" for positions, and "pose" for positions after centring. Empty if no intervals are stated.
     """
     frames_not_scored: int
     frames_without_pa: int
@@ -104,12 +104,12 @@ class Evaluation(Brief):
     notes: tuple[str, ...]
     """Probable causes of the error, if a transform of the whole clip or an exchange of names removes most of it."""
     verdict: Verdict | None = None
-    """Verdict on the clip, if a results folder is evaluated."""
+    """Verdict on the clip; None if a single file is evaluated, not a results folder."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the evaluation in plain JSON types.
+        """Return the evaluation as a dictionary of plain JSON types.
 
-        Values of keys that end in `_mm` are in millimetres, PCK values are fractions, and NaN becomes None.
+        Values whose keys end in `_mm` are in millimetres, PCK values are fractions, and NaN becomes None.
         """
         result = {
             name: value for name, value in vars(self).items() if not isinstance(value, _Score) and name != "names"
@@ -152,7 +152,8 @@ def evaluate_files(
     Parameters
     ----------
     pose_path, truth_path : path
-        Files for `read_pose3d`, or a results folder of `recon fit`, whose intervals are then compared with the errors.
+        The evaluated positions and the reference, in a format that `read_pose3d` reads. Either can be a results folder
+        of `recon fit`, whose intervals are then compared with the errors.
     anyway : bool
         Accept results whose verdict is "do not use".
     unit, up : str, optional
@@ -163,7 +164,7 @@ def evaluate_files(
     Raises
     ------
     InputError
-        If a file is unusable.
+        If a file cannot be read, or if the two files have no joint, no time or no known position in common.
     """
     pose_path, truth_path = Path(pose_path), Path(truth_path)
     (pose, sigmas_m, verdict), (truth, *_) = collect_problems(
@@ -175,7 +176,7 @@ def evaluate_files(
     result = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *result.notes, *_counted_from_one(pose, truth, result)
     common_count, smaller_count = len(result.frames), min(len(pose.frames), len(truth.frames))
-    # One set of frames may contain the other, for example if only a few frames were labelled; this is no problem.
+    # If only a few frames were labelled, their numbers are a subset of the other file's, which needs no note.
     if common_count <= smaller_count / 2:
         shared = f"only {common_count} of {smaller_count} frame numbers are in both"
         notes += (f"{shared}: the reference may belong to another run",)
@@ -188,7 +189,7 @@ def evaluate_files(
 
 
 def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
-    """Return a reference interpolated at the times of a pose's frames, if the frame rates differ.
+    """Return a reference, interpolated at the times of a pose's frames if the frame rates differ.
 
     Frame 0 of both is at 0 s; in a reference that counts frames from 1, as TRC files do, frame 1 is at 0 s. An
     interpolated position is unknown if one of its neighbours is unknown.
@@ -238,7 +239,7 @@ def _renamed(pose: Pose3D, rename: str) -> Pose3D:
 
 
 def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if one of the package's name maps gives the two files more common joints."""
+    """Yield a note if the two files have more joints in common after one of the package's name maps."""
     for name in fitting_maps(pose.names, truth.names)[:1]:
         count = len({*_renamed(pose, name).names} & {*truth.names})
         yield f"--rename {name} would give {count} joints in common instead of {len(result.names)}."
@@ -247,7 +248,7 @@ def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[st
 def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
     """Yield a note if one file counts frames from 1, as TRC files do, and the other from 0.
 
-    The note is given only if equal numbering makes the positions agree better.
+    There is no note if the positions do not agree better after shifting the frame numbers by one.
     """
     first_frames = int(pose.frames[0]), int(truth.frames[0])
     if sorted(first_frames) != [0, 1]:
@@ -265,10 +266,10 @@ def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterat
 def _positions(
     path: Path, anyway: bool, unit: str | None = None, up: str | None = None
 ) -> tuple[Pose3D, tuple[np.ndarray, np.ndarray] | None, Verdict | None]:
-    """Return the positions of a file or a results folder, their standard deviations and the verdict.
+    """Return the positions in a file or a results folder, their standard deviations and the verdict.
 
-    The standard deviations (T, J, 3), in metres, are those of the positions, and of the positions relative to the mean
-    of all joints. A file has neither standard deviations nor a verdict.
+    There are two arrays of standard deviations (T, J, 3), metres: for the positions, and for the positions relative to
+    the mean of all joints. A file has neither standard deviations nor a verdict, which are then None.
     """
     if not path.is_dir():
         return read_pose3d(path, unit=unit, up=up), None, None
@@ -282,7 +283,7 @@ def _positions(
 
 
 def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
-    """Evaluate a reconstruction against the truth.
+    """Return the errors of a reconstruction, compared with the truth.
 
     Joints are matched by name, frames by number. The result lists the joints and frames that only one of the two has.
 
@@ -345,9 +346,9 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 def _nothing_in_common(
     pose: Pose3D, truth: Pose3D, names: Sequence[str], frames: np.ndarray, common: np.ndarray
 ) -> list[Problem]:
-    """Return the problems with two poses without a joint, a frame or a position in common.
+    """Return the problems with two poses that have no joint, no frame or no known position in common.
 
-    `names` and `frames` are common to both poses; `common` (T, J) is the mask of positions known in both.
+    `names` and `frames` are those that both poses have. `common` (T, J) is a mask of the positions known in both.
     """
     pose_name, truth_name = str(pose.source or "pose"), str(truth.source or "truth")
     problems = []
@@ -363,7 +364,7 @@ def _nothing_in_common(
 
 
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
-    """Return the PCK thresholds, m, for the median extent over the frames of joints (T, J, 3)."""
+    """Return the PCK thresholds, m, for an animal with the joints (T, J, 3), m, from its median extent."""
     size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
     # A single joint has no extent.
     tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0
@@ -371,7 +372,10 @@ def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
 
 
 def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
-    """Return the fraction of coordinates (T, J, 3) within their intervals for each of `LEVELS`; NaN without any."""
+    """Return the fraction of errors (T, J, 3) within the intervals of each probability in `LEVELS`.
+
+    The fractions are NaN if no coordinate has an interval.
+    """
     relative_error = (np.abs(error_m) / sigma_m)[np.isfinite(error_m) & (sigma_m > 0)]
     return tuple(float(np.mean(relative_error < radius(level))) if len(relative_error) else np.nan for level in LEVELS)
 
@@ -382,18 +386,18 @@ def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 
 def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """Return the distances (T, J) in metres between positions (T, J, 3), NaN if either is missing."""
+    """Return the distances (T, J) between the joints of two poses (T, J, 3), metres; NaN if either is missing."""
     return np.linalg.norm(pose_m - truth_m, axis=2)
 
 
 def score(values: np.ndarray) -> _Score:
-    """Return the means of values (T, J) over joints and over frames, in which NaN is ignored."""
+    """Return the means of the values (T, J) of a metric over joints and over frames, ignoring NaN."""
     per_frame = mean_along(values, axis=1)
     return _Score(mean=float(mean_along(per_frame, axis=0)), per_frame=per_frame, per_joint=mean_along(values, axis=0))
 
 
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
-    """Return the pose (T, J, 3) aligned with the truth in each frame, by least squares (Umeyama 1991).
+    """Return the pose (T, J, 3) after aligning it with the truth in each frame by least squares (Umeyama 1991).
 
     The means of the common joints coincide. If `scale` is true, the pose is also scaled by a factor that is not
     negative, since a negative factor would mirror the animal. If `turn` is true, the pose is also rotated, without
@@ -415,9 +419,9 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 
 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
-    """Return both poses (2, T, J, 3), centred on the mean of their common joints, and the means (2, T, 1, 3).
+    """Return the pose and the truth, centred on the mean of their common joints, and these means.
 
-    Joints that are not common are NaN.
+    The arrays have the shapes (2, T, J, 3) and (2, T, 1, 3). Joints that are missing in either are NaN.
     """
     common = np.where(common_joints(pose_m, truth_m)[..., None], np.stack([pose_m, truth_m]), np.nan)
     means = mean_along(common, axis=2)[:, :, None]
@@ -425,30 +429,32 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 
 
 SHARE = 1 / 3
-"""Largest fraction of an error that may remain after a transform for this transform to be named as the cause."""
+"""Fraction of the error that may remain, at most, if a transform is to be reported as the cause of the error."""
 SMALL = 0.05
-"""Error relative to the animal's size below which no explanation is needed. The size is the root mean square distance
-of the joints from their mean.
+"""Error relative to the animal's size below which no explanation is reported.
+
+The animal's size is the root mean square distance of the joints from their mean.
 """
 SCALED = 2.0
-"""Largest ratio of the animal's sizes in two files that needs no explanation.
+"""Largest ratio of the animal's sizes in the two files for which different units are not reported as the cause.
 
-One camera hardly determines the size.
+A single camera hardly determines the size, so smaller ratios can have other causes.
 """
 UNLIKE = 0.3
-"""Error relative to the size above which a motion and its truth count as different clips.
+"""Error relative to the animal's size above which the motion and the truth count as different clips.
 
 Two clips of running cheetahs differ by 0.27 to 0.67 of the size, and the poorest fit in docs/benchmarks.md has an error
 of 0.22.
 """
 FAR = 4.0
-"""Distance between a motion and its truth, relative to the size, above which they count as being at different
-positions.
-"""
+"""Distance between the motion and the truth, relative to the animal's size, above which the origins probably differ."""
 
 
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return a finding if positions (T, J, 3), in metres, and their truth do not belong together; NaN for missing."""
+    """Return a finding if the axes, units, names or clips of a motion and its truth probably differ.
+
+    Both are positions (T, J, 3), metres, NaN where missing.
+    """
     rows = np.isfinite(pose_m + truth_m).all(axis=2).sum(axis=1) >= 3
     pose_m, truth_m = pose_m[rows], truth_m[rows]
     if not rows.any():
@@ -477,9 +483,10 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
 
 
 def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterator[tuple[str, float, dict[str, Any]]]:
-    """Yield possible explanations of the error, the simplest first, as code, remaining error and numbers.
+    """Yield possible causes of the error, the simplest first.
 
-    Each explanation includes the best single rotation of the whole clip.
+    A cause is the code of a finding, the error, m, that remains after correcting the cause and after the best rotation
+    of the whole clip, and the numbers of the finding.
     """
     (pose, truth), sides = _together(pose_m, truth_m)[0], opposites(names)
     candidates = [("reference_rotated", pose, truth)]
@@ -500,7 +507,7 @@ def _error(pose: Array, truth: Array) -> float:
 
 
 def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
-    """Return the pose after the single rotation of all frames that fits the truth best, and its angle in rad."""
+    """Return the pose after the best rotation common to all frames, and the angle of this rotation, rad."""
     is_known = np.isfinite(pose[..., 0])
     if not is_known.any():
         return pose, 0.0

@@ -2,12 +2,12 @@
 
 The skeleton's file lists the three markers that define each joint (`[anatomy]`). The flexion is the angle between the
 line from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the
-segment that carries the first marker. The flexion of a straight joint is 0. Flexion is positive, extension beyond
-straight negative.
+segment that carries the first marker. A straight joint has a flexion of 0, and a hyperextended joint a negative one.
 
-Standard deviations combine the uncertainty of the fit's angles, propagated linearly as if independent, and `MODEL_RAD`
-for the skeleton, whose joints turn about fixed axes. Curves over a stride are means over the strides of the limb's own
-foot. The uncertainty of the fit and the spread between strides are reported separately.
+Standard deviations combine the uncertainty of the fit's angles with `MODEL_RAD`, which allows for the skeleton's fixed
+joint axes. The uncertainty of the angles is propagated linearly, as if they were independent. Curves over a stride are
+means over the strides of the limb's own foot. The uncertainty of the fit and the standard deviation between strides are
+reported separately.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
 MODEL_RAD = np.radians(5.0)
-"""Standard deviation of an angle due to motion that a skeleton of hinges cannot follow (`benchmarks/gait.py --only
-flexion`).
+"""Standard deviation of a joint angle due to motion that a skeleton of hinges cannot follow, rad.
+
+`python benchmarks/gait.py --only flexion` prints the coverage of the intervals that result from this value.
 """
 PERCENT = np.arange(101.0)
-"""Phases of the stride at which curves are given, percent from one touch-down to the next."""
+"""Phases of the stride at which mean flexion curves are computed, in percent from one touch-down to the next."""
 LEAST_KNOWN = 0.9
-"""Smallest fraction of a stride's frames that need a pose for the stride to count."""
+"""Minimum fraction of the stride's duration with a pose for a stride to contribute to the mean curve."""
 _STEP_RAD = 1e-4
 _ROWS_AT_ONCE = 2000
 """Number of frames whose derivatives are computed at once, to limit memory."""
@@ -39,16 +40,16 @@ _ROWS_AT_ONCE = 2000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointFlexion(Brief):
-    """Flexion of one joint over the T frames; NaN without a pose."""
+    """Flexion of one joint over the T frames of a clip; NaN in frames without a pose."""
 
     joint: str
-    """Anatomical name, such as elbow."""
+    """Anatomical name of the joint, such as elbow."""
     side: Side | None
-    """Side of the joint; None for the spine and the neck."""
+    """Side of the body; None for the spine and the neck."""
     angle_rad: Array
-    """Flexion, shape (T,)."""
+    """Flexion of the joint, 0 if straight, shape (T,)."""
     sigma_rad: Array
-    """Standard deviation, shape (T,); NaN if unknown."""
+    """Standard deviation of the flexion, shape (T,); NaN if unknown."""
 
     @property
     def name(self) -> str:
@@ -58,7 +59,7 @@ class JointFlexion(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StrideCurve(Brief):
-    """Mean flexion of one joint over several strides, at the phases `PERCENT`, rad."""
+    """Mean flexion of one joint over several strides, at the 101 phases `PERCENT`."""
 
     joint: str
     side: Side | None
@@ -67,12 +68,12 @@ class StrideCurve(Brief):
     mean_rad: Array
     """Mean flexion over the strides, shape (101,)."""
     posterior_sigma_rad: Array
-    """Standard deviation from the fit's uncertainty, root mean square over the strides, shape (101,)."""
+    """Standard deviation of the flexion in one stride due to the fit's uncertainty, shape (101,)."""
     between_sigma_rad: Array
     """Standard deviation between strides, shape (101,); NaN for a single stride."""
     strides: int
     duty_factor: float
-    """Fraction of the stride for which the foot stands, beginning at 0 %."""
+    """Fraction of the stride, from 0 %, for which the foot stands."""
 
     @property
     def name(self) -> str:
@@ -82,7 +83,7 @@ class StrideCurve(Brief):
 
 @dataclass(frozen=True)
 class Extreme:
-    """Greatest or least flexion of a mean curve over the stride, and the phase at which it occurs."""
+    """Greatest or least flexion in a mean curve over the stride, and the phase at which it occurs."""
 
     value_rad: float
     sigma_rad: float
@@ -97,10 +98,10 @@ class Extreme:
 
 
 def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
-    """Return the flexion of the joints of `body.anatomy` in states (T, D), shape (A, T), rad.
+    """Return the flexion of the A anatomical joints (`body.anatomy`) in states (T, D), shape (A, T), rad.
 
     Angles are between -90 and 270 degrees, because no joint extends 90 degrees beyond straight, while a folded joint
-    may pass 180 degrees.
+    may bend by more than 180 degrees.
     """
     points_m = body.tree.pose(states, size).points_m
     orientations = body.tree.orientations(states)
@@ -116,14 +117,17 @@ def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
 
 
 def _sagittal_angle(proximal: Array, distal: Array, left: Array) -> Array:
-    """Return the angle (T,), rad, from one link to the next about an axis to the left; all three are vectors (T, 3)."""
+    """Return the angle from the proximal to the distal link in the sagittal plane, shape (T,), rad.
+
+    The links and the unit vector to the left, about which the angle is positive, have the shape (T, 3).
+    """
     sine = np.sum(np.cross(proximal, distal) * left, axis=1)
     across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
     return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)
 
 
 def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
-    """Return the flexion of every joint of the skeleton's anatomy over a motion."""
+    """Return the flexion of every anatomical joint of the skeleton over the clip."""
     body, posed = motion.body, np.flatnonzero(motion.solved)
     if not body.anatomy or not len(posed):
         return ()
@@ -138,7 +142,10 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
 
 
 def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
-    """Return the variance (A, T) of the flexions due to independent errors (T, D - 3) of the fit's angles, rad."""
+    """Return the variance of the flexions due to independent errors of the fit's angles, shape (A, T), rad^2.
+
+    `angle_sigma` are the standard deviations of the fit's angles, shape (T, D - 3), rad.
+    """
     variance = np.zeros((len(body.anatomy), len(states)))
     every_few, columns = states[:: -(-len(states) // 3)], np.arange(3, states.shape[1])
     matters = np.abs(_changes(body, every_few, size, columns)).max(axis=(1, 2), initial=0.0) > 1e-6
@@ -151,7 +158,7 @@ def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Arr
 
 
 def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
-    """Return the derivatives (C, A, T) of the flexions with respect to columns (C,) of the states (T, D)."""
+    """Return the derivatives of the A flexions with respect to C elements of the states (T, D), shape (C, A, T)."""
     steps = _STEP_RAD * (np.arange(states.shape[1]) == columns[:, None])[:, None]
     stepped = np.concatenate([states + steps, states - steps])
     flexions = flexion_rad(body, stepped.reshape(-1, states.shape[1]), size).reshape(len(body.anatomy), -1, len(states))
@@ -160,9 +167,10 @@ def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
 
 
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
-    """Return the mean curve of each joint over the complete strides of the foot of its limb.
+    """Return the mean flexion of each joint over the complete strides of the foot of its limb.
 
-    Spine and neck use the foot with the most strides. Joints without strides are left out.
+    The strides of the spine and the neck are those of the foot with the most strides. Joints without complete strides
+    are left out. `time_s` are the times of the frames, shape (T,).
     """
     if gait is None or not gait.strides:
         return ()
@@ -179,7 +187,11 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 
 
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
-    """Return the foot whose strides a joint uses, that of its limb or `reference` for the trunk; None without any."""
+    """Return the foot whose strides define the phase of a joint, or None if this foot has no complete stride.
+
+    This is the foot of the joint's limb. For the spine and the neck, and if no fore foot has strides, it is the foot
+    `reference`.
+    """
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:
         return reference
@@ -220,7 +232,7 @@ def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], tim
 
 
 def extreme(curve: StrideCurve, sign: int = 1) -> Extreme:
-    """Return the greatest (`sign` 1) or the least (-1) flexion of a curve.
+    """Return the greatest (`sign` 1) or the least (`sign` -1) flexion of a mean curve, with its phase.
 
     The interval of the phase contains all phases at which the mean differs from the extreme by less than 1.645 standard
     deviations of the difference between two independent values. Errors of neighbouring frames are correlated, so the

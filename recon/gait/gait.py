@@ -1,11 +1,11 @@
 """Find strides, duty factors, the footfall order and the name of the gait from the stances (`recon.gait.stances`).
 
-An animal whose four feet all stand for half a stride or more is standing still, and that time is not part of a stride.
+An animal whose four feet all stand for half a stride or more is standing still, and this time is not part of a stride.
 A missed stance joins two strides into one, and a stance that is cut in two splits a stride. A stride therefore counts
-only if its duration is within `AGREE` of the median over all feet's strides at that time or, without such strides, over
-the strides before and after. The only stride of a clip is compared with the period of the motion, if the period is
-known. The stride duration is the mean over the strides that count. In a clip without any, it is the period of the
-feet's motion relative to the body, if the clip contains enough of a period.
+only if its duration is within `AGREE` of the median duration of all feet's strides at that time or, if there are none,
+of the strides before and after. The only stride of a clip is compared with the period of the motion, if the period is
+known. The stride duration is the mean over the strides that count. If no stride counts, the stride duration is the
+period of the feet's motion relative to the body, provided that the clip contains enough of a period.
 """
 
 from __future__ import annotations
@@ -25,45 +25,47 @@ from recon.gait.stances import FEET, OVERSAMPLING, Stance, Tracks, interval_of, 
 from recon.io.common import Pose3D
 
 PERIOD_OF_CLIP = (0.5, 1 / 0.6)
-"""Shortest and longest period searched for in a clip without a complete stride, relative to the clip's duration."""
+"""Shortest and longest period that is searched for in a clip without a complete stride, as fractions of the clip."""
 PERIOD_SIGMA = 0.08
-"""Relative standard deviation of a period found without a complete stride.
+"""Relative standard deviation of the period of the motion in a clip without a complete stride.
 
-It was measured on clips of a dog that last 0.7 to 1.2 of a stride.
+The value was measured on clips of a dog that last 0.7 to 1.2 times the duration of a stride.
 """
 PERIODIC = 0.9
-"""Smallest fraction of the variance of the feet's motion that a period has to explain to be used."""
+"""Minimum fraction of the variance of the feet's motion that a periodic motion must explain to define the period."""
 AGREE = 0.2
-"""Relative tolerance of a stride's duration. A stride with a missed stance is twice as long, whereas the ends of a
-correct stride are wrong by at most two of about ten frames.
+"""Largest relative difference between a stride's duration and the median duration of the strides at that time.
+
+A stride with a missed stance is twice as long, whereas the ends of a correct stride are wrong by at most two of about
+ten frames.
 """
 
 TOGETHER = 0.05
-"""Largest difference, in strides, between two touch-downs of a pair that land together (bound)."""
+"""Largest phase difference between the left and the right foot that land together, as in a bound, strides."""
 ALTERNATE = 0.4
-"""Smallest difference, in strides, between two feet that alternate, as in symmetrical gaits (0.5 is exact)."""
+"""Smallest phase difference between the left and the right foot in a symmetrical gait, strides (0.5 is exact)."""
 IN_PHASE = 0.125
-"""Largest phase of a fore foot relative to the diagonal (trot) or same-sided (pace) hind foot, an eighth of a stride as
-in Hildebrand (1965).
+"""Largest phase difference between two feet that move together, the diagonal feet in a trot or the feet of one side in
+a pace, strides. The value is an eighth of a stride as in Hildebrand (1965).
 """
 STEADY = 0.5
-"""Smallest mean resultant length of a phase that counts as steady."""
+"""Minimum mean resultant length (1 if equal in all strides, 0 if random) for a phase between two feet to be used."""
 MOST = 2 / 3
-"""Smallest fraction of strides whose duty factor is above one half in a walk, or below one half in a run."""
+"""Minimum fraction of the strides with a duty factor above one half in a walk, or below one half in a run."""
 
 
 WHOLE_CLIP = "whole clip"
 
 
 class StrideWords(NamedTuple):
-    """Words with which messages and figures describe a stride."""
+    """Phrases with which messages and figures describe a stride."""
 
     ends: str
     """Events at which the stride begins and ends."""
     title: str = "one stride of {foot}"
     """Title of a figure of the stride."""
     caption: str = "the first complete stride of the foot with the most strides, which begins at 0 %"
-    """Part of the side view's caption."""
+    """Phrase for the stride in the caption of the side view."""
 
 
 STRIDE_WORDS: Mapping[str, StrideWords] = {
@@ -86,8 +88,9 @@ STRIDE_WORDS: Mapping[str, StrideWords] = {
         "the clip, which has no complete stride, with the times of the poses",
     ),
 }
-"""Words for a stride by the event at its ends (`Stride.at`). "gait" means touch-down or lift-off; `WHOLE_CLIP` is for a
-clip without a stride.
+"""Phrases that describe a stride, with the kinds of strides (`Stride.origin`) as keys.
+
+`WHOLE_CLIP` is the key for a clip without a stride.
 """
 
 
@@ -112,14 +115,14 @@ class Stride:
     at: Literal["touchdown", "lift-off", "end effector", "return", "given"]
     """Event at the beginning and the end of the stride."""
     others_s: float = np.nan
-    """Duration expected of a stride that does not count.
+    """Expected duration of a stride that was rejected; NaN for other strides.
 
-    The duration is the median over all feet's strides at that time, or the period of the motion.
+    The expected duration is the median duration of all feet's strides at that time, or the period of the motion.
     """
 
     @property
     def origin(self) -> str:
-        """Return "gait" for a stride between two touch-downs or lift-offs, otherwise `at`."""
+        """Return the kind of stride: "gait" if it lasts from touch-down or lift-off to the next, otherwise `at`."""
         return "gait" if self.at in ("touchdown", "lift-off") else self.at
 
     @property
@@ -135,20 +138,20 @@ class Stride:
 
 @dataclass(frozen=True, repr=False)
 class _GaitName(Brief):
-    """Name of a gait and the reasons for it."""
+    """Name of the gait in a clip, with the phases and duty factor that decided the name."""
 
     name: str
-    """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
+    """One of walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop and unknown."""
     criterion: str
-    """Criterion that decided the name."""
+    """Sentence that states which criterion decided the name."""
     phase: Mapping[str, float]
-    """Touch-down of each foot after that of LH, in strides, [0, 1)."""
+    """Phase of each foot's touch-down after the touch-down of the left hind foot, in strides, [0, 1)."""
     duty_factor: float
-    """Median duty factor over the strides, which one cut stance hardly affects; NaN without strides."""
+    """Median duty factor over the strides, robust to a stance that is cut in two; NaN without strides."""
     duty_sigma: float
     """Standard deviation of the duty factor; NaN without strides.
 
-    The events of a foot have the same error in all its strides, so only more feet reduce it.
+    Touch-down and lift-off of a foot have the same errors in all strides, so only more feet reduce the value.
     """
 
     @property
@@ -162,8 +165,8 @@ class _GaitName(Brief):
 class Gait(Brief):
     """Stances, strides and name of the gait in a clip.
 
-    Lengths and frequencies are means over complete strides, duty factors are medians. All are NaN without complete
-    strides. `ClipAnalysis.quantities` then derives them from the period of the motion.
+    Stride lengths and frequencies are means over complete strides, and duty factors are medians. All are NaN without
+    complete strides. In this case, `ClipAnalysis.quantities` computes them from the period of the motion.
     """
 
     tracks: Tracks
@@ -181,19 +184,19 @@ class Gait(Brief):
     speed_m_s: float
     name: _GaitName
     rejected_strides: tuple[Stride, ...] = ()
-    """Strides whose durations contradict those of the other feet; not in `strides`."""
+    """Strides that were left out of `strides` because their durations contradict those of the other feet."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
-        """Return the mean duration of the strides around a time interval, s, and its standard deviation.
+        """Return the mean duration of the strides around a time interval, s, and its standard deviation, s.
 
-        If no complete stride is near, the values are those of the whole clip.
+        If no complete stride is near, return the values of the whole clip.
         """
         near = [stride for stride in self.strides if stride.start_s < end_s and stride.end_s > start_s]
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
 
 
 def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
-    """Return the pairs of overlapping stances of the same foot in which each overlaps the other most."""
+    """Return the pairs of stances of the same foot, one from each set, that overlap each other more than any other."""
 
     def best_match(stance: Stance, candidates: Sequence[Stance]) -> Stance | None:
         overlaps = [(min(stance.end_s, o.end_s) - max(stance.start_s, o.start_s), -i) for i, o in enumerate(candidates)]
@@ -205,7 +208,7 @@ def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> 
 
 
 def gait(tracks: Tracks) -> Gait:
-    """Find stances and strides, and name the gait."""
+    """Return the stances, strides and name of the gait of an animal with the given motion of its feet."""
     all_stances = stances(tracks)
     all_strides = strides(tracks, all_stances)
     counted, rejected = _counted(all_strides, pose_period_s(tracks) if len(all_strides) == 1 else np.nan)
@@ -232,7 +235,9 @@ def gait(tracks: Tracks) -> Gait:
 
 
 def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options) -> Gait:
-    """Return the gait of a pose; options are those of `pose_tracks`.
+    """Return the stances, strides and name of the gait of a moving animal from the positions of its joints.
+
+    `errors` are the independent errors of the positions, each (T, J, 3), metres. `options` are passed to `pose_tracks`.
 
     Raises
     ------
@@ -278,9 +283,9 @@ def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
 
 
 def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Split strides, sorted by their beginnings, into strides that count and strides that do not.
+    """Split strides, which are sorted by start time, into those with a plausible duration and rejected ones.
 
-    The only stride of a clip is compared with the period of the motion, s, unless the period is NaN.
+    The only stride of a clip is compared with the period of the motion, `period_s`, unless the period is NaN.
     """
     counted, rejected = [], []
     start_s, end_s, duration_s = (
@@ -301,15 +306,15 @@ def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[St
 
 
 def rejection_text(stride: Stride) -> str:
-    """Return a sentence that states why a stride does not count."""
+    """Return a sentence that states why a stride was rejected."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
     return f"{text}, because the motion around it repeats after {stride.others_s:.3f} s"
 
 
 def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
-    """Return the stride duration, s, and its standard deviation, from strides or from the period of the motion.
+    """Return the mean stride duration, s, and its standard deviation, s.
 
-    Both are NaN if neither is known.
+    Without strides, return the period of the motion and its standard deviation, or NaN if the period is unknown.
     """
     if counted:
         return _mean_time(counted, len(counted))
@@ -318,16 +323,16 @@ def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, floa
 
 
 def _mean_time(counted: Sequence[Stride], count: int) -> tuple[float, float]:
-    """Return the mean duration of strides, s, and its standard deviation if `count` of them are independent."""
+    """Return the mean duration of strides, s, and its standard deviation, s, for `count` independent durations."""
     durations_s = np.array([stride.duration_s for stride in counted])
     event_sigmas_s = np.array([stride.duty_sigma for stride in counted]) * durations_s
     return float(durations_s.mean()), float(np.hypot(durations_s.std() / count**0.5, np.median(event_sigmas_s)))
 
 
 def pose_period_s(tracks: Tracks) -> float:
-    """Return the stride duration, s, of a clip without a complete stride; NaN if unknown.
+    """Return the stride duration of a clip without a complete stride, s; NaN if unknown.
 
-    The duration is the period whose first two harmonics best fit the feet's positions relative to the body, with a weak
+    The duration is the period whose first two harmonics fit the feet's positions relative to the body best, with a weak
     prior on both harmonics.
     """
     values = (tracks.foot_m - tracks.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(tracks.feet))
@@ -350,10 +355,10 @@ def pose_period_s(tracks: Tracks) -> float:
 def name_gait(
     all_stances: tuple[Stance, ...], counted: tuple[Stride, ...], stride_s: float, why_unknown: str | None = None
 ) -> _GaitName:
-    """Name the gait by the phases of the four feet (`classify`).
+    """Return the name of the gait, derived from the phases of the four feet (`classify`).
 
-    `stride_s` is the duration of a stride, s, NaN if unknown. `why_unknown` is the reason why the gait cannot have a
-    name, if this is already known.
+    `stride_s` is the duration of a stride, s, NaN if unknown. `why_unknown` is the reason if the gait is already known
+    to have no name.
     """
     duties = np.array([s.duty_factor for s in counted])
     feet = len({s.foot for s in counted})
@@ -366,15 +371,15 @@ def name_gait(
         return _GaitName("unknown", why_unknown, dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.duration_s for s in counted])) if counted else stride_s
     phase = {"LH": 0.0} | {foot: _lag(all_stances, "LH", foot, period) for foot in ("RH", "LF", "RF")}
-    # If the clip has no events of LH and the foot near each other, their phase is found through RH.
+    # If LH and the foot have no events near each other, their phase is computed from their phases relative to RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
             phase[foot] = (phase["RH"] + _lag(all_stances, "RH", foot, period)) % 1.0
     name, criterion = classify(phase, duty[0])
     if not counted:
         criterion = f"no complete stride, but the motion has a period of {period:.2f} s: {criterion}"
-        # A stance that the clip cuts is longer than the part in the clip. For a walk, the order of the feet is not
-        # known well enough.
+        # A stance that the clip cuts lasts longer than the part in the clip. In a walk, the order of the feet is then
+        # too uncertain.
         longest_s = [max(s.duration_s for s in all_stances if s.foot == foot) for foot in FEET]
         if name != "unknown" and median(longest_s) > 0.5 * period:
             name, criterion = "unknown", f"{criterion}; but the feet stand for more than half of the period"
@@ -385,10 +390,11 @@ def name_gait(
 
 
 def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
-    """Return the phase of a foot's touch-downs after another foot's, a circular mean in strides, [0, 1).
+    """Return the mean phase of a foot's touch-downs relative to those of the reference foot, in strides, [0, 1).
 
-    Each touch-down is compared with the nearest touch-down of the other foot. If the clip has no touch-down of one of
-    the feet, lift-offs are used. The result is NaN without lift-offs too, or if the phases are not `STEADY`.
+    Each touch-down is compared with the nearest touch-down of the reference foot. If one of the feet has no touch-down
+    in the clip, lift-offs are used instead. Return NaN if there are no lift-offs either, or if the mean resultant
+    length of the phases is below `STEADY`.
     """
     for is_known, event in (("begins", "start_s"), ("ends", "end_s")):
         reference_s, foot_s = (
@@ -397,7 +403,7 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
         )
         if len(reference_s) and len(foot_s):
             lags_s = foot_s - reference_s[np.argmin(np.abs(foot_s[:, None] - reference_s), axis=1)]
-            # The phase may drift between events that are more than a stride apart.
+            # Only events within a stride, or else the nearest ones, are compared, because the phase may drift.
             nearby_s = lags_s[np.abs(lags_s) <= max(period_s, np.abs(lags_s).min())]
             resultant = np.mean(np.exp(2j * np.pi * nearby_s / period_s))
             return float(np.angle(resultant) / (2 * np.pi) % 1.0) if np.abs(resultant) >= STEADY else np.nan
@@ -456,7 +462,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
 
 
 def _first(lag: float) -> str:
-    """Return which foot of a pair lands first, given the right foot's lag behind the left foot."""
+    """Return the words for which foot of a pair lands first, given the right foot's lag behind the left foot."""
     return "left first" if lag > 0 else "right first"
 
 

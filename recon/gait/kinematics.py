@@ -1,6 +1,6 @@
 """Compute the velocities and accelerations of joints, joint angles and their rates, each with standard deviations.
 
-All derivatives are those of splines through the values of the frames (`recon.gait.series`).
+All derivatives are computed from splines through the values in the frames (`recon.gait.series`).
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from recon.gait.spline import MIN_POINTS
 from recon.io.common import Pose3D
 
 Angle = Callable[[Array, Array, Array], Array]
-"""Function of three points' positions, each (T, 3), that returns an angle (T,), rad."""
+"""Function that returns an angle in each frame, rad, shape (T,), from the positions of three points, each (T, 3)."""
 STRAIGHT_SIGMAS = 2.0
-"""Deviation from straight, in standard deviations, below which a joint may be bent to either side."""
+"""Deviation of a joint from straight, in standard deviations, below which the joint may be bent to either side."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointKinematics(Brief):
-    """Motion of a point in the world frame, NaN if unknown."""
+    """Motion of a point in the world frame at N times; NaN at times without a known position."""
 
     series: Series
     """Position (m), velocity (m/s) and acceleration (m/s^2), each of shape (N, 3)."""
@@ -52,9 +52,9 @@ class JointKinematics(Brief):
     acceleration_sigma_m_s2: Array
     """Standard deviation of `acceleration_m_s2`, shape (N,)."""
     distance_m: float
-    """Length of the path over all known spans."""
+    """Length of the path over all spans in which the position is known."""
     mean_speed_m_s: float
-    """Mean speed over all known spans."""
+    """Mean speed over all spans in which the position is known."""
     peak_speed_m_s: float
     peak_speed_sigma_m_s: float
     """Standard deviation of the peak speed; NaN without errors."""
@@ -65,9 +65,9 @@ class JointKinematics(Brief):
 
     @property
     def why_no_acceleration(self) -> str:
-        """Return the sentence that figures show instead of an acceleration that is too uncertain.
+        """Return a sentence that figures show instead of an acceleration that is too uncertain.
 
-        The sentence is empty if the acceleration is known well enough.
+        Return an empty string if the acceleration is certain enough to be shown.
         """
         values, is_known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
         if is_known.any() and np.mean(self.acceleration_sigma_m_s2[is_known] > values[is_known]) <= 0.5:
@@ -77,16 +77,16 @@ class JointKinematics(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AngleKinematics(Brief):
-    """An angle over time, NaN if unknown."""
+    """An angle at N times; NaN at times at which the angle is unknown."""
 
     series: Series
     """Angle (rad), rate (rad/s) and acceleration (rad/s^2), each of shape (N, 1)."""
     range_rad: tuple[float, float]
-    """Smallest and largest angle."""
+    """Smallest and largest angle in the clip."""
     peak_rate_rad_s: float
-    """Largest absolute rate."""
+    """Largest absolute rate in the clip."""
     peak_acceleration_rad_s2: float
-    """Largest absolute acceleration."""
+    """Largest absolute angular acceleration in the clip."""
 
     @property
     def range_of_motion_rad(self) -> float:
@@ -98,9 +98,9 @@ _Kind = TypeVar("_Kind", Series, JointKinematics)
 
 
 def at_frames(motion: _Kind) -> _Kind:
-    """Return the motion at the frames only, which needs a tenth of the memory.
+    """Return the motion without the samples between frames, which saves nine tenths of the memory.
 
-    Means and peaks remain those of all samples.
+    Means and peaks are still computed from all samples.
     """
     series = motion if isinstance(motion, Series) else motion.series
     changed = {
@@ -112,7 +112,9 @@ def at_frames(motion: _Kind) -> _Kind:
 
 
 def frame_times(frames: Array | Index, fps: float) -> Array:
-    """Return the times (T,) of frame numbers (T,), s; frame 0 is at 0 s.
+    """Return the time of each frame, s, shape (T,); frame 0 is at 0 s.
+
+    `frames` are the frame numbers, shape (T,).
 
     Raises
     ------
@@ -125,7 +127,7 @@ def frame_times(frames: Array | Index, fps: float) -> Array:
 
 
 def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
-    """Return the indices of joints in a pose.
+    """Return the indices of the named joints in a pose.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
 
 
 def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (), **options) -> JointKinematics:
-    """Return speed, acceleration and distance of a point's path.
+    """Return the speed, acceleration and distance travelled of a point, given its positions.
 
     Parameters
     ----------
@@ -163,7 +165,7 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
 def path_kinematics(
     time_s: Array, path: ReferencePath, is_known: Bools, with_size: bool = True, oversampling: int = OVERSAMPLING
 ) -> JointKinematics:
-    """Return speed, acceleration and distance of the reference joint from a path that includes velocities.
+    """Return the speed, acceleration and distance travelled of the reference joint, given its positions and velocities.
 
     Between two frames, the path is the polynomial of degree five that has their positions, velocities and
     accelerations.
@@ -177,7 +179,7 @@ def path_kinematics(
     is_known : ndarray
         Frames with a pose, shape (T,). The result is NaN before the first, after the last and in long gaps.
     with_size : bool
-        Include the uncertainty of the animal's size.
+        Whether the standard deviations include the uncertainty of the animal's size.
     oversampling : int
         Samples per frame.
     """
@@ -203,7 +205,7 @@ def path_kinematics(
 
 
 def _between(time_s: Array, values: Array, fine_s: Array) -> Array:
-    """Return values (T, ...) at times (T,) interpolated linearly at finer times (N,)."""
+    """Return the linear interpolation at the times `fine_s` (N,) of values (T, ...) at the times `time_s` (T,)."""
     flat = values.reshape(len(time_s), -1)
     columns = [np.interp(fine_s, time_s, column) for column in flat.T]
     return np.stack(columns, axis=1).reshape(len(fine_s), *values.shape[1:])
@@ -217,7 +219,10 @@ def _norm_of(vector: Array, covariance: Array) -> tuple[Array, Array]:
 
 
 def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: tuple[Array, Array]) -> JointKinematics:
-    """Return a point's motion from its series, and from speeds and accelerations (N,) with standard deviations (N,)."""
+    """Return the motion of a point, given its series, and its speeds and accelerations with their standard deviations.
+
+    All four arrays have the shape (N,).
+    """
     (speed, speed_sigma), (acceleration, acceleration_sigma) = speeds, accelerations
     steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
     is_known = np.isfinite(steps_m)
@@ -239,16 +244,25 @@ def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: t
 
 
 def _at_peak(values: Array, quantity: Array) -> float:
-    """Return the element of a quantity (N,) at the largest of values (N,); NaN if no value is known."""
+    """Return the element of `quantity` (N,) at the peak of `values` (N,); NaN if no value is known."""
     return float(quantity[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
 
 
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
-    """Return the acceleration along the direction of travel over a whole clip and its standard deviation, m/s^2.
+    """Return the mean acceleration of a point along its direction of travel and the standard deviation, m/s^2.
 
-    A parabola in time is fitted by least squares to a path (T, 3), metres, z up, along the horizontal direction from
-    the first to the last point. `errors` (T, 3) are as in `series_kinematics`; without errors the standard deviation is
-    NaN. The result is NaN with fewer than four frames or without any travel.
+    The acceleration is that of a parabola in time, fitted by least squares to the horizontal positions along the line
+    from the first to the last point. Return NaN for fewer than four frames, or if the point does not travel.
+
+    Parameters
+    ----------
+    time_s : ndarray
+        Times, s, shape (T,).
+    xyz_m : ndarray
+        Positions, metres, z up, shape (T, 3).
+    errors : sequence of Errors
+        Independent errors of the positions, with `sigma` of shape (T, 3). Without errors, the standard deviation is
+        NaN.
     """
     known_rows = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
     travel_m = xyz_m[known_rows[-1], :2] - xyz_m[known_rows[0], :2] if len(known_rows) >= MIN_POINTS else np.zeros(2)
@@ -262,15 +276,19 @@ def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ())
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
-    """Return the speed (T,) of a path (T, 3) at its frames, m/s; `smooth` smooths the path according to its jitter."""
+    """Return the speed of a point in each frame, m/s, shape (T,), given its positions (T, 3), metres.
+
+    If `smooth` is true, the positions are first smoothed according to their jitter.
+    """
     errors = jitter_errors(xyz_m) if smooth else ()
     return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=(), oversampling=1).speed_m_s
 
 
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:
-    """Return the motion of one joint of a pose.
+    """Return the speed, acceleration and distance travelled of one joint of a pose.
 
-    `errors` (T, J, 3) are those of all joints, metres; the options are those of `series_kinematics`.
+    `errors` are the independent errors of all joints' positions, each (T, J, 3), metres. `options` are passed to
+    `series_kinematics`.
 
     Raises
     ------
@@ -291,7 +309,10 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
-    """Return the angle (T,) at b between a and c, rad, 0 to pi, from positions (T, 3); NaN if b is at a or c."""
+    """Return the angle at the point b between the points a and c in each frame, shape (T,), rad, 0 to pi.
+
+    The positions have the shape (T, 3). The angle is NaN where b coincides with a or c.
+    """
     u, v = a_m - b_m, c_m - b_m
     # atan2 keeps its precision near 0 and pi, where arccos loses half the digits.
     angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
@@ -299,12 +320,12 @@ def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
 
 
 def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
-    """Return the flexion (T,) of the back in the sagittal plane, rad in (-pi, pi], 0 when straight.
+    """Return the flexion of the back in the sagittal plane in each frame, shape (T,), rad in (-pi, pi].
 
-    Positions (T, 3) have z up. The sagittal plane is the vertical plane through rear and front, so roll is neglected.
-    Positive means flexed: the back is arched upwards, and the middle is above the line from rear to front. Negative
-    means extended: the back is hollow. The flexion is the inclination of the line from rear to middle minus that of the
-    line from middle to front.
+    The flexion is the inclination of the line from rear to middle, minus the inclination of the line from middle to
+    front. It is 0 for a straight back, positive for a back that is arched upwards, and negative for a hollow back. The
+    sagittal plane is taken as the vertical plane through rear and front, so roll is neglected. The positions have the
+    shape (T, 3), with z up.
     """
     forward = (front_m - rear_m)[:, :2]
     length = np.linalg.norm(forward, axis=1, keepdims=True)
@@ -315,9 +336,20 @@ def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
 
 
 def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] = (), **options) -> AngleKinematics:
-    """Return an angle (T,), rad, over times (T,), s, with its rate and acceleration.
+    """Return an angle over time with its rate and acceleration.
 
-    `errors` (T,) are in rad. Jumps of 2 pi between known frames are removed. Options are those of `series_kinematics`.
+    Jumps of 2 pi between known frames are removed.
+
+    Parameters
+    ----------
+    time_s : ndarray
+        Increasing times, s, shape (T,).
+    angle_rad : ndarray
+        The angle, rad, shape (T,); NaN where unknown.
+    errors : sequence of Errors
+        Independent errors of the angle, rad, with `sigma` of shape (T,).
+    **options
+        As in `series_kinematics`.
     """
     angle = np.array(angle_rad, float)
     is_known = np.isfinite(angle)
@@ -341,23 +373,24 @@ def joint_angle(
     angle_of: Angle = angle_between,
     **options,
 ) -> AngleKinematics:
-    """Return the angle at the second of three joints over time.
+    """Return the angle at the second of three joints over time, with its rate and acceleration.
 
-    The rate of an angle between 0 and pi changes its sign when the joint passes through a straight line. Peaks are
-    therefore taken only at times at which the angle is at least two standard deviations from straight.
+    The rate of an angle between 0 and pi (`angle_between`) changes sign when the joint passes through straight. With
+    errors, its peaks are therefore taken only at times at which the angle is at least `STRAIGHT_SIGMAS` standard
+    deviations from straight.
 
     Parameters
     ----------
     pose : Pose3D
         T frames of J joints.
     joints : tuple of str
-        Three joints; the angle is at the second, 0 to pi.
+        Names of the three joints; the angle is at the second.
     fps : float
         Frames per second.
     errors : sequence of Errors
         Errors of the positions, metres, with `sigma` of shape (T, J, 3), independent between joints.
     angle_of : callable
-        Function of the three joints' positions (T, 3); `angle_between` by default.
+        Function that returns the angle (T,), rad, from the three joints' positions (T, 3); by default `angle_between`.
     **options
         As in `series_kinematics`.
 
@@ -391,18 +424,19 @@ def spine_flexion(
     joints: tuple[str, str, str] = ("tail_base", "spine", "neck_base"),
     **options,
 ) -> AngleKinematics:
-    """Return the flexion of the back over time, positive when arched upwards (`sagittal_flexion`).
+    """Return the flexion of the back over time, positive for a back that is arched upwards (`sagittal_flexion`).
 
-    `joints` are the rear, the middle and the front joint of the back.
+    `joints` are the names of the rear, the middle and the front joint of the back. The other parameters are as in
+    `joint_angle`.
     """
     return joint_angle(pose, joints, fps, errors, sagittal_flexion, **options)
 
 
 def angle_sigma(angle_of: Angle, points_m: Array, sigma_m: Array) -> Array:
-    """Return the standard deviation (T,), rad, of an angle of three points (T, 3, 3) by linear propagation.
+    """Return the standard deviation of an angle of three points in each frame, shape (T,), rad.
 
-    `sigma_m` (T, 3, 3) are the standard deviations of the coordinates. The derivatives with respect to the nine
-    coordinates are central differences with a step of one micrometre.
+    The positions of the points and their standard deviations have the shape (T, 3, 3), metres. The propagation is
+    linear, with central differences over one micrometre as derivatives.
     """
     step, variance = 1e-6, np.zeros(len(points_m))
     for shift_m in step * np.eye(9).reshape(9, 3, 3):

@@ -1,10 +1,10 @@
 """Estimate the variances between animals, runs, strides and measurements in an experiment, and its power.
 
-A stride's value is y = X b + a + r + s + m. The columns of X are the groups and the speed. a, r and s are independent
-deviations of the animal, the run and the stride with unknown variances. m is the measurement's error, the same for all
-strides of a run, with a known standard deviation. Variances come from restricted maximum likelihood (Patterson and
-Thompson 1971), effects from generalised least squares. Intervals of effects use Student's distribution, whose degrees
-of freedom are the number of animals minus the number of columns.
+The model of a stride's value is y = X b + a + r + s + m. The columns of X are the groups and the speed, and b are their
+effects. The deviations a, r and s of the animal, the run and the stride are independent and have unknown variances. The
+measurement error m is the same for all strides of a run, and its standard deviation is known. Variances are estimated
+by restricted maximum likelihood (Patterson and Thompson 1971), effects by generalised least squares. Intervals of
+effects use Student's distribution, whose degrees of freedom are the number of animals minus the number of columns.
 """
 
 from __future__ import annotations
@@ -20,39 +20,42 @@ from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
 _LEAST = 1e-4
-"""Smallest standard deviation of a level that the fit tries, relative to that of all values."""
+"""Lower bound of the standard deviations of animals, runs and strides in the fit, relative to that of all values."""
 _SHOWN = 1e-2
-"""Standard deviation of a level, relative to that of all values, below which the result is 0."""
+"""Standard deviation of animals, runs or strides, relative to that of all values, below which 0 is reported."""
 
 
 @dataclass(frozen=True)
 class LevelSigmas:
-    """Standard deviations of an experiment's levels (animal, run, stride, measurement), in the quantity's unit."""
+    """Standard deviations between animals, runs and strides, and of the measurement, in the unit of the quantity."""
 
     animal: float
     run: float
     stride: float
     measurement: float = 0.0
-    """Standard deviation of the error of a run that one camera films."""
+    """Standard deviation of the measurement error, common to all strides of a run, if one camera films the run."""
 
     def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
-        """Return the variance of an animal's mean over `runs` runs with `strides` strides each."""
+        """Return the variance of the mean of an animal with `runs` runs of `strides` strides each."""
         of_run = self.run**2 + self.measurement**2 / cameras + self.stride**2 / strides
         return self.animal**2 + of_run / runs
 
     @property
     def icc(self) -> float:
-        """Return the intraclass correlation, the fraction of the variance of single strides that is between animals."""
+        """Return the intraclass correlation: the variance between animals divided by the variance of single strides."""
         total = self.of_mean(1, 1)
         return self.animal**2 / total if total else float("nan")
 
     def detectable_change(self, strides: float) -> float:
-        """Return the difference between two runs that an unchanged animal exceeds with a probability of 5 %."""
+        """Return the difference between two runs of an animal that chance alone exceeds with a probability of 5 %.
+
+        Each run has `strides` strides.
+        """
         return 1.96 * float(np.sqrt(2 * (self.of_mean(1, strides) - self.animal**2)))
 
 
 class Contrast(NamedTuple):
-    """A weighted sum of effects, with its standard deviation and its 90 % interval."""
+    """Weighted sum of the effects of a mixed model, with its standard deviation and the ends of its 90 % interval."""
 
     value: float
     sigma: float
@@ -62,29 +65,29 @@ class Contrast(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """A mixed model that was fitted to the strides of an experiment."""
+    """Mixed model with P effects, fitted to the strides of an experiment."""
 
     names: tuple[str, ...]
-    """Names of the design's columns, (P,)."""
+    """Names of the P columns of the design matrix."""
     effects: Array
-    """Coefficients of the columns, shape (P,)."""
+    """Effect of each column of the design matrix, shape (P,)."""
     covariance: Array
-    """Covariance of the effects, shape (P, P), without errors that all clips share."""
+    """Covariance of the effects, shape (P, P), excluding errors that all clips share."""
     sigmas: LevelSigmas
     animals: int
     runs: int
     strides: int
 
     def contrast(self, weights: Array | Sequence[float], shared: float = 0.0) -> Contrast:
-        """Return a weighted sum of effects with its interval.
+        """Return a weighted sum of the effects with its standard deviation and 90 % interval.
 
         Parameters
         ----------
         weights : ndarray
             Weight of each effect, shape (P,).
         shared : float
-            Relative standard deviation of an error that all clips share, such as that of the size. More animals do not
-            reduce it.
+            Relative standard deviation of an error that all clips share, such as the error of the animal's size. More
+            animals do not reduce this error.
         """
         from scipy.stats import t  # slow to import
 
@@ -103,27 +106,28 @@ def fit_mixed_model(
     runs: Sequence[str],
     measurement_sigma: Array,
 ) -> MixedModel:
-    """Fit the mixed model to N strides.
+    """Return a mixed model fitted to a quantity of the N strides of an experiment.
 
     Parameters
     ----------
     values : ndarray
         The quantity of each stride, shape (N,).
     design : ndarray
-        Groups and covariates, shape (N, P), of full rank.
+        Design matrix of groups and covariates, shape (N, P), of full rank.
     names : sequence of str
-        Names of the columns, (P,).
+        Names of the P columns of the design matrix.
     animals, runs : sequence of str
-        Animal and run of each stride, (N,). Runs of different animals are different even if they have the same name.
+        Animal and run of each of the N strides. Runs of different animals are different even if they have the same
+        name.
     measurement_sigma : ndarray
-        Standard deviation of the error that all strides of a run share, shape (N,).
+        Standard deviation of the measurement error that all strides of a run share, shape (N,), in the quantity's unit.
 
     Returns
     -------
     MixedModel
-        The fitted model. A variance that the data do not show is 0. If there is only one run per animal, the variance
-        between animals includes that between runs; if there is only one stride per run, the variance between runs
-        includes that between strides.
+        The fitted model. A variance too small to be found in the data is 0. If there is only one run per animal, the
+        variance between animals includes the variance between runs. If there is only one stride per run, the variance
+        between runs includes the variance between strides.
     """
     unit = float(np.std(values)) or 1.0
     scaled, scaled_sigma = values / unit, measurement_sigma / unit
@@ -155,16 +159,19 @@ def fit_mixed_model(
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Strides of one animal, or of B groups of animals with n strides per animal, stacked as (B, n, ...)."""
+    """Strides of A animals with the same runs and measurement errors, n strides per animal.
+
+    Several such groups of animals can be stacked, so that all arrays have the shape (B, n, ...).
+    """
 
     columns: Array
-    """Design and values of A animals with the same runs and measurement errors, side by side, shape (n, A (P + 1))."""
+    """Design matrix and values of the A animals, side by side, shape (n, A (P + 1))."""
     same_run: Array
-    """1 where two strides are of the same run, else 0, shape (n, n)."""
+    """Matrix with 1 where two strides are of the same run, otherwise 0, shape (n, n)."""
     known: Array
     """Covariance of the measurement errors, shape (n, n)."""
     animals: int = 1
-    """Number A of animals."""
+    """Number of animals, A."""
 
 
 def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
@@ -173,7 +180,7 @@ def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
 
 
 def _grouped(single: Sequence[_Block]) -> list[_Block]:
-    """Join the animals' blocks that have equal covariances, and stack those of equal shape."""
+    """Join the blocks of animals that have equal covariances, and stack the blocks that have equal shapes."""
     by_covariance: dict[tuple[bytes, bytes], list[_Block]] = {}
     for block in single:
         by_covariance.setdefault((block.same_run.tobytes(), block.known.tobytes()), []).append(block)
@@ -193,9 +200,9 @@ def _grouped(single: Sequence[_Block]) -> list[_Block]:
 
 
 def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float]:
-    """Return effects (P,), their covariance (P, P) and -2 times the restricted log-likelihood.
+    """Return the effects (P,), their covariance (P, P) and -2 times the restricted log-likelihood.
 
-    `sigmas` (3,) are the standard deviations between animals, runs and strides.
+    `sigmas` are the three standard deviations between animals, runs and strides.
     """
     animal, run, stride = sigmas**2
     columns = blocks[0].columns.shape[-1] // blocks[0].animals
@@ -227,9 +234,9 @@ def power(
     Parameters
     ----------
     effect : float
-        The difference, in the quantity's unit.
+        Difference between the means of the two groups, in the quantity's unit.
     sigmas : LevelSigmas
-        Standard deviations of the levels.
+        Standard deviations between animals, runs and strides, and of the measurement.
     animals, runs, strides, cameras : int
         Number of animals per group, runs per animal and group, strides per run, and cameras that film a run.
     paired : bool
@@ -258,7 +265,10 @@ def animals_needed(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> int | None:
-    """Return the number of animals per group that find an effect with the power `wanted`; None if 1000 are too few."""
+    """Return the number of animals per group required to find an effect with the power `wanted`.
+
+    Return None if more than 1000 animals are required. The other parameters are as in `power`.
+    """
 
     def is_enough(animals: int) -> bool:
         return power(effect, sigmas, animals, runs, strides, cameras, paired) >= wanted
@@ -281,7 +291,10 @@ def smallest_effect(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> float:
-    """Return the smallest effect that is found with the power `wanted`; NaN for fewer than two animals per group."""
+    """Return the smallest effect, in the quantity's unit, that is found with the power `wanted`.
+
+    Return NaN for fewer than two animals per group. The other parameters are as in `power`.
+    """
     if animals < 2:
         return float("nan")
 

@@ -1,12 +1,12 @@
 """Find the nearest return of a foot to a position, for a clip in which no stride is complete.
 
-After each frame, the foot has to move away by half the diameter of its path and then return to within a quarter of the
-diameter, moving within a right angle of its initial direction. The return ends at the point nearest to its beginning,
-which may lie between two frames. A return counts if it spans most of the path's diameter. The result is the return
-whose ends are closest to each other.
+A return begins at a frame. The foot moves away by at least half the diameter of its path, then comes back to within a
+quarter of the diameter, moving within a right angle of its initial direction. The return ends at the point nearest to
+its beginning, which may lie between two frames. A return counts only if it spans most of the path's diameter. Of all
+returns that count, the one whose ends are closest to each other is chosen.
 
 Between frames, the foot follows a cubic spline. Only the longest stretch of frames without a gap of more than
-`MAX_GAP_FRAMES` counts.
+`MAX_GAP_FRAMES` is searched.
 """
 
 from __future__ import annotations
@@ -18,35 +18,37 @@ from recon.gait.phase import diameter
 from recon.gait.spline import MIN_POINTS, cubic_spline
 
 MAX_GAP_FRAMES = 4
-"""Longest gap in the data that the spline bridges, frames."""
+"""Largest number of successive frames without a position that the spline bridges."""
 AWAY_SHARE = 0.5
-"""Smallest distance by which the foot has to move away, as a fraction of the path's diameter."""
+"""Smallest distance by which the foot has to move away before it returns, as a fraction of the path's diameter."""
 BACK_SHARE = 0.25
-"""Distance within which the foot has to return, as a fraction of the path's diameter."""
+"""Largest distance from its start to which the foot has to return, as a fraction of the path's diameter."""
 SPAN_SHARE = 0.8
-"""Smallest fraction of the path's diameter that a return has to span."""
+"""Smallest diameter of a return, as a fraction of the diameter of the whole path."""
 _STEPS = 100
 """Number of points per frame at which the end of a return is searched for."""
 
 
 def longest_stretch(is_known: Bools) -> Index:
-    """Return the known frames of the longest stretch without a gap of more than `MAX_GAP_FRAMES`.
+    """Return the indices of the known frames in the longest stretch without a gap of more than `MAX_GAP_FRAMES`.
 
-    `is_known` is a mask of the frames, shape (T,).
+    `is_known` is a mask of the frames with a known position, shape (T,).
     """
     known = np.flatnonzero(is_known)
     return max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
 
 
 def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf) -> tuple[int, float] | None:
-    """Return the frames in which the nearest return begins and ends, or None if no return counts (see the module).
+    """Return the frames at which a foot's nearest return begins and ends, or None if the foot does not return.
+
+    The end may be a fraction of a frame. The module's docstring defines the nearest return.
 
     Parameters
     ----------
     path_m : ndarray
         Positions of the foot relative to the body, metres, shape (T, dim), NaN where unknown.
     shortest, longest : float
-        Shortest and longest possible duration of the return, in frames.
+        Shortest and longest duration of the return, frames.
     """
     frames = longest_stretch(np.array(np.isfinite(path_m).all(axis=1)))
     if len(frames) < MIN_POINTS:
@@ -62,7 +64,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
 
 
 def _best_rows(frames: Index, points: Array, shortest: float, longest: float) -> tuple[int, int] | None:
-    """Return the two rows of `points` (F, dim) between which the nearest return lies, or None."""
+    """Return the indices of the points (F, dim) at which the nearest return begins and ends, or None."""
     velocity = np.gradient(points, frames, axis=0)
     extent = diameter(points)
     best, smallest = None, np.inf
@@ -76,7 +78,7 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
         back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
             continue
-        # Only the frames until the foot moves away again belong to this return.
+        # A return ends when the foot moves away again, so later frames near the start belong to another return.
         visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
         j = int(visit[np.argmin(distance[visit])])
         if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN_SHARE * extent:

@@ -9,18 +9,18 @@ forwards. In polar form, the motion in the plane of x and y is
     r = |(x, y)|,   dr = (x dx + y dy) / r,   dtheta = (x dy - y dx) / r^2
 
 so a rigid link in this plane has dr = 0 and the speed r |dtheta|. The frame turns with the parent, and (dx, dy, dz) are
-the derivatives of the coordinates in this frame. The first link is the reference of the second and has no motion of its
-own (zero by definition in published tables).
+the derivatives of the coordinates in this frame. The first link has no parent, and therefore no vector field (published
+tables give zero for it).
 
-The degree of closure of a path in phase space is D = 100 (1 - d / d_max), in percent, where d is the distance between
-the start and the end of the path, and d_max is its diameter, the largest distance between any two of its points. D is
-100 for a path that ends at its start, and 0 for a path that ends as far from its start as its diameter. The publication
-does not define d_max.
+The degree of closure of a path in phase space is D = 100 (1 - d / d_max), in percent. Here d is the distance between
+the start and the end of the path, and d_max is the diameter of the path, the largest distance between any two of its
+points. D is 100 for a path that ends at its start, and 0 for a path whose ends are as far apart as any two of its
+points. The publication does not define d_max.
 
-If the angles have standard deviations, so do the closures, computed from `DRAWN` paths that are drawn at random from
-the angles' errors. An error of the angle is sigma(t) z(t), with z smooth noise of unit variance, and the error of the
-rate follows z'. The rate's standard deviation is also known, and the ratio of the two gives the time over which z
-changes. The errors of start, end and turning points are therefore correlated as they should be.
+If the angles have standard deviations, so do the degrees of closure. They are computed from `DRAWN` paths, which are
+drawn at random from the errors of the angles. An error of the angle is sigma(t) z(t), with z smooth noise of unit
+variance, and the error of the rate is proportional to z'. The ratio of the two standard deviations gives the time over
+which z changes. The errors of start, end and turning points are therefore correlated realistically.
 
 References
 ----------
@@ -48,16 +48,16 @@ if TYPE_CHECKING:
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
 DRAWN = 100
-"""Number of paths drawn for a closure's standard deviation."""
+"""Number of random paths from which the standard deviation of a degree of closure is computed."""
 _WAVES = 50
-"""Number of waves that make up the noise of each drawn path."""
+"""Number of sine waves whose sum is the noise of a random path."""
 _DIRECTIONS = 32
-"""Number of directions in which the extent of a drawn path is measured."""
+"""Number of directions in which the extent of a random path is measured to find its diameter."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinkField(Brief):
-    """Tip of a link in its parent's frame at the T frames; NaN where unknown."""
+    """Motion of a link's tip in the frame of the preceding link, its parent, over T frames; NaN where unknown."""
 
     link: tuple[str, str]
     """Start and end joint of the link."""
@@ -72,20 +72,20 @@ class LinkField(Brief):
     dr_m_s: Array
     """Radial velocity of the link's tip, shape (T,)."""
     dtheta_rad_s: Array
-    """Angular velocity of the link's tip, shape (T,)."""
+    """Angular velocity of the link relative to its parent, shape (T,)."""
     speed_m_s: Array
     """Speed of the tip in the plane of x and y, the norm of (dr, r dtheta), shape (T,)."""
     dr_sigma_m_s: Array | float = np.nan
     """Standard deviation of `dr_m_s` (`field_with_sigma`), shape (T,); NaN if unknown."""
     dtheta_sigma_rad_s: Array | float = np.nan
-    """Standard deviations of the angular velocity, shape (T,)."""
+    """Standard deviation of `dtheta_rad_s`, shape (T,); NaN if unknown."""
     speed_sigma_m_s: Array | float = np.nan
-    """Standard deviations of the speed, shape (T,)."""
+    """Standard deviation of `speed_m_s`, shape (T,); NaN if unknown."""
 
 
 @dataclass(frozen=True)
 class Closure:
-    """Degrees of closure in percent; NaN for a path that does not move."""
+    """Degrees of closure of a phase portrait, percent; NaN if the angle does not change."""
 
     angle: float
     """Degree of closure of the angle alone."""
@@ -96,12 +96,12 @@ class Closure:
     plane_sigma: float = np.nan
     """Standard deviation of `plane`, NaN if unknown."""
     unscaled: float = np.nan
-    """Degree of closure in the plane of rad and rad/s without scaling, as published."""
+    """Degree of closure in the plane of the angle, rad, and the rate, rad/s, without scaling, as published."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Portrait(Brief):
-    """Path of an angle and its rate in phase space."""
+    """Path of an angle and its rate in phase space, at N times."""
 
     time_s: Array
     """The times of the N samples, shape (N,)."""
@@ -116,7 +116,7 @@ class Portrait(Brief):
 
 
 def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward_m: Array) -> tuple[LinkField, ...]:
-    """Return the vector fields of the J - 2 links of a chain that have a parent link.
+    """Return the vector fields of a chain's links from the second on, J - 2 for J joints.
 
     Parameters
     ----------
@@ -143,10 +143,10 @@ def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward
 def pose_vector_field(
     pose: Pose3D, chain: tuple[str, ...], fps: float, forward: tuple[str, str] = FORWARD
 ) -> tuple[LinkField, ...]:
-    """Return the vector fields of the links along a chain of a pose's joints.
+    """Return the vector fields of the links from the second on, along a chain of joints.
 
-    `chain` names the joints in order, such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw); `forward`
-    names a rear and a front joint.
+    `chain` names the joints in order, such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw). `forward`
+    names a rear and a front joint, which define the direction of travel.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def pose_vector_field(
 
 
 class FieldMeans(NamedTuple):
-    """Means of a link's vector field over its known frames, and the number of these frames; NaN without any."""
+    """Means of a link's vector field over the frames in which the field is known; NaN if there are none."""
 
     link: str
     parent: str
@@ -172,7 +172,7 @@ class FieldMeans(NamedTuple):
     dr_m_s: float
     """Mean absolute radial velocity of the link's tip."""
     dtheta_rad_s: float
-    """Mean absolute angular velocity of the link."""
+    """Mean absolute angular velocity of the link relative to its parent."""
     speed_sigma_m_s: float
     """Root mean square over the frames of the speed's standard deviation."""
     frames: int
@@ -190,14 +190,18 @@ def means_of_field(field: LinkField) -> FieldMeans:
 
 
 def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
-    """Return a table of `FieldMeans` with a row for each link."""
+    """Return a table of the means of each link's vector field (`FieldMeans`), with a row for each link."""
     import pandas as pd  # slow to import
 
     return pd.DataFrame([means_of_field(field) for field in fields], columns=list(FieldMeans._fields))
 
 
 def tips(joints_m: Array, forward_m: Array) -> Array:
-    """Return the link tips in their parents' frames, shape (T, J - 2, 3), for joints (T, J, 3) and forward_m (T, 3)."""
+    """Return the positions of the links' tips in their parents' frames, metres, shape (T, J - 2, 3).
+
+    `joints_m` are the positions of the chain's joints, shape (T, J, 3). `forward_m` are vectors from rear to front,
+    shape (T, 3).
+    """
     right = np.stack([forward_m[:, 1], -forward_m[:, 0], np.zeros(len(forward_m))], axis=1)
     result = []
     for parent, start, end in zip(*(np.moveaxis(joints_m, 1, 0)[i:] for i in range(3)), strict=False):
@@ -209,10 +213,10 @@ def tips(joints_m: Array, forward_m: Array) -> Array:
 
 
 def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
-    """Return the vector field with standard deviations, computed by linear propagation.
+    """Return the vector field with standard deviations, which are propagated linearly.
 
-    `moved_m_s` (K, T, 3) are the changes of the tip's velocity due to one standard deviation of each of K independent
-    errors. The standard deviations are NaN at rest and at radius 0.
+    `moved_m_s` are the changes of the tip's velocity due to one standard deviation of each of K independent errors,
+    shape (K, T, 3). The standard deviations are NaN if the tip does not move, or if its radius is 0.
     """
     (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
     ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
@@ -250,27 +254,27 @@ def _link_field(time_s: Array, tip_m: Array, names: tuple[str, str, str]) -> Lin
 
 
 def _unit(vectors: Array) -> Array:
-    """Return unit vectors (T, 3), NaN for vectors shorter than a nanometre."""
+    """Return the vectors (T, 3), metres, divided by their lengths; NaN for vectors shorter than a nanometre."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, length, out=np.full_like(vectors, np.nan), where=length > 1e-9)
 
 
 def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:
-    """Return the path of (angle, rate) on the fine grid of `angle` between two times, s, both inclusive."""
+    """Return the phase portrait of an angle between two times, s, which are included."""
     s = angle.series
-    # Allow for rounding errors of the grid's times.
+    # The margin allows for rounding errors of the times.
     is_inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
     columns = (values[is_inside, 0] for values in (s.value, s.rate, s.value_sigma, s.rate_sigma))
     return Portrait(s.time_s[is_inside], *columns)
 
 
 def closure(portrait: Portrait) -> Closure:
-    """Return the degrees of closure of a path, from its first to its last point.
+    """Return the degrees of closure of a phase portrait.
 
     Raises
     ------
     ValueError
-        If there are fewer than two points, or if a point is unknown, which may be a turning point.
+        If there are fewer than two points, or if a point is unknown, because it may be a turning point of the path.
     """
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
     if len(path) < 2 or not np.isfinite(path).all():
@@ -280,12 +284,12 @@ def closure(portrait: Portrait) -> Closure:
 
 
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
-    """Return the standard deviations of the closures of the angle alone and in the plane."""
+    """Return the standard deviations of the degrees of closure of the angle alone and in the plane, percent."""
     sums = np.sum(portrait.angle_sigma_rad), np.sum(portrait.rate_sigma_rad_s)
     if not sums[1] > 0:  # `not >` also catches NaN
         return np.nan, np.nan
     correlation_s = sums[0] / sums[1]
-    # Angular frequencies of smooth noise whose correlation time is 1.
+    # The angular frequencies are those of smooth noise with a correlation time of 1.
     turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])
     phase = np.outer(turn_rates, portrait.time_s / correlation_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
@@ -302,19 +306,19 @@ def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
 
 
 def degree_of_closure(path: Array) -> float:
-    """Return D = 100 (1 - d / d_max) of a path (N, d) in percent; NaN if all points coincide."""
+    """Return the degree of closure D = 100 (1 - d / d_max) of a path (N, dim), percent; NaN if all points coincide."""
     extent = diameter(path)
     return float(100 * (1 - np.linalg.norm(path[-1] - path[0]) / extent)) if extent > 0 else np.nan
 
 
 def scaled(path: Array) -> Array:
-    """Return the path (N, d) with each axis divided by its range; an axis without range becomes 0."""
+    """Return the path (N, dim) with each coordinate divided by its range; a constant coordinate becomes 0."""
     span = np.ptp(path, axis=0)
     return np.divide(path - path.min(axis=0), span, out=np.zeros_like(path), where=span > 0)
 
 
 def diameter(path: Array) -> float:
-    """Return the largest distance between any two points of a path (N, d)."""
+    """Return the largest distance between any two points of a path (N, dim)."""
     if path.shape[1] == 1:
         return float(np.ptp(path))
     from scipy.spatial import ConvexHull, QhullError  # slow to import

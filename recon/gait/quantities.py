@@ -1,17 +1,20 @@
 """Summarise a clip's gait by speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
 
-The standard deviation of a mean has four independent parts: the scatter of the strides; the errors of touch-down and
-lift-off, which are the same in all strides of a foot, so that only more feet reduce them; the error of the path; and
-errors common to the whole clip, which are proportional to the value. The common errors are those of the animal's size,
-which scales all lengths seen by one camera, and of the focal length, which scales the distance from the camera and thus
-the motion along the line of sight.
+The standard deviation of a mean has four independent parts:
+
+- the standard error from the scatter of the strides
+- the errors of touch-down and lift-off, which are the same in all strides of a foot, so that only more feet reduce them
+- the error of the animal's path
+- errors common to the whole clip, which are proportional to the value: the error of the animal's size, which scales all
+  lengths seen by a single camera, and the error of the focal length, which scales the distance from the camera and thus
+  the motion along the line of sight
 
 If no foot completes a stride, the stride duration is the period of the motion (`recon.gait.gait.pose_period_s`). The
 stride length is then the speed times the period, and the duty factor is the duration of complete stances divided by the
 period. A period much longer than the clip is not used.
 
-The asymmetry is (left - right) / mean of both. Errors of touch-down and lift-off that are equal for both feet cancel;
-errors that differ from stride to stride are part of the scatter of the strides. The asymmetry is not computed if the
+The asymmetry is (left - right) / mean of both. Errors of touch-down and lift-off that are equal for both feet cancel.
+Errors that differ from stride to stride contribute to the scatter of the strides. The asymmetry is not computed if the
 pose of one side comes from the prior rather than from the video.
 """
 
@@ -35,29 +38,31 @@ from recon.gait.stances import Stance, interval_of
 
 Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
-"""Left and right foot of each girdle."""
+"""Left and right foot of the fore and of the hind limbs."""
 NEXT_STEP = 0.6
-"""Largest time, in strides, between the touch-downs of a left and a right foot that make a step.
+"""Longest time between the touch-downs of the left and the right foot that counts as a step, in strides.
 
-The value is that of symmetrical gaits, half a stride, plus 0.1.
+A step takes half a stride in symmetrical gaits; the value adds a margin of 0.1 strides.
 """
 LONGEST_PERIOD = 1.3
-"""Longest period of the motion that is used, relative to the clip's duration.
+"""Longest period of the motion that is used as the stride duration, relative to the clip's duration.
 
-In parts of a dog's walks and runs, the 90 % intervals contain the true stride in 97 % of cases for shorter periods, but
-only in 61 % for longer ones.
+In clips cut from a dog's walks and runs, the 90 % intervals contain the true stride duration in 97 % of cases for
+shorter periods, but only in 61 % for longer periods.
 """
 LEAST_STRIDES = 3
-"""Smallest number of strides on each side for an asymmetry."""
+"""Minimum number of strides of each foot required to compute an asymmetry."""
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.02}
-"""Standard deviation of the apparent asymmetry between near and far side caused by a single camera. Intervals with this
-value have the correct coverage for a dog's walks and runs (`benchmarks/gait.py --only asymmetry`).
+"""Standard deviation of the apparent asymmetry that results if a single camera sees one side better than the other.
+
+With these values, the intervals have the correct coverage for a dog's walks and runs (`python benchmarks/gait.py --only
+asymmetry`).
 """
 
 
 @dataclass(frozen=True, eq=False)
 class AnalysedClip:
-    """Parts of a clip's analysis from which the quantities of its gait are computed."""
+    """Parts of a clip's analysis from which the quantities of the gait are computed."""
 
     motion: Motion
     gait: Gait | None
@@ -65,7 +70,7 @@ class AnalysedClip:
     reference_motion: JointKinematics
     """Motion of the reference joint, with standard deviations from all errors."""
     unsized_motion: JointKinematics
-    """Motion of the reference joint, with standard deviations that exclude the error of the animal's size."""
+    """Motion of the reference joint, with standard deviations from all errors except that of the animal's size."""
     why_no_speed: str | None
 
 
@@ -74,36 +79,36 @@ class GaitQuantity:
     """A quantity of a clip's gait with its uncertainty."""
 
     name: str
-    """Name with its unit, such as stride_length_m."""
+    """Name of the quantity with its unit, such as stride_length_m."""
     value: float
     """Value of the quantity; NaN if unknown."""
     sigma: float
-    """Standard deviation, all errors included; NaN if unknown."""
+    """Standard deviation of the value from all errors; NaN if unknown."""
     own_sigma: float
-    """Standard deviation without the errors of the animal's size and the focal length, which clips share."""
+    """Standard deviation from errors that differ between clips, without those of the size and the focal length."""
     between_sigma: float
-    """Standard deviation between strides; NaN for fewer than two strides."""
+    """Standard deviation of the quantity between strides; NaN for fewer than two strides."""
     count: int
-    """Number of strides or steps in the mean; 0 for the path and the period of the motion."""
+    """Number of strides or steps in the mean; 0 if the value comes from the path or the period of the motion."""
     source: Origin
     bounds: tuple[float, float] = (-np.inf, np.inf)
-    """Smallest and largest possible value."""
+    """Smallest and largest possible value of the quantity."""
     why_unknown: str = ""
-    """Reason why the value is unknown."""
+    """Reason why the value is unknown; empty if it is known."""
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Return the ends of the 90 % interval."""
+        """Return the ends of the 90 % interval, limited to `bounds`."""
         low, high = interval_of(self.value, self.sigma)[1:]
         least, greatest = self.bounds
         return (low, high) if np.isnan(low) else (float(max(low, least)), float(min(high, greatest)))
 
 
 def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
-    """Return the quantities of a clip's gait by name.
+    """Return a dictionary of the quantities of a clip's gait, with their names as keys.
 
     Lengths and speeds are in metres and metres per second, phases in strides after the left hind foot's touch-down,
-    asymmetries relative to the mean of both sides. For a chain without feet, only the speed is given.
+    asymmetries relative to the mean of both sides. For a chain without feet, the only quantity is the speed.
     """
     quantities = [_speed(analysis)]
     if (gait := analysis.gait) is not None:
@@ -119,18 +124,18 @@ def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
 
 
 def shared_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation of lengths from the errors of the size and of the focal length.
+    """Return the relative standard deviation that all lengths of a clip share.
 
-    All lengths of a clip share these errors.
+    It results from the errors of the animal's size and of the focal length.
     """
     return float(np.hypot(_size_sigma(motion), _focal_sigma(motion)))
 
 
 def shared_sigma_columns(motion: Motion) -> dict[str, float]:
-    """Return the relative standard deviations that `recon compare` needs to combine cameras, by column.
+    """Return a dictionary of the relative standard deviations that `recon compare` needs to combine cameras.
 
-    `size_sigma` applies to lengths (`shared_sigma`), `size_prior_sigma` to the animal's size before the fit, and
-    `focal_sigma` to the speed, from the focal length alone.
+    `size_sigma` is the standard deviation that lengths share (`shared_sigma`), `size_prior_sigma` that of the animal's
+    size before the fit, and `focal_sigma` that of the speed due to the focal length alone.
     """
     size_sigma, prior_sigma = _size_sigma(motion), getattr(motion.solution, "size_prior_sigma", None) or 0.0
     return {
@@ -150,8 +155,8 @@ def _size_sigma(motion: Motion) -> float:
 def _focal_sigma(motion: Motion) -> float:
     """Return the relative standard deviation of the speed from the error of the focal length.
 
-    The focal length scales the distance from the camera. A change of the scale changes the component u of the speed v
-    along the line of sight, so that dv / v = (u / v)^2 df / f.
+    The focal length f scales the distance from the camera. An error of f therefore scales u, the component of the speed
+    v along the line of sight, so that dv / v = (u / v)^2 df / f.
     """
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1 or not solution.focal_sigma[0] > 0:
@@ -166,7 +171,7 @@ def _focal_sigma(motion: Motion) -> float:
 
 
 def path_speed_sigma(errors: Sequence[Errors], moved: JointKinematics, start_s: float, end_s: float) -> float:
-    """Return the standard deviation of the mean speed in an interval, m/s.
+    """Return the standard deviation of the mean speed between two times, m/s.
 
     Errors of the path are correlated in time, so only times that are far enough apart count as independent.
     """
@@ -203,7 +208,7 @@ def _unknown(name: str, source: Origin, reason: str) -> GaitQuantity:
 
 
 def _scatter(values: Array) -> tuple[float, float]:
-    """Return the standard deviation of values (N,) and that of their mean: NaN and 0 for a single value."""
+    """Return the standard deviation of values (N,) and of their mean; NaN and 0 for a single value."""
     if len(values) < 2:
         return np.nan, 0.0
     between = float(np.std(values, ddof=1))
@@ -211,7 +216,7 @@ def _scatter(values: Array) -> tuple[float, float]:
 
 
 def event_sigma_s(stride: Stride) -> float:
-    """Return the standard deviation of a duration between two events of the stride's foot, s."""
+    """Return the standard deviation of the time between two touch-downs or two lift-offs of a stride's foot, s."""
     return stride.duty_sigma * stride.duration_s
 
 
@@ -260,7 +265,7 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
 
 
 def _without_long_period(gait: Gait) -> Gait:
-    """Return the gait, without the stride duration if this is a period much longer than the clip."""
+    """Return the gait, with an unknown stride duration if this is a period longer than `LONGEST_PERIOD`."""
     if gait.strides or not gait.stride_s > LONGEST_PERIOD * np.ptp(gait.tracks.time_s):
         return gait
     return replace(gait, stride_s=np.nan, stride_sigma_s=np.nan)
@@ -309,7 +314,7 @@ def _duty_by_period(gait: Gait, name: str, stances: Sequence[Stance]) -> GaitQua
 
 
 def _phases(gait: Gait) -> Iterator[GaitQuantity]:
-    """Yield the touch-down of each foot after that of the left hind foot, in strides."""
+    """Yield the phase of each foot's touch-down after the touch-down of the left hind foot, in strides."""
     if np.isnan(gait.stride_s):
         return
     source: Origin = "footfalls" if gait.strides else "period of the motion"
@@ -331,7 +336,10 @@ def _event_sigma_s(stances: Sequence[Stance]) -> float:
 
 
 def _lags(gait: Gait, reference: str, foot: str, near: float) -> Array:
-    """Return the phases of a foot's touch-downs after the nearest ones of another foot, unwrapped around `near`."""
+    """Return the phases of a foot's touch-downs relative to the nearest touch-downs of the reference foot, in strides.
+
+    The phases are shifted by whole strides to be within half a stride of `near`.
+    """
     reference_s, foot_s = (
         np.array([s.start_s for s in gait.stances if s.foot == label and s.begins]) for label in (reference, foot)
     )
@@ -342,7 +350,7 @@ def _lags(gait: Gait, reference: str, foot: str, near: float) -> Array:
 
 
 def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
-    """Return pairs of stances of a pair of feet that follow each other within one step."""
+    """Return the pairs of successive stances of a left and a right foot that form a step."""
     in_order = [stance for stance in gait.stances if stance.foot in feet]
     return [
         (first, second)
@@ -355,7 +363,7 @@ def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
 
 
 def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the time for which both feet of a pair stand; if negative, the time between their stances."""
+    """Return the time for which the left and the right foot both stand; if negative, the time between the stances."""
     name, source = f"overlap_{girdle}_s", "footfalls"
     steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
     if not steps:
@@ -367,7 +375,7 @@ def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
 
 
 def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the step width: the distance, across the direction of travel, of the left foot from the right foot."""
+    """Return the step width, the distance of the left foot from the right foot across the direction of travel."""
     name, source, tracks = f"step_width_{girdle}_m", "footfalls", gait.tracks
     steps = _steps(gait, feet)
     if not steps:
@@ -393,7 +401,7 @@ def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str
 
 
 def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
-    """Return the mean during a stance of points (N, 3) at times (N,)."""
+    """Return the mean position (3,) during a stance of a point with the positions (N, 3) at the times (N,)."""
     first, stop = np.searchsorted(time_s, [stance.start_s, stance.end_s])
     return np.asarray(points_m[first : max(stop, first + 1)].mean(axis=0))
 
@@ -401,9 +409,9 @@ def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
 def _distance_variance(
     analysis: AnalysedClip, feet: tuple[str, str], middles_s: Sequence[float], across: Array
 ) -> float:
-    """Return the variance, m^2, of the distance along a direction between two feet at two times.
+    """Return the variance of the distance between two feet at two times along the direction `across`, m^2.
 
-    Errors of the position cancel to the extent that they persist from one time to the other. Errors of the pose do not.
+    Errors of the animal's position that persist from one time to the other cancel. Errors of the pose do not.
     """
     motion = analysis.motion
     rows = [int(np.argmin(np.abs(motion.time_s - middle_s))) for middle_s in middles_s]
@@ -418,7 +426,7 @@ def _distance_variance(
 
 
 def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> Iterator[GaitQuantity]:
-    """Yield the asymmetries of a pair's stances and excursions, (left - right) / mean of both."""
+    """Yield the asymmetry of the stance durations and of the excursions of a left and a right foot."""
     reason = _why_no_asymmetry(analysis.motion, gait, feet)
     for kind in SIDE_SIGMA:
         name, sides = f"asymmetry_{kind}_{girdle}", asymmetry_values(gait, kind, feet)
@@ -434,10 +442,10 @@ def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[st
 
 
 def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array]:
-    """Return the values that an asymmetry compares, one array (strides,) for each of the two feet.
+    """Return the values that an asymmetry compares, an array with a value for each stride for each of the two feet.
 
-    `kind` is "stance" for the time on the ground, s, or "excursion" for the distance by which the foot moves relative
-    to the body, m.
+    `kind` is "stance" for the time on the ground, s, or "excursion" for the distance that the foot moves relative to
+    the body, m.
     """
 
     def value(stride: Stride) -> float:
@@ -447,12 +455,12 @@ def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array
 
 
 def _side_sigma(analysis: AnalysedClip, kind: str) -> float:
-    """Return the standard deviation of the asymmetry due to the view, which cameras on both sides reduce."""
+    """Return the standard deviation of an asymmetry due to the camera's view, which cameras on both sides reduce."""
     return SIDE_SIGMA[kind] / len(analysis.motion.sources) ** 0.5
 
 
 def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str | None:
-    """Return why the asymmetry of a pair of feet is not measured, or None if it is measured."""
+    """Return the reason why the asymmetry of two feet cannot be measured, or None if it can."""
     if motion.side is not None:
         return "only one side was fitted"
     solution = motion.solution
@@ -469,7 +477,7 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
 
 
 def _excursion_m(gait: Gait, stride: Stride) -> float:
-    """Return the distance that a foot moves relative to the body in a stride, along the body's travel, m."""
+    """Return the distance that a foot moves relative to the body during a stride, along the direction of travel, m."""
     tracks = gait.tracks
     first, stop = np.searchsorted(tracks.time_s, [stride.start_s, stride.end_s])
     body_m = tracks.body_m[first:stop, :2]

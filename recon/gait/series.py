@@ -1,6 +1,6 @@
 """Compute the first and second derivatives of series of values, with standard deviations.
 
-A series is evaluated at ten times the frame rate from a cubic spline through the frames that have a value. There are
+A series is interpolated at ten times the frame rate by a cubic spline through the frames that have a value. There are
 two kinds of splines:
 
 - exact (not-a-knot ends): passes through every value. White noise with the standard deviation s in the values becomes
@@ -8,17 +8,17 @@ two kinds of splines:
 - smoothing (natural ends): minimises sum(((x - f) / sigma)^2) + lam * integral(f''^2), with the largest lam that leaves
   the sum at no more than the number of values (Reinsch 1967). Its acceleration is zero at the ends by construction.
 
-Both ends of a span are less certain than its middle. At the very end of an exact spline, the standard deviation of the
-rate is about four times as large as in the middle, and that of the acceleration 1.5 times as large. In the next frame,
-the factor of the rate is 1.3; from the third frame on, all are within 10 %. The stated standard deviations include this
-effect. Nothing is extrapolated. A gap longer than `max_gap_s` splits a series into spans; a shorter one is
-interpolated.
+A gap longer than `max_gap_s` splits a series into spans, and a shorter gap is interpolated. Nothing is extrapolated.
+Both ends of a span are less certain than its middle. In the first and the last frame of an exact spline, the standard
+deviation of the rate is about four times as large as in the middle, and that of the acceleration 1.5 times as large. In
+the next frame, the factor of the rate is 1.3. From the third frame on, both are within 10 % of their values in the
+middle. The stated standard deviations include this effect.
 
-For a given lam a spline is linear in its values, so their covariance C propagates exactly, C' = W C W^T, where the
-columns of W are the splines through unit vectors. Coordinates are independent of one another, and so are several
-`Errors` of the same values. Each has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). The errors of a
-fit over time are smooth, and if frames were treated as independent, the standard deviations of the rates would be too
-large. The propagation includes neither the choice of lam nor the motion that smoothing removes.
+For a given lam, a spline is a linear function of its values, so the covariance C of the values propagates exactly, C' =
+W C W^T, where the columns of W are the splines through unit vectors. Coordinates are independent of one another, and so
+are several `Errors` of the same values. Each of them has the covariance C_ij = sigma_i sigma_j exp(-((t_i - t_j) /
+correlation_s)^2 / 2). The errors of a fit over time are smooth: with independent frames, the standard deviations of the
+rates would be too large. The propagation includes neither the choice of lam nor the motion that smoothing removes.
 """
 
 from __future__ import annotations
@@ -34,54 +34,57 @@ from recon.base.arrays import Array, Brief, Index
 from recon.gait.spline import MIN_POINTS, Curve, cubic_spline
 
 MAX_GAP_S = 0.2
-"""Longest time between two known frames over which missing frames are interpolated."""
+"""Longest time between two frames with a value, s, over which missing frames are interpolated."""
 OVERSAMPLING = 10
 ORDERS = (0, 1, 2)
 """Orders of the derivatives: value, rate and acceleration."""
 MIN_SMOOTHING_POINTS = 5
-"""Smallest number of values for a smoothing spline."""
+"""Minimum number of values required for a smoothing spline."""
 _LOG10_LAM = (-16.0, 8.0)
-"""Range of log10(lam), with lam relative to (span / number of values)^3, from an exact spline to a straight line."""
+"""Range of log10 of lam, relative to (duration / number of values)^3, from an exact spline to a straight line."""
 JITTER_LASTS_S = 0.05
-"""Correlation time, s, of the errors of a method that solves frame by frame.
+"""Correlation time of the lasting errors of a method that solves each frame on its own, s.
 
-This time and `JITTER_TIMES` give standard deviations of speeds that are accurate to 25 % in each of five real runs
+With this time and `JITTER_TIMES`, the standard deviations of speeds are accurate to 25 % in each of five real runs
 (`python benchmarks/gait.py --only speeds`).
 """
 JITTER_TIMES = 2.0
-"""Size of the errors that last for `JITTER_LASTS_S`, relative to the jitter."""
+"""Standard deviation of the errors that last for `JITTER_LASTS_S`, relative to the frame-to-frame jitter."""
 _WINDOW = 200
-"""Number of frames of an exact spline whose standard deviations are computed at once."""
+"""Number of frames for which the standard deviations of an exact spline are computed at once."""
 _MARGIN = 40
-"""Number of frames on either side of a window that still affect the spline in it.
+"""Number of frames on either side of a window of `_WINDOW` frames from which the spline in the window is computed.
 
 The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to 1e-23 over the margin.
 """
 _REACH = 20
-"""Number of evenly spaced frames on either side of a sample, away from the ends, that affect it by more than 1e-11."""
+"""Number of frames on either side of a sample whose relative influence on an exact spline exceeds 1e-11."""
 _LEAST_PRODUCT = 1e-11
-"""Product of two influences, relative to the largest, below which the product is neglected."""
+"""Product of the influences of two frames on a sample, relative to the largest product, below which it is neglected."""
 _AT_ONCE = 1000
-"""Number of evenly spaced frames computed at once, to limit memory."""
+"""Number of frames for which the variances of an exact spline away from its ends are computed at once."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
-    """Standard deviations of errors, and their correlation time."""
+    """Standard deviations of the errors of a series of values, and the correlation time of the errors."""
 
     sigma: Array
-    """Standard deviations of the values, in their shape and unit; with signs if one error lasts throughout the clip."""
+    """Standard deviations, in the shape and unit of the values.
+
+    For an error that lasts throughout the clip, the signs state in which direction it moves each value.
+    """
     correlation_s: float = 0.0
-    """Correlation time of the errors: 0 for independent frames, inf for one error throughout."""
+    """Correlation time of the errors; 0 for independent frames, inf for an error that lasts throughout the clip."""
 
     def __getitem__(self, index) -> Errors:
-        """Return the errors of a part of the values."""
+        """Return the errors of the values that an index selects."""
         return Errors(self.sigma[index], self.correlation_s)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Series(Brief):
-    """Values in d dimensions and their derivatives on a fine grid, NaN if unknown.
+    """Values in d dimensions and their derivatives on a fine grid of times; NaN where unknown.
 
     The grid has N = (T - 1) oversampling + 1 times.
     """
@@ -95,11 +98,11 @@ class Series(Brief):
     acceleration: Array
     """Second derivatives, in the values' unit per second^2, shape (N, d)."""
     value_sigma: Array
-    """Standard deviations of the values, shape (N, d); NaN without errors, like those of the derivatives."""
+    """Standard deviations of the values, shape (N, d); NaN without stated errors."""
     rate_sigma: Array
-    """Standard deviations of the rates, shape (N, d)."""
+    """Standard deviations of the rates, shape (N, d); NaN without stated errors."""
     acceleration_sigma: Array
-    """Standard deviations of the accelerations, shape (N, d)."""
+    """Standard deviations of the accelerations, shape (N, d); NaN without stated errors."""
     oversampling: int
 
 
@@ -113,7 +116,7 @@ def series_kinematics(
     oversampling: int = OVERSAMPLING,
     max_gap_s: float = MAX_GAP_S,
 ) -> Series:
-    """Return a spline through values, with its derivatives and their standard deviations.
+    """Return the values of a spline through a series, with its first two derivatives and their standard deviations.
 
     Parameters
     ----------
@@ -128,8 +131,8 @@ def series_kinematics(
     smooth : bool
         Smooth the values instead of passing through them.
     propagate : sequence of int
-        Orders of the derivatives whose standard deviations are computed, 0 for the values; those of the others are NaN.
-        With `smooth`, each order needs 8 N T bytes of memory, and all of them together one spline per value.
+        Orders of the derivatives whose standard deviations are computed, 0 for the values. The standard deviations of
+        the other orders are NaN. With `smooth`, each order needs 8 N T bytes of memory.
     oversampling : int
         Samples per frame.
     max_gap_s : float
@@ -161,14 +164,20 @@ def series_kinematics(
 
 
 def spans_of(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
-    """Return the rows of known values (T, d), split at long gaps, without spans that have too few values."""
+    """Return the indices of the known values (T, d) in each span, which is a stretch without a long gap.
+
+    Spans with fewer than `min_points` values are left out.
+    """
     known_rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     is_too_long = (np.diff(known_rows) > 1) & (np.diff(time_s[known_rows]) > max_gap_s * (1 + 1e-9))
     return [rows for rows in np.split(known_rows, np.flatnonzero(is_too_long) + 1) if len(rows) >= min_points]
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
-    """Return a spline through x (n, ...), exact for lam 0, as a function of times (M,) and a derivative's order."""
+    """Return the spline through values x (n, ...) at times t (n,), exact for lam 0.
+
+    The spline is a function of times (M,) and the order of the derivative.
+    """
     known = np.isfinite(x)
     if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges
         t, x, weight = t[known], x[known], weight[known]
@@ -180,14 +189,14 @@ def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
 
 
 def _evaluate(curve: Curve, time_s: Array, orders: Sequence[int] = ORDERS) -> Array:
-    """Return derivatives of a curve, by default value, rate and acceleration, shape (3, M, ...)."""
+    """Return the derivatives of O orders of a curve at times (M,), shape (O, M, ...)."""
     return np.stack([curve(time_s, order) for order in orders])
 
 
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
-    """Return the lam for which sum((weight (x - f))^2) = n.
+    """Return the lam of the smoothing spline f for which sum((weight (x - f))^2) equals n, the number of values.
 
-    If a straight line is at least as close to the values, the result is the largest lam of the range.
+    Return the largest lam of the range if the sum is less than n even for a straight line.
     """
     from scipy.optimize import brentq
 
@@ -218,10 +227,13 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
 def _spline_sigmas(
     t: Array, sample_s: Array, errors: Sequence[Errors], weight: Array, lam: Array, orders: Sequence[int]
 ) -> Array:
-    """Return standard deviations (O, M, d) of derivatives of O orders at times (M,) of a span of n values."""
+    """Return the standard deviations of the derivatives of O orders at times (M,) in a span of n values.
+
+    The shape is (O, M, d).
+    """
     variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
-    # An error that lasts throughout the clip propagates like a value.
+    # An error that lasts throughout the clip is propagated like a series of values.
     for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
         variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2
@@ -244,10 +256,10 @@ def _spline_sigmas(
 
 
 def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
-    """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), away from its ends.
+    """Write the variances of an exact spline through n evenly spaced values into `variance` (3, M, d).
 
-    There are `per_frame` samples per frame. The `_REACH` frames at either end are left out. Elsewhere, the samples of
-    every frame depend in the same way on the values around them.
+    There are `per_frame` samples per frame. The `_REACH` frames at either end are left out. In all other frames, the
+    samples depend in the same way on the values around them.
     """
     width, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = cubic_spline(step * np.arange(2 * width), np.eye(2 * width))
@@ -272,7 +284,7 @@ def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_fram
 
 
 def _windows(t: Array, sample_s: Array) -> Iterator[tuple[slice, slice]]:
-    """Yield windows of the sample times as slices, each with the slice of the values on which its samples depend."""
+    """Yield windows of the samples as slices, each with the slice of the values on which the samples depend."""
     for first in range(0, max(len(t) - 1, 1), _WINDOW):
         last = min(first + _WINDOW, len(t) - 1)
         begin, end = np.searchsorted(sample_s, [t[first], t[last]])
@@ -281,7 +293,10 @@ def _windows(t: Array, sample_s: Array) -> Iterator[tuple[slice, slice]]:
 
 
 def _propagate(weighted: Array, t: Array, correlation_s: float) -> Array:
-    """Return the variances (O, M) of the results of operators (O, M, n) that are already multiplied by sigma (n,)."""
+    """Return the variances (O, M) of linear functions of n errors with a correlation time.
+
+    `weighted` are the functions' coefficients, multiplied by the standard deviations of the errors, shape (O, M, n).
+    """
     if correlation_s == 0:
         return np.sum(weighted**2, axis=-1)
     return np.maximum(np.sum((weighted @ _correlation(t[:, None] - t, correlation_s)) * weighted, axis=-1), 0.0)
@@ -292,11 +307,11 @@ def _correlation(difference_s: Array, correlation_s: float) -> Array:
 
 
 def frame_jitter_m(points_m: Array) -> Array:
-    """Return the standard deviation (d,) of independent noise in each coordinate of points (T, d), metres.
+    """Return the standard deviation of frame-to-frame noise in each coordinate of points (T, d), shape (d,), metres.
 
-    The estimate is robust: it uses the median absolute third difference over four consecutive frames. In these
-    differences, smooth motion nearly vanishes, and white noise of unit variance has a standard deviation of sqrt(20).
-    The result is NaN with fewer than three differences.
+    The estimate is robust, because it uses the median of the absolute third differences over four consecutive frames.
+    In these differences, smooth motion nearly vanishes, and white noise of unit variance has a standard deviation of
+    sqrt(20). Return NaN for fewer than three differences.
     """
     differences = np.diff(points_m, 3, axis=0)
     differences = differences[np.isfinite(differences).all(axis=1)]
@@ -306,7 +321,7 @@ def frame_jitter_m(points_m: Array) -> Array:
 
 
 def jitter_errors(values: Array) -> tuple[Errors]:
-    """Return independent errors as large as the frame-to-frame jitter of values (T, ...)."""
+    """Return the errors of values (T, ...), independent between frames, as large as the frame-to-frame jitter."""
     jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
     smallest = 1e-9  # avoids a zero sigma, as an exact series has no jitter
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
@@ -316,7 +331,8 @@ def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
     """Return the errors of values (T, ...) from a method that starts each frame at the result of the previous frame.
 
     The errors of such a method persist for some time. The first item is `jitter_errors`, which sets the smoothing. The
-    second lasts for `JITTER_LASTS_S` and is `JITTER_TIMES` the jitter over this time, single large errors included.
+    errors of the second item last for `JITTER_LASTS_S`. They are `JITTER_TIMES` as large as the jitter over this time,
+    which includes single large errors.
     """
     (independent,) = jitter_errors(values)
     step = max(1, round(JITTER_LASTS_S * fps))
@@ -329,9 +345,9 @@ def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
 
 
 def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
-    """Return the acceleration of a least-squares parabola in time through values (T,), and its standard deviation.
+    """Return the acceleration of a parabola in time that fits values (T,) best, and its standard deviation.
 
-    The standard deviation is NaN without errors.
+    Both are in the unit of the values per second^2. The standard deviation is NaN without errors.
     """
     t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
@@ -340,7 +356,10 @@ def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]
 
 
 def _variance_of_sum(sigma: Array, t: Array, correlation_s: float) -> float:
-    """Return the variance of the sum of errors (T,) whose correlation decreases with the time between them."""
+    """Return the variance of the sum of T errors with the standard deviations `sigma` at times t, both (T,).
+
+    The correlation of two errors decreases with the time between them.
+    """
     variance = sigma @ sigma
     for lag in range(1, len(t)):
         difference_s = t[lag:] - t[:-lag]

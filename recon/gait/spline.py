@@ -1,7 +1,7 @@
 """Compute the cubic spline through values.
 
-The result is identical, to the last bit, to that of scipy's `CubicSpline`. Importing the latter takes a tenth of the
-time of a short fit, because it also imports all optimisers of scipy.
+The result is identical, to the last bit, to that of scipy's `CubicSpline`. The import of `CubicSpline` would take a
+tenth of the time of a short fit, because it also imports all optimisers of scipy.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from scipy.linalg import solve_banded
 from recon.base.arrays import Array, Index
 
 Curve = Callable[[Array, int], Array]
-"""Function of times (M,) and the order of the derivative that returns values (M, ...)."""
+"""Function that returns the values (M, ...) of a curve, or its derivative of an order, at times (M,)."""
 MIN_POINTS = 4
-"""Smallest number of values for a cubic spline."""
+"""Minimum number of values required for a cubic spline."""
 
 
 def cubic_spline(t: Array | Index, values: Array) -> Curve:
@@ -40,7 +40,7 @@ def cubic_spline(t: Array | Index, values: Array) -> Curve:
         raise ValueError(f"expected at least {MIN_POINTS} finite values at strictly increasing times")
     h = dt.reshape(-1, *[1] * (values.ndim - 1))
     slope = np.diff(values, axis=0) / h
-    # The rates at the times solve a tridiagonal system, whose first and last rows make the third derivative continuous
+    # The rates are the solution of a tridiagonal system. Its first and last rows make the third derivative continuous
     # at the second and the last but one time.
     bands, right = np.zeros((3, len(t))), np.empty_like(values, dtype=float)
     bands[1, 1:-1], bands[0, 2:], bands[2, :-2] = 2 * (dt[:-1] + dt[1:]), dt[:-1], dt[1:]

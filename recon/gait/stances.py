@@ -1,29 +1,32 @@
-"""Find the stances of the feet, with the standard deviations of touch-down and lift-off, and the ground under them.
+"""Find the stances of the feet, with the standard deviations of touch-down and lift-off, and the plane of the ground.
 
-Feet are LH, RH, LF, RF (left and right, hind and fore). The world frame has z up and metres; the ground may lie at any
-height and may slope. Paths are cubic splines on a grid of ten times the frame rate (`recon.gait.kinematics`), and
-events are timed on the same grid. The mean of the `body` joints represents the body.
+Feet are LH, RH, LF, RF (left and right, hind and fore). Positions are in metres in a world frame with z up. The ground
+may lie at any height and may slope. Paths are cubic splines on a grid of ten times the frame rate
+(`recon.gait.kinematics`), and touch-downs and lift-offs are timed on this grid. The mean of the `body` joints
+represents the body.
 
 A foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its height is
 below `LOW[1]` of the leg length. This time is a stance if at least one instant in it is also below `SLOW[0]` and
 `LOW[0]` (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below `LANDS`)
-to the last below `LIFTS`. The two differ because a foot lands flat but rolls over its toes before it lifts. A foot's
-speed in the swing is its 95th percentile, or `SWING` times the body's mean speed if the clip shows less. The speed in
-the swing is twice the body's speed at a gallop and four times at a walk, so that no single threshold relative to the
-body's speed suits both. The marker lies some centimetres above the sole and rises with the heel during the stance;
-hence 0.15 of the leg length (9 cm of 0.6 m) for a low foot, and 0.3 for the end of the push-off. A standing foot seems
-to move because of the error of its speed, which is `SPEED_ERROR` of the stated standard deviation; its square is
-subtracted first. Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the positions of the slow
-feet, fitted with Tukey weights. Clips of a few strides hardly determine its slope across the track, so the slopes have
-a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, which is a stretch that was reconstructed separately, has its own
-plane. If no foot is slow, or if the slow feet are `LOW[0]` of the leg length away from a plane, the ground is unknown
-and there are no stances.
+to the last below `LIFTS`. The two thresholds differ because a foot lands flat but rolls over its toes before it lifts.
+A foot's speed in the swing is the 95th percentile of its speed, or `SWING` times the body's mean speed if the
+percentile is lower. The speed in the swing is twice the body's speed at a gallop and four times at a walk, so that no
+single threshold relative to the body's speed suits both. The marker lies some centimetres above the sole and rises with
+the heel during the stance. A foot therefore counts as low below 0.15 of the leg length (9 cm of 0.6 m), and below 0.3
+at the end of the push-off. A standing foot seems to move because of the error of its speed, which is `SPEED_ERROR` of
+the stated standard deviation. The square of this error is subtracted first. Stances shorter than `MIN_STANCE_S` are
+noise.
 
-The standard deviation of an event comes from two parts, divided by the foot's acceleration at the event. One is the
-error of the path, scaled to the apparent speed that standing feet do not exceed in nine of ten instants
-(`Tracks.rest_sigmas`). The other is the uncertainty of the landing or lift-off threshold itself, `EVENT_SIGMAS` of the
-speed in the swing. The 90 % interval ends at the middle of the stance at the latest. `benchmarks/gait.py` compares
-stances and intervals with force plates and motion capture.
+The ground is a plane through the positions of the slow feet, fitted with Tukey weights. Clips of a few strides hardly
+determine its slope across the track, so the slopes have a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, which is
+a stretch that was reconstructed separately, has its own plane. If no foot is slow, or if the slow feet are more than
+`LOW[0]` of the leg length away from a plane, the ground is unknown and there are no stances.
+
+The standard deviation of a touch-down or lift-off is an uncertainty of the foot's speed, divided by the foot's
+acceleration at this time. It has two parts. One is the error of the speed, scaled to the apparent speed that standing
+feet do not exceed in nine of ten instants (`Tracks.rest_sigmas`). The other is the uncertainty of the threshold,
+`EVENT_SIGMAS` of the speed in the swing. The 90 % interval reaches at most to the middle of the stance.
+`benchmarks/gait.py` compares stances and intervals with force plates and motion capture.
 
 The leg length is the median height of the body above the ground, as used in Froude numbers.
 """
@@ -51,19 +54,17 @@ BODY = ("neck_base", "tail_base")
 
 OVERSAMPLING = 10
 MAX_GAP_S = 0.05
-"""Longest gap of a foot or the body that is interpolated. A longer gap could hide a touch-down."""
+"""Longest gap in the path of a foot or the body that is interpolated, s. A longer gap could hide a touch-down."""
 SLOW = (0.16, 0.32)
-"""Speeds of a foot over the ground, relative to its speed in the swing. Below the first value the foot certainly
-stands, below the second it may stand.
-"""
+"""Speeds of a foot over the ground below which the foot certainly stands and may stand, relative to its swing speed."""
 SWING = 1.3
-"""Smallest speed of a foot in the swing relative to the body's speed."""
+"""Minimum of the speed of a foot in the swing, relative to the body's mean speed."""
 REST = 0.5
-"""Largest apparent speed of standing feet in poses that jitter, relative to the body's speed."""
+"""Maximum apparent speed of standing feet due to jitter of the poses, relative to the body's speed."""
 LANDS = 0.12
-"""Speed of a foot at touch-down, relative to its speed in the swing, fitted to force plates."""
+"""Speed of a foot at touch-down, relative to its speed in the swing, fitted to force plate measurements."""
 LIFTS = 0.22
-"""Speed of a foot at lift-off, relative to its speed in the swing, fitted to force plates."""
+"""Speed of a foot at lift-off, relative to its speed in the swing, fitted to force plate measurements."""
 EVENT_SIGMAS = (0.05, 0.1)
 """Standard deviations of a foot's speed at touch-down and at lift-off, relative to its speed in the swing."""
 SPEED_ERROR = 0.6
@@ -73,43 +74,43 @@ the value on two of three kinds of recordings and tests it on the stances of the
 LOW = (0.15, 0.3)
 """Heights above the ground, in leg lengths, below which a slow foot certainly stands and below which it may stand."""
 INTERVAL = 0.9
-"""Probability with which the intervals of times and duty factors contain the true value."""
+"""Probability that the stated interval of a time or a duty factor contains the true value."""
 MIN_STANCE_S = 0.02
-"""Shortest stance, far below the 0.06 s of a galloping cheetah."""
+"""Shortest duration of a stance, s, far below the 0.06 s of a galloping cheetah."""
 SLOPE_SIGMA = 0.1
-"""Expected standard deviation of the ground's slopes, in height per distance."""
+"""Standard deviation of the prior on the slopes of the ground, in height per distance."""
 HEIGHT_SIGMA_M = 0.03
 """Standard deviation of a standing foot's marker about the ground plane."""
 
 
 @dataclass(frozen=True)
 class Stance:
-    """Stance of a foot, the time for which the foot is on the ground."""
+    """Stance of a foot: the foot is on the ground from `start_s` to `end_s`."""
 
     foot: str
     start_s: float
     end_s: float
     start_row: float
-    """Fractional row of the clip at which the stance begins."""
+    """Index of the frame, with a fraction, at which the stance begins."""
     end_row: float
-    """Fractional row of the clip at which the stance ends."""
+    """Index of the frame, with a fraction, at which the stance ends."""
     begins: bool = True
     """False if the clip, or a gap in it, cuts the beginning, so that the stance may have begun earlier."""
     ends: bool = True
     """False if the clip, or a gap in it, cuts the end, so that the stance may have ended later."""
     start_sigma_s: float = np.nan
-    """Standard deviation of the beginning, NaN if the clip cuts it."""
+    """Standard deviation of the touch-down; NaN if the clip cuts the beginning."""
     end_sigma_s: float = np.nan
-    """Standard deviation of the end, NaN if the clip cuts it."""
+    """Standard deviation of the lift-off; NaN if the clip cuts the end."""
 
     @property
     def start_frame(self) -> float:
-        """Return `start_row` by its former name; in tables, `start_frame` is the frame of the video."""
+        """Return `start_row` under its former name; in tables, `start_frame` is the frame number in the video."""
         return self.start_row
 
     @property
     def end_frame(self) -> float:
-        """Return `end_row` by its former name."""
+        """Return `end_row` under its former name."""
         return self.end_row
 
     @property
@@ -130,56 +131,59 @@ class Stance:
 
 @dataclass(frozen=True)
 class Plane:
-    """A ground plane z = height_m + slope[0] (x - x0) + slope[1] (y - y0), centred on the slow feet."""
+    """Plane of the ground, z = height_m + slope[0] (x - x0) + slope[1] (y - y0), fitted to the slow feet."""
 
     middle_m: tuple[float, float]
     height_m: float
     slope: tuple[float, float]
     spread_m: float
-    """Robust standard deviation of the slow feet from the plane."""
+    """Robust standard deviation of the slow feet's heights above the plane."""
     samples: int
-    """Number of samples of slow feet on the fine grid.
+    """Number of positions of slow feet on the fine grid to which the plane was fitted.
 
-    Without samples, the plane is horizontal through the lowest position of any foot.
+    If there are none, the plane is horizontal through the lowest position of any foot.
     """
 
     def above(self, xyz_m: Array) -> Array:
-        """Return the heights (...), m, of points (..., 3) above the plane."""
+        """Return the heights of points (..., 3) above the plane, m, shape (...)."""
         return xyz_m[..., 2] - self.height_m - (xyz_m[..., :2] - self.middle_m) @ np.array(self.slope)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracks(Brief):
-    """Motion of the F feet and of the body at the N times of the fine grid, NaN if unknown."""
+    """Motion of F feet and of the body at the N times of the fine grid; NaN where unknown."""
 
     feet: tuple[str, ...]
     time_s: Array
-    """The times of the N samples, shape (N,)."""
+    """Times of the samples, shape (N,)."""
     foot_m: Array
-    """The positions of the F feet, shape (N, F, 3)."""
+    """Positions of the feet, shape (N, F, 3)."""
     body_m: Array
-    """The mean position of the joints that represent the body, shape (N, 3)."""
+    """Mean position of the joints that represent the body, shape (N, 3)."""
     foot_speed_m_s: Array
-    """The horizontal speeds of the feet, shape (N, F)."""
+    """Horizontal speeds of the feet, shape (N, F)."""
     foot_speed_sigma_m_s: Array
     """Standard deviation of the feet's speeds, shape (N, F); 0 for paths without errors."""
     body_speed_m_s: Array
-    """The horizontal speed of the body, shape (N,)."""
+    """Horizontal speed of the body, shape (N,)."""
     slow_m_s: Array
-    """Speeds below which each foot certainly stands, may stand, has landed, and has not lifted off, shape (4, F)."""
+    """Four thresholds of each foot's speed, shape (4, F).
+
+    Below them, the foot certainly stands, may stand, has touched down, and has not yet lifted off.
+    """
     swing_m_s: Array
     """Speed of each foot in the swing, minus its apparent speed at rest, shape (F,)."""
     height_m: Array
     """Heights of the feet above the ground, shape (N, F)."""
     grounds: tuple[tuple[slice, Plane], ...]
-    """Rows of each segment of the clip, with the plane under the feet in these rows."""
+    """Frames of each segment of the clip, as a slice, with the segment's plane of the ground."""
     leg_m: float
 
     @cached_property
     def rest_sigmas(self) -> float:
-        """Return the speed that standing feet do not exceed in nine of ten instants, in its standard deviations.
+        """Return the apparent speed that standing feet do not exceed in nine of ten instants.
 
-        The value is 1 if no foot stands.
+        The unit is the stated standard deviation of the speed. Return 1 if no foot stands.
         """
         rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
         rest &= self.foot_speed_sigma_m_s > 0
@@ -187,7 +191,10 @@ class Tracks(Brief):
         return float(np.quantile(relative, 0.9)) if len(relative) else 1.0
 
     def above_ground(self, xyz_m: Array) -> Array:
-        """Return the heights (N, ...) of points (N, ..., 3) above their segment's ground, NaN outside all segments."""
+        """Return the heights of points (N, ..., 3) above the ground of their segment, m, shape (N, ...).
+
+        The heights are NaN outside all segments.
+        """
         return _above(self.grounds, xyz_m)
 
 
@@ -195,26 +202,19 @@ _Value = TypeVar("_Value", float, Array)
 
 
 def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _Value]:
-    """Return a value and the ends of its 90 % interval.
+    """Return a value, unchanged, and the lower and the upper end of its 90 % interval.
 
-    Parameters
-    ----------
-    value, sigma : float or ndarray
-        The value and its standard deviation, in the same unit.
-
-    Returns
-    -------
-    value, low, high : tuple
-        The value, unchanged, and the two ends.
+    `sigma` is the standard deviation of the value, in the same unit.
     """
     reach = radius(INTERVAL) * sigma
     return value, value - reach, value + reach
 
 
 def interval_text(value: float, sigma: float, unit: str, sign: str = "", least: float = -np.inf) -> str:
-    """Format a value with its interval, such as "16.2 m/s (90 %: 14.2 to 18.1)", or the value alone without sigma.
+    """Return a value with its interval as text, such as "16.2 m/s (90 %: 14.2 to 18.1)".
 
-    If `sign` is "+", positive values get a sign. `least` is the smallest possible value.
+    If `sigma` is not known, the text is the value alone. If `sign` is "+", positive values get a sign. `least` is the
+    smallest possible value, which limits the interval.
     """
     _, low, high = interval_of(value, sigma)
     return interval(value, low, high, unit, level="90 %", sign=sign, least=least)
@@ -229,24 +229,24 @@ def pose_tracks(
     segments: Sequence[slice] = (slice(None),),
     restless: bool = False,
 ) -> Tracks:
-    """Return the motion of the feet and the body on the fine grid.
+    """Return the motion of the feet and the body on the fine grid, and the plane of the ground, for `stances`.
 
     Parameters
     ----------
     pose : Pose3D
-        T frames, metres, z up, NaN where missing.
+        Positions of the joints in T frames, metres, z up, NaN where missing.
     fps : float
         Frames per second.
     errors : sequence of Errors
-        Errors (T, J, 3) of the positions, metres, which add up.
+        Independent errors of the joints' positions, each (T, J, 3), metres.
     feet : mapping
-        Joint of each foot, by LH, RH, LF, RF.
+        Name of each foot's joint; the keys are LH, RH, LF and RF.
     body : tuple of str
-        Joints whose mean represents the body.
+        Names of the joints whose mean position represents the body.
     segments : sequence of slice
-        Rows of each segment, which has its own ground.
+        Frames of each segment of the clip, which has its own plane of the ground, as slices of the pose.
     restless : bool
-        Whether the poses jitter. The 10th percentile of a foot's speed then counts as its apparent speed at rest.
+        Whether the poses jitter. If so, the 10th percentile of a foot's speed counts as its apparent speed at rest.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def pose_tracks(
         return series_kinematics(time_s, points_m, errors, propagate=(1,), **grid)  # only rates need a deviation
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
-        """Return positions, speeds and the speeds' standard deviations of one foot at a time, to limit memory."""
+        """Return the positions, the speeds and the standard deviations of the speeds of the foot with index `at`."""
         series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
         deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
@@ -300,7 +300,7 @@ def pose_tracks(
 
 
 def _fine(rows: slice) -> slice:
-    """Return the slice of the fine grid from the first to the last of the clip's rows."""
+    """Return the slice of the fine grid from the first to the last of the given frames."""
     return slice((rows.start or 0) * OVERSAMPLING, None if rows.stop is None else (rows.stop - 1) * OVERSAMPLING + 1)
 
 
@@ -312,7 +312,7 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
 
 
 def ground_plane(foot_m: Array, slow: Bools) -> Plane:
-    """Fit a plane to the feet (N, F, 3), m, where they are slow (N, F).
+    """Return a plane fitted to the positions (N, F, 3), m, of the feet where they are slow, a mask (N, F).
 
     The fit uses least squares with Tukey weights and a prior on the slopes. If no foot is slow, the plane is horizontal
     through the lowest position.
@@ -323,7 +323,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
         return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
     middle = np.median(points_m[:, :2], axis=0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
-    # Samples of the fine grid within a stance are not independent, so the prior has at least the weight of one sample.
+    # Samples within a stance are not independent, so the prior has at least the weight of one sample.
     prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
     weight = np.ones(len(points_m))
     parameters, spread = np.zeros(3), 0.0
@@ -339,7 +339,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
 
 
 def stances(tracks: Tracks) -> tuple[Stance, ...]:
-    """Return the stances of all feet in the order of their beginnings, or () if the ground is unknown."""
+    """Return the stances of all feet in the order of their start times, or () if the ground is unknown."""
     if why_no_ground(tracks):
         return ()
     result = [s for k in range(len(tracks.feet)) for s in _stances_of(tracks, k)]
@@ -347,7 +347,7 @@ def stances(tracks: Tracks) -> tuple[Stance, ...]:
 
 
 def why_no_ground(tracks: Tracks) -> str | None:
-    """Return why the ground under the feet is unknown, or None if it is known."""
+    """Return the reason why the plane of the ground is unknown, or None if it is known."""
     planes = [plane for _, plane in tracks.grounds if plane.samples]
     if not planes:
         return "the ground is not known, because no foot is slow enough to be standing"
@@ -363,7 +363,7 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
     certain_speed, largest_speed, landing_speed, lifting_speed = tracks.slow_m_s[:, k]
     slow_rows = np.flatnonzero(speed < certain_speed)
     certain_rows = slow_rows[height[slow_rows] < LOW[0] * tracks.leg_m]
-    is_known = np.pad(np.isfinite(speed), 1)  # index i of the array is for the step before sample i
+    is_known = np.pad(np.isfinite(speed), 1)  # element i belongs to sample i - 1
     result = []
     may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * tracks.leg_m)
     for first, end in frame_ranges(np.flatnonzero(may_stand)):
@@ -387,10 +387,10 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
 
 
 def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
-    """Return the standard deviation, s, of an event of foot k at sample i.
+    """Return the standard deviation of a touch-down or lift-off of foot k at sample i, s.
 
-    `most_s` is the largest half-width of the 90 % interval, the time from the event to the middle of the stance.
-    `threshold_sigma` is the standard deviation of the threshold relative to the speed in the swing.
+    `most_s` is the maximum half-width of the 90 % interval, the time from the event to the middle of the stance, s.
+    `threshold_sigma` is the standard deviation of the speed threshold, relative to the speed in the swing.
     """
     nearby = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
     speed, time = tracks.foot_speed_m_s[nearby, k], tracks.time_s[nearby]
