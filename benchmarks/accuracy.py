@@ -1,8 +1,8 @@
-"""Measure the errors of poses and positions from one camera.
+"""Measure the errors of poses and positions fitted from one camera.
 
     python benchmarks/accuracy.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/accuracy.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/accuracy.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Evaluate results from several, moving and poorly known cameras.
+"""Measure the errors of fits with several cameras, moving cameras and cameras with wrong poses.
 
     python benchmarks/cameras.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/cameras.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/cameras.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

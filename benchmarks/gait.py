@@ -1,8 +1,8 @@
-"""Evaluate stances, speeds, gaits and forces.
+"""Compare stances, speeds, gaits and forces with measurements and exact values.
 
     python benchmarks/gait.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/gait.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/gait.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

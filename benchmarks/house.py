@@ -38,7 +38,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "recon"
 SAMPLES = ROOT / "data" / "samples"
 RUNS = 5
-"""Number of pairs of processes for each ratio of times."""
+"""Number of pairs of processes whose times are compared for each ratio."""
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -101,13 +101,13 @@ FUNCTION_WORDS = frozenset(_WORDS.split())
 """Words that do not describe a value, and are therefore not allowed as names."""
 PUBLISHED = {
     "recon/animal/prior_fit.py": {"apart"},  # --apart of `recon prior fit`
-    "recon/api/prior_fit.py": {"apart"},  # the setting of this option
+    "recon/api/prior_fit.py": {"apart"},  # the setting of the option --apart
     "recon/base/errors.py": {"found"},  # the field of a problem, in "found ..., expected ..."
     "recon/gait/clip.py": {"given"},  # the stride of a `ClipAnalysis`
     "recon/robotics/climb/plan.py": {"most"},  # a key in recipe files
     "recon/robotics/retarget_clip.py": {"said"},  # a field of robot.npz
 }
-"""Function words that users write as names of options and fields, and that therefore have to work, by file."""
+"""Function words that a file may use as names, because users write them as options or fields."""
 UPWARD = {
     "recon.clip": {"recon.io.columns"},  # Keypoints.from_dataframe and from_xarray read columns
     "recon.io.formats": {"recon.io"},  # the table of formats lists all readers
@@ -117,11 +117,11 @@ UPWARD = {
     "recon.api.clip": {"recon.thesis.clip"},  # fit_clip also fits by the frame method
     "recon.api.clip_inputs": {"recon.thesis.clip"},  # the frame method reads its own chain
 }
-"""Modules of a higher layer that a module imports inside a function, by the importing module."""
+"""Modules of a higher layer that each importing module may import inside a function."""
 
 
 class Syntax(NamedTuple):
-    """Nodes of a file's syntax tree: all, those inside functions, and the statements at the top."""
+    """Nodes of a file's syntax tree, with the nodes inside functions and the top-level statements listed separately."""
 
     nodes: list[ast.AST]
     local: list[ast.AST]
@@ -271,16 +271,16 @@ def check(where: bool) -> bool:
 
 @cache
 def parsed(source: str) -> ast.Module:
-    """Return the syntax tree of a source text, which is parsed once."""
+    """Return the syntax tree of a source text, from a cache if the text was parsed before."""
     return ast.parse(source)
 
 
 @cache
 def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
-    """Return the imports of a source text, also those in functions, and its calls if a call may import by a string.
+    """Return the imports of a source text, including imports in functions, and its calls if one may import by a string.
 
-    Imports are statements, so the expressions, which make up most of a syntax tree, are walked only if the text may
-    import by a string.
+    Imports are statements. Expressions make up most of a syntax tree, and are walked only if the text may import by a
+    string.
     """
     tree = parsed(source)
     if "import_module" in source or "__import__" in source:
@@ -306,8 +306,7 @@ def imported_by(module: str, source: str, is_package: bool, modules: Mapping[str
             parts = module.split(".") if is_package else module.split(".")[:-1]
             origin = ".".join([*parts[: len(parts) - node.level + 1]] if node.level else [])
             origin = ".".join(part for part in (origin, node.module) if part)
-            # a submodule if there is one of this name, otherwise the module itself
-            # __version__ is not a part of the API
+            # An imported name is a submodule, or else an attribute of the module. `__version__` is no part of the API.
             called = [alias.name for alias in node.names if not alias.name.startswith("__")]
             names = [f"{origin}.{name}" if f"{origin}.{name}" in modules else origin for name in called]
         elif isinstance(node, ast.Call) and node.args and _called(node.func) == "import_module":
@@ -326,7 +325,7 @@ def _called(function: ast.expr) -> str:
 
 
 def imports() -> dict[str, set[str]]:
-    """Return, for each module of the package, the package's modules that it imports, without those of `UPWARD`."""
+    """Return the modules that each module of the package imports from the package, except those of `UPWARD`."""
     texts = {module_of(path): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
     graph = {name: imported_by(name, text, is_package(name), texts) for name, text in texts.items()}
     return {name: {target for target in targets if not is_upward(name, target)} for name, targets in graph.items()}
@@ -342,7 +341,7 @@ def is_package(module: str) -> bool:
 
 
 def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
-    """Return groups of modules that import each other: strongly connected components, by Tarjan's algorithm."""
+    """Return groups of modules that import each other, found as strongly connected components (Tarjan)."""
     number: dict[str, int] = {}
     lowest: dict[str, int] = {}
     path: list[str] = []

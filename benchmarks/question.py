@@ -18,14 +18,14 @@ ROOT = Path(__file__).resolve().parents[1]
 PARTS = ROOT / "benchmarks" / "parts"
 RESULTS = ROOT / "benchmarks" / "results"
 TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
-"""Pattern of the headings of time columns."""
+"""Pattern that matches the headings of columns with measured times."""
 TIMED = ("speed", "peers")
-"""Questions whose results keep their time columns."""
+"""Questions whose results keep the columns with measured times."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A measurement: a script of `parts/` with its arguments."""
+    """A measurement by a script of `parts/` with certain arguments."""
 
     script: str
     arguments: Sequence[str] = ()
@@ -88,7 +88,7 @@ def run_part(script: str, arguments: Sequence[str]) -> str | None:
 
 
 def keep(question: str, name: str, part: Part, arguments: Sequence[str], output: str) -> None:
-    """Add to the question's results the tables and sentences that a part printed."""
+    """Store the tables and sentences that a part printed in the results of a question."""
     path = RESULTS / f"{question}.json"
     results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     tables, sentences = read_markdown(output)
@@ -106,7 +106,7 @@ def keep(question: str, name: str, part: Part, arguments: Sequence[str], output:
 
 
 def without_times(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table without its time columns."""
+    """Return a table without the columns whose headings match `TIMES`."""
     columns = [number for number, name in enumerate(table["header"]) if not TIMES.search(name)]
     return {
         "header": [table["header"][number] for number in columns],
@@ -115,7 +115,7 @@ def without_times(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_markdown(text: str) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tables of a Markdown text, each with header and rows, and all other lines."""
+    """Return the tables of a Markdown text, each with a header and rows, and the lines outside tables."""
     tables: list[dict[str, Any]] = []
     sentences: list[str] = []
     is_in_table = False

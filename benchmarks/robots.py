@@ -2,7 +2,7 @@
 
     python benchmarks/robots.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/robots.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/robots.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

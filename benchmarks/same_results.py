@@ -38,10 +38,10 @@ CLOCK_COLUMNS = ("solve_s", "solve_ms", "us_per_step")
 CLOCK_KEYS = ("timing_s", "recon_version", "schema", "settings", *CLOCK_COLUMNS)
 """Keys of reports that depend on the clock, the version or the folders."""
 CODE_KEYS = ("level", "code", "status", "flags", "side", "method")
-"""Keys of reports whose texts are results."""
+"""Keys of reports whose texts are compared."""
 PLAYBACKS = ("recon.show.view.write", "recon.show.view.playback.write")
 FIGURES = ("recon.ik.clip.write_figures", "recon.robotics.ik.clip.write_figures")
-"""Slow functions whose output is not compared; they are skipped if a checkout has them."""
+"""Slow functions to skip in both checkouts, because their output is not compared."""
 
 Command = tuple[str, list[str]]
 """Name of the command, which is also the folder of its results, and the arguments of `recon`."""
@@ -144,7 +144,7 @@ def run_commands(plan: Path) -> None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of one file between the two results."""
+    """Outcome of comparing one result file of both checkouts."""
 
     file: str
     values: int
@@ -153,7 +153,7 @@ class Comparison:
 
 
 def compare_files(old: Path, new: Path, name: str) -> Comparison:
-    """Compare one file in two folders of results."""
+    """Compare the values of one file in the result folders of both checkouts."""
     if not ((old / name).is_file() and (new / name).is_file()):
         return Comparison(name, 0, f"only in {'OLD' if (old / name).is_file() else 'NEW'}")
     was, now = values_of(old / name), values_of(new / name)
@@ -167,7 +167,7 @@ def compare_files(old: Path, new: Path, name: str) -> Comparison:
 
 
 def values_of(path: Path) -> dict[str, str]:
-    """Return the values of a file that do not depend on clock, version or folders, by their position in the file."""
+    """Read the values of a result file, except those that depend on clock, version or folders, keyed by position."""
     if path.suffix == ".csv":
         rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
         header = rows[0] if rows else []
@@ -195,7 +195,7 @@ def hash_of(array: np.ndarray) -> str:
 
 
 def numbers_of(value: Any, key: str) -> Iterator[tuple[str, str]]:
-    """Yield each number of a document, and each text that is a result, with the keys that lead to it."""
+    """Yield each number and each compared text of a report, with the path of keys that leads to it."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name not in CLOCK_KEYS:
@@ -208,7 +208,7 @@ def numbers_of(value: Any, key: str) -> Iterator[tuple[str, str]]:
 
 
 def result_files(folder: Path) -> set[str]:
-    """Return the files of a command's results that are compared."""
+    """Return the paths of the files to compare in a command's results folder."""
     paths = [path for path in folder.rglob("*") if path.suffix in (".csv", ".json", ".npz") or path.name == FAILED]
     return {str(path.relative_to(folder)) for path in paths if path.name not in ("manifest.json", ".recon.json")}
 
@@ -224,7 +224,7 @@ def commit_of(checkout: Path) -> str:
 
 
 def start(checkout: Path, commands: list[Command], out: Path, keep: Path | None) -> subprocess.Popen[bytes]:
-    """Start one process that runs the commands with a checkout's code; kept results are copied instead."""
+    """Copy results kept earlier, and start a process that runs the other commands with a checkout's code."""
     out.mkdir(parents=True)
     commit = commit_of(checkout) if keep else ""
     if keep and commit:

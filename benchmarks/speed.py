@@ -2,7 +2,7 @@
 
     python benchmarks/speed.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/speed.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/speed.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
     python benchmarks/tables.py [--check]
 
 A page has a line `<!-- results: QUESTION/NAME -->` before each such table. The table's header and rows, the command,
-the recordings and the date of the measurement are in results/QUESTION.json under "tables". A table with a "run" takes
-its rows from the last output of that part. --check writes nothing; the exit code is 1 if a page does not agree.
+the recordings and the date of the measurement are in results/QUESTION.json under "tables". If the entry of a table has
+a "run", the rows come from the last output of that part. With --check, nothing is written, and the exit code is 1 if a
+page differs from the results.
 """
 
 from __future__ import annotations

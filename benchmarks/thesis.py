@@ -1,8 +1,8 @@
-"""Evaluate the frame method and the methods of inverse kinematics.
+"""Measure the accuracy and the speed of the frame method and of inverse kinematics.
 
     python benchmarks/thesis.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/thesis.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/thesis.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

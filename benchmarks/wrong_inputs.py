@@ -1,8 +1,8 @@
-"""Test which wrong inputs the findings name.
+"""Test which wrong inputs the findings of a fit name.
 
     python benchmarks/wrong_inputs.py [--only NAME ...] [--quick]
 
-Results are kept in benchmarks/results/wrong_inputs.json; `python benchmarks/tables.py` makes the docs' tables.
+Results are kept in benchmarks/results/wrong_inputs.json. `python benchmarks/tables.py` writes the tables of the docs.
 """
 
 from __future__ import annotations

@@ -18,10 +18,12 @@ COMMON: dict[str, dict[str, Any]] = {
 
 
 def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """Return a parser whose help is the script's text.
+    """Return a command-line parser with the common options that a script needs.
 
     Parameters
     ----------
+    text
+        Docstring of the script, shown by --help.
     options
         Names of the common options (`COMMON`) that the script has.
     kind
@@ -40,7 +42,7 @@ def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[st
 
 
 def settings_of(arguments: argparse.Namespace) -> dict[str, str]:
-    """Return the settings that --set gives, by name."""
+    """Return the settings that the option --set gives, as a dictionary from name to value."""
     return dict(item.split("=", 1) for item in arguments.set)
 
 
@@ -50,7 +52,7 @@ def runs_of(folder: Path) -> list[Path]:
 
 
 def runs_or_exit(parser: argparse.ArgumentParser, folder: Path) -> list[Path]:
-    """Return the runs of a folder; exit the script if there are none."""
+    """Return the folders of the runs in a folder of recordings, or end the script if there are none."""
     runs = runs_of(folder)
     if not runs:
         parser.exit(message=f"no runs in {folder}: nothing measured\n")

@@ -42,7 +42,7 @@ Fault = Callable[[AuditedPoints, np.random.Generator], AuditedPoints | None]
 
 @dataclass(frozen=True)
 class File:
-    """A file of points, with its name, its recording, and the points as the audit reads them."""
+    """A file of 2D keypoints or 3D poses, with its name, its recording, and the points as the audit reads them."""
 
     name: str
     source: str
@@ -52,7 +52,7 @@ class File:
 
 
 def view_file(folder: Path, camera: str, fps: float) -> File:
-    """Return one view of a run, with the projected 3D truth."""
+    """Read the keypoints of one camera of a run, with the projections of the 3D truth as the expected positions."""
     points = audit_file(folder / f"{camera}.csv", fps=fps).points
     scene, pose = folder / "scene.json", read_pose3d(folder / "truth.csv")
     lens = read_camera(scene, camera) if scene.is_file() else read_camera(folder / f"{camera}.toml")
@@ -67,7 +67,7 @@ def view_file(folder: Path, camera: str, fps: float) -> File:
 
 
 def files() -> Iterator[File]:
-    """Yield all files that are audited."""
+    """Read all files to audit."""
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
         fps = json.loads((folder / "meta.json").read_text())["fps"]
         for path in sorted(folder.glob("cam*.csv")):
@@ -110,9 +110,9 @@ def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
 
 
 def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least: int, inside: int = 2) -> slice:
-    """Return the rows of a random stretch, at least `inside` frames away from both ends.
+    """Choose random consecutive frames for a fault, at least `inside` frames away from both ends of the file.
 
-    Its length is a fraction of the frames, but at least `least` frames.
+    Their number is the fraction `share` of all frames, but at least `least`.
     """
     T = len(points.frames)
     length = min(max(least, round(share * T)), T - 2 * inside)
@@ -121,7 +121,7 @@ def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least
 
 
 def seen_point(points: AuditedPoints, rows: slice, rng: np.random.Generator, moving: float = 0.0) -> int | None:
-    """Return a random point that is known in these rows and moves by more than a fraction of the animal's size."""
+    """Choose a random point that is known in `rows` and moves there by more than a fraction of the animal's size."""
     known = points.known[rows].all(axis=0)
     path = np.linalg.norm(points.positions[rows.stop - 1] - points.positions[rows.start], axis=1)
     choice = np.flatnonzero(known & (np.nan_to_num(path) > moving * points.extent) & ~(points.stands & (moving > 0)))
@@ -179,7 +179,7 @@ def interpolated_point(points: AuditedPoints, rng: np.random.Generator) -> Audit
 
 
 def without_jumps(points: AuditedPoints) -> AuditedPoints:
-    """Return the points without the jumps that a detector made."""
+    """Remove the jumps that a real detector made, so that a planted jump is the only one."""
     for _ in range(10):
         is_jump = np.nan_to_num(jumps_of(points)) > 1
         if not is_jump.any():
@@ -347,7 +347,7 @@ FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {
 
 
 def values_of(points: AuditedPoints) -> dict[str, float]:
-    """Measure points by the audit, and return the largest value for each finding, by the finding's code."""
+    """Audit points without limits, and return the largest measured value for each code of a finding."""
     values: dict[str, float] = {}
     for measure in measures_of(points):
         values[measure.code] = max(values.get(measure.code, -np.inf), measure.value)
@@ -378,13 +378,13 @@ def is_right(file: File, code: str) -> bool:
 
 
 def named_by(values: Mapping[str, float], limits: Mapping[str, float]) -> set[str]:
-    """Return the codes of the findings whose measured values exceed these limits."""
+    """Return the codes of the findings whose measured values exceed their limits."""
     codes = {code for code, value in values.items() if value > limits[code]}
     return codes - {later for code in codes for later in CONSEQUENCES.get(code, ())}
 
 
 def chosen_limits(untouched: Sequence[Mapping[str, float]], faulty: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """Return, for each code, the limit that separates correct files from files with its fault."""
+    """Choose for each code the limit that best separates correct files from files with the fault."""
     limits = {}
     for code, fixed in LIMITS.items():
         right = np.array([values[code] for values in untouched if code in values])
@@ -401,11 +401,14 @@ def chosen_limits(untouched: Sequence[Mapping[str, float]], faulty: Mapping[str,
 
 
 Values = dict[str, float]
-"""Measured values of a file, by the code of their finding."""
+"""Largest measured value of a file for each code of a finding."""
 
 
 def untouched_values(all_files: Sequence[File]) -> dict[str, Values]:
-    """Return the measured values of files without a planted fault, except those of real leaps and jumps."""
+    """Return the measured values of each file without a fault.
+
+    Gravity is measured in a correct leap (`with_leap`), and jumps that the truth confirms are left out.
+    """
     untouched = {file.name: values_of(file.points) for file in all_files}
     for file in all_files:
         leaping = with_leap(file.points)
@@ -417,7 +420,7 @@ def untouched_values(all_files: Sequence[File]) -> dict[str, Values]:
 
 
 def planted_values(all_files: Sequence[File], seed: int) -> dict[str, list[tuple[File, Values]]]:
-    """Plant each fault in all files that allow it, and return the files with their measured values, by fault."""
+    """Plant each fault in all files that allow it, and return for each fault the files with their measured values."""
     planted: dict[str, list[tuple[File, Values]]] = {name: [] for name in FAULTS}
     for f, (name, (fault, _)) in enumerate(FAULTS.items()):
         for i, file in enumerate(all_files):
@@ -433,7 +436,7 @@ def limits_without(
     untouched: Mapping[str, Values],
     planted: Mapping[str, Sequence[tuple[File, Values]]],
 ) -> Values:
-    """Choose limits from the files of all sources but one."""
+    """Choose the limits of the audit on the files of all recordings except one."""
     right = [untouched[file.name] for file in all_files if file.source != source]
     wrong: dict[str, list[float]] = defaultdict(list)
     for name, (_, codes) in FAULTS.items():

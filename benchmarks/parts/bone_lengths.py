@@ -26,11 +26,11 @@ from recon.fit.shape import MODEL_SIGMA, fit_shape
 from recon.gait.stances import INTERVAL
 
 Rows = list[tuple[str, float, float]]
-"""Name of a bone, with the error of its length and the fit's own standard deviation, both relative to the length."""
+"""Name of a bone, relative error of its fitted length, and relative standard deviation stated by the fit."""
 
 
 def true_lengths_m(subject: str) -> dict[str, float]:
-    """Return an animal's lengths by bone."""
+    """Read the measured length of each bone of an animal, metres."""
     table = json.loads((recordings("cheetah-runs").parent / "subjects.json").read_text())
     own, trunk = table[subject], table["trunk"]
     rear, front = (float(trunk[name][0]) for name in ("tail_base->spine", "spine->neck_base"))
@@ -44,7 +44,7 @@ def true_lengths_m(subject: str) -> dict[str, float]:
 
 
 def measured() -> dict[str, Rows]:
-    """Fit each run alone, and return the errors of its bone lengths by run."""
+    """Fit each run alone, and return the errors of the run's bone lengths."""
     runs: dict[str, Rows] = {}
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
         meta = json.loads((folder / "meta.json").read_text())
@@ -61,12 +61,12 @@ def measured() -> dict[str, Rows]:
 
 
 def holds(rows: Rows, model: float) -> list[bool]:
-    """Return whether each 90 % interval contains the true length."""
+    """Return for each bone whether the 90 % interval contains the true length; `model` is the model's own error."""
     return [abs(error) < radius(INTERVAL) * float(np.hypot(sigma, model)) for _, error, sigma in rows]
 
 
 def likeliest(runs: Sequence[Rows]) -> float:
-    """Return the maximum-likelihood standard deviation of the model, relative to the length, for some runs."""
+    """Estimate the model's own standard deviation, relative to the length, by maximum likelihood over some runs."""
     error, sigma = np.array([row[1:] for rows in runs for row in rows]).T
     models = np.linspace(0, 0.2, 401)
     variance = sigma**2 + models[:, None] ** 2

@@ -32,7 +32,7 @@ def cameras() -> list[Camera]:
 
 
 def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generator) -> BoardViews:
-    """Return views of a board rendered through the camera, with blur and noise, and detected again."""
+    """Render pictures of a board through the camera, with blur and noise, and detect the board in them."""
     board = parse_board(board_text)
     views, without = [], []
     for number, (rotation, translation) in enumerate(board_poses(board, camera, count, rng, fill=0.6)):
@@ -46,7 +46,7 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
 
 
 def worst_px(calibration: Calibration, truth: Camera) -> float:
-    """Return the largest distance, pixels, between a ray's projections by the calibrated and by the true camera."""
+    """Return the largest distance, px, between the projections of a ray by the calibrated and the true camera."""
     width, height = truth.image_size_px
     y, x = np.mgrid[0 : height - 1 : 31j, 0 : width - 1 : 31j]
     pixels = np.stack((x, y), axis=-1)

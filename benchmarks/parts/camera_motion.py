@@ -39,7 +39,7 @@ class Pan:
     """Motion, zoom and picture of a virtual camera that pans."""
 
     sweep_deg: float
-    """Angle of the pan, and of its way back if the pan returns."""
+    """Angle of the pan, degrees, and of the way back if the pan returns."""
     speed_deg_s: float
     covered: float = 0.2
     """Fraction of the picture that the subject covers."""
@@ -125,7 +125,7 @@ def _with_subject(picture: np.ndarray, still: np.ndarray, covered: float, second
 
 
 def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    """Yield a row for each wrong focal length in a camera file, with the focal length that the rotations give."""
+    """Estimate the focal length from pans whose camera file has a wrong one, and yield a table row for each."""
     for name in cases:
         if CASES[name].zoom != 1:
             continue
@@ -142,7 +142,14 @@ def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]
 
 
 def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMotion, float]:
-    """Return errors of rotation (N,), deg, and of zoom (N,), relative; the motion; and CPU seconds per frame."""
+    """Estimate the camera's motion in a film, and compare it with the truth.
+
+    Returns
+    -------
+    tuple
+        Errors of the rotation (N,), degrees; relative errors of the zoom (N,); the estimated motion; and processor time
+        per frame, seconds.
+    """
     tracker = Tracker(one.camera, solve_zoom=zoom)
     begun = time.process_time()
     for number, picture in enumerate(one.pictures):
@@ -191,7 +198,7 @@ def rows(video: Path, cases: Sequence[str]):
 
 
 LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
-"""Focal lengths in the camera files relative to the true one; the last stands for 90 degrees instead of 60."""
+"""Focal lengths in the camera files, relative to the true one; the last mistakes 60 degrees for 90."""
 LENS_HEADER = ("video", "pan", "file", "frames", "error of found length", "sigma", "worst °", "sigma of the worst °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",

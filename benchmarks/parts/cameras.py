@@ -46,7 +46,7 @@ FIXED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run with sources and views by camera, and the true joints (T, J, 3) in the views' frames, world, metres."""
+    """A run with the source and the view of each camera, and the true joints (T, J, 3) in the world, metres."""
 
     folder: Path
     sources: dict[int, Source]
@@ -85,7 +85,7 @@ def run_of(folder: Path) -> Run:
 
 
 def runs_given(about: str | None) -> list[Run]:
-    """Return the runs of the folder that the command line names; `about` is the text of --help."""
+    """Load the runs of the folder that the command line names; `about` is the text of --help."""
     parser = parser_of(about, kind="cheetah-runs")
     return [run_of(run) for run in runs_or_exit(parser, parser.parse_args().folder.resolve())]
 
@@ -170,7 +170,7 @@ def with_detector(body: Body, of: Body) -> Body:
 
 
 def body_with_bias(what: str, run: Run, runs: Sequence[Run]) -> Body:
-    """Return the subject's body without keypoint bias ("none"), or with that of "other runs" or of "this run"."""
+    """Return the subject's body with the keypoint bias of "other runs" or "this run", or without bias ("none")."""
     body = body_of(run.subject)
     if what == "none":
         return body
@@ -197,7 +197,7 @@ def true_size(run: Run) -> float:
 
 
 def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
-    """Measure the errors with one, two and all cameras, and with the subject's lengths if `known`."""
+    """Measure the errors of fits from one, two and all cameras, with the subject's lengths if `known`."""
     rows: dict[str, list[dict[str, float]]] = {}
     for run in runs:
         body = as_seen(body_of(run.subject if known else None), run, runs, posed=True)
@@ -208,9 +208,10 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
 
 
 def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -> list[dict]:
-    """Leave out each camera in turn, and project the pose from the other cameras, and the truth, into this camera.
+    """Leave out each camera in turn, and compare the pose from the other cameras with the camera's detections.
 
-    Both are compared with the same detections. `known` states the source of the keypoint bias, as in `body_with_bias`.
+    The truth is projected into the camera and compared with the same detections. `known` states the source of the
+    keypoint bias, as in `body_with_bias`.
     """
     rows = []
     for run in runs:
@@ -230,7 +231,7 @@ def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -
 
 
 def keypoints(runs: Sequence[Run]) -> list[dict]:
-    """Measure the errors with all cameras for each source of the keypoint bias."""
+    """Measure the errors of fits from all cameras for each source of the keypoint bias."""
     found = []
     for known in ("none", "other runs", "this run"):
         rows = [errors(run, solved(run, cameras_of(run)["all"], body_with_bias(known, run, runs))) for run in runs]
@@ -241,7 +242,7 @@ def keypoints(runs: Sequence[Run]) -> list[dict]:
 
 
 def sideslips(runs: Sequence[Run]) -> list[dict]:
-    """Measure the sideslip, the angle from heading to direction of travel, in the reference and with all cameras."""
+    """Compare the sideslip (from heading to direction of travel) of fits from all cameras with the reference."""
     rows = []
     for run in runs:
         body, known = body_of(run.subject), np.isfinite(run.truth_m).all(axis=(1, 2))
@@ -260,7 +261,7 @@ def sideslips(runs: Sequence[Run]) -> list[dict]:
 
 
 def time_offsets(runs: Sequence[Run]) -> list[dict]:
-    """Measure the estimated time offset of each camera, in frames, when all cameras are used."""
+    """Estimate the time offset of each camera, in frames, in fits from all cameras."""
     rows = []
     for run in runs:
         found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs, posed=True)).time_offset_frames
@@ -273,7 +274,7 @@ def time_offsets(runs: Sequence[Run]) -> list[dict]:
 
 
 def single_view_errors(run: Run, body: Body) -> list[dict[str, float]]:
-    """Fit every view of a run alone, and return the errors of each."""
+    """Fit every view of a run alone, and return the errors of each fit."""
     found = []
     for camera in run.views:
         solution = solved(run, [camera], body)
@@ -304,7 +305,7 @@ def over_views(rows: Sequence[dict[str, float]]) -> dict[str, object]:
 
 
 def measured(runs: Sequence[Run]) -> list[dict]:
-    """Measure every view alone, without keypoint bias and with the bias measured in the other runs."""
+    """Compare fits of single views without keypoint bias and with the bias measured in the other runs."""
     found = []
     for label in ("none", "from the other runs, `subject fit`", "from the other runs, poses known"):
         rows = []
@@ -318,7 +319,7 @@ def measured(runs: Sequence[Run]) -> list[dict]:
 
 
 def by_run(runs: Sequence[Run]) -> list[dict]:
-    """Return error rows for the single views of each run, and for those of all runs but this one.
+    """Return the errors of single views for each run, and for all runs except that run.
 
     The keypoint bias of a view is measured in the other runs.
     """

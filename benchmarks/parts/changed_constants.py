@@ -25,6 +25,6 @@ def holding(**values: Any) -> Iterator[None]:
 
 @contextmanager
 def options_with(given: Mapping[str, Any]) -> Iterator[TrajectoryOptions]:
-    """Yield options with the given values; names in capitals are constants, set within the `with` block."""
+    """Yield fit options with the given values; names in capitals are constants, changed within the `with` block."""
     with holding(**{name: value for name, value in given.items() if name.isupper()}):
         yield TrajectoryOptions(**{name: value for name, value in given.items() if not name.isupper()})

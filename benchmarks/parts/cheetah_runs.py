@@ -26,7 +26,7 @@ PUBLISHED = "cheetah-8u"
 
 
 def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> dict:
-    """Fit one view by the frame method, and return the table's row."""
+    """Fit one view by the frame method, and return its errors and times for the table."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
         camera=(run / "scene.json",),

@@ -9,11 +9,11 @@ this error.
 
 The orders are:
 
-- `recon`: that of to_correct.csv
+- `recon`: the order of to_correct.csv
 - `random`: the mean of several random orders
 - `likelihood`: the least likely detection first (all likelihoods of these runs are 1, so this is the file's order)
-- `greedy`, which knows the reconstruction: at each step, the detection whose replacement brings the joints closest to
-  the reconstruction, according to the linearised fit
+- `greedy`: at each step, the detection whose replacement brings the joints closest to the reconstruction, according to
+  the linearised fit. This order needs the reconstruction
 
 The last table shows how much of greedy's fall can be reached without the reconstruction. The true errors are replaced
 by errors drawn from the fit's own posterior, for which the expected falls are exact, and all falls are those of the
@@ -53,7 +53,7 @@ from recon.io.corrections import Correction, write_corrections
 COUNTS = (10, 20, 40)
 RANDOM_ORDERS, DRAWS = 3, 3
 AT_ONCE = 256
-"""Number of candidates whose effects are compared at once."""
+"""Number of candidate detections whose effects are computed together, to limit the memory."""
 LEAST_PRECISION = 1e-6
 
 Cell = tuple[int, int, int]
@@ -81,7 +81,7 @@ class Clip:
 
     @cached_property
     def cells(self) -> list[Cell]:
-        """Return the detections that can be replaced."""
+        """List the detections that can be replaced by the true position."""
         is_known = np.isfinite(self.true_px[..., 0]) & self.motion.solved[:, None]
         return [(v, t, j) for v, t, j in np.argwhere(is_known).tolist()]
 
@@ -112,7 +112,7 @@ class Clip:
             return refit_clip(replace(self.settings, corrections=path), motion)
 
     def listed(self) -> list[Cell]:
-        """Return the order of to_correct.csv."""
+        """Return the detections in the order of to_correct.csv."""
         motion, known = self.motion, {*self.cells}
         numbers = {picture.name: v for v, picture in enumerate(motion.pictures)}
         cells = []
@@ -130,8 +130,8 @@ def centred(points_m: Array) -> Array:
 class Linearised:
     """Linearised fit of a view with N detections that can be replaced.
 
-    A replaced detection has the weight of a detection without error. Its effect on the joints is that of replacing it
-    alone.
+    A replaced detection has the weight of a detection without error. Its effect on the joints is computed as if no
+    other detection were replaced.
     """
 
     def __init__(self, clip: Clip) -> None:
@@ -173,8 +173,8 @@ class Linearised:
     def covariances(self) -> tuple[Array, Array]:
         """Return covariances (N, 2, 2) of the projections, and their covariances with all known joints.
 
-        The latter have the shape (N, 2, frames J 3). Both come from the inverse of the normal equations, without the
-        variance factor.
+        The covariances with the joints have the shape (N, 2, frames J 3). Both come from the inverse of the normal
+        equations, without the variance factor.
         """
         (T, J), N, D = self.joints.shape[:2], len(self.cells), self.projection.shape[-1]
         joints_by_px = np.empty((N, 2, int(self.is_known.sum()) * J * 3))
@@ -213,7 +213,7 @@ class Linearised:
         return np.argsort(-effect_m2, kind="stable").tolist()
 
     def greedy(self, error_m: Array, shifts_m: Array) -> list[int]:
-        """Return the order in which every step brings the joints closest to the truth."""
+        """Return the order of corrections in which every step brings the joints closest to the truth."""
         left_m, order = error_m.ravel().copy(), list[int]()
         is_left = np.ones(len(shifts_m), dtype=bool)
         for _ in range(max(COUNTS)):
@@ -269,7 +269,7 @@ def clips(runs: Sequence[Path]) -> Iterator[tuple[str, Clip]]:
 
 
 def measured_falls(clip: Clip, fit: Linearised) -> dict[str, list[float]]:
-    """Correct and fit a clip in each order, and return by how much the error falls, mm, for each of `COUNTS`."""
+    """Correct and fit a clip in each order, and return how much the error falls, mm, after `COUNTS` corrections."""
     greedy = fit.greedy(fit.error_m, fit.shifts_m(fit.innovation_px))
     shuffled = [np.random.default_rng(seed).permutation(len(clip.cells)) for seed in range(RANDOM_ORDERS)]
     by_frame = sorted(clip.cells, key=lambda cell: (cell[1], cell[0], cell[2]))
@@ -283,7 +283,7 @@ def measured_falls(clip: Clip, fit: Linearised) -> dict[str, list[float]]:
 
 
 def drawn_falls(clip: Clip, fit: Linearised, seed: int) -> dict[str, list[float]]:
-    """Draw a truth from the posterior, and return by how much each order reduces the error, mm, by `COUNTS`."""
+    """Draw a truth from the posterior, and return how much each order reduces the error, mm, after `COUNTS` steps."""
     rng = np.random.default_rng(seed)
     error_m, innovation_px = fit.drawn(rng)
     shifts_m, index = fit.shifts_m(innovation_px), {cell: i for i, cell in enumerate(clip.cells)}

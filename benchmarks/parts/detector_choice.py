@@ -57,7 +57,7 @@ def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, st
 
 
 def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list[object]:
-    """Return the cells of the table's row for one kind of recordings, in the order of `HEADER`.
+    """Return the table row of one kind of recordings, with the columns of `HEADER`.
 
     `without` maps each run to the detector file that is made from the other runs.
     """
@@ -74,7 +74,10 @@ def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list
 
 
 def measured(label: str, runs: Sequence[Run], bodies: dict[Run, Body]) -> None:
-    """Print a row for each number of other runs in which the bias is measured; `bodies` have the runs' lengths."""
+    """Print the errors of single views if the keypoint bias is measured in 0, 1, 2 ... other runs.
+
+    `bodies` has the body of each run, with the animal's lengths.
+    """
     plain = {run: np.array([row["mpjpe_mm"] for row in single_view_errors(run, bodies[run])]) for run in runs}
     print_row([label, 0, f"{np.mean(np.concatenate([*plain.values()])):.1f}", "", ""])
     for n in range(1, len(runs)):
@@ -97,7 +100,7 @@ def detector_of(runs: Sequence[Run], bodies: dict[Run, Body]) -> Body:
 
 
 def plate_run(folder: Path) -> Run:
-    """Load a run whose cameras are in separate files; otherwise as `run_of`."""
+    """Load a run whose cameras are in separate files."""
     cameras, given = meta_of(folder)["cameras"], []
     for number in cameras:
         one = FitSettings(

@@ -6,10 +6,10 @@ FOLDER holds optical motion capture of one dog: a file *_joint_pos.txt for each 
 every joint, metres, y up; and joints.json with the joints' names and parents and the frame rate. By default it is the
 dog-mocap of $RECON_SHARED_DATA, or of ../shared/data.
 
-accuracy: each clip is seen by one still, level pinhole camera, 1920x1080, 0.6 m above the ground, 6 m to the side of
-the clip's path. Its field of view is the smallest whole number of degrees that contains the whole clip. Detections are
-the joints' projections with 2 px of Gaussian noise. The prior is learned from the other seven clips. The lengths are
-those of the dog, which is the same in all clips. The script runs in one thread.
+For the part `accuracy`, each clip is seen by one still, level pinhole camera, 1920x1080, 0.6 m above the ground, 6 m to
+the side of the clip's path. Its field of view is the smallest whole number of degrees that contains the whole clip.
+Detections are the joints' projections with 2 px of Gaussian noise. The prior is learned from the other seven clips. The
+lengths are those of the dog, which is the same in all clips. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from recon.gait.stances import pose_tracks
 
 SKELETON = "dog-27"
 WIDEN = 1.5
-"""Factor by which the expectations are wider than the measurements in these clips."""
+"""Factor by which the expected standard deviations exceed those measured in the clips."""
 LEAST_SIGMA_RAD, LEAST_RAD_S2 = 0.05, 20.0
 DISTANCE_M, HEIGHT_M, MARGIN_PX, NOISE_PX = 6.0, 0.6, 20.0, 2.0
 IMAGE_SIZE_PX = (1920, 1080)
@@ -99,7 +99,7 @@ def marker_gait(clip: Clip) -> Gait:
 
 
 def lengths(clips: Sequence[Clip]) -> Rows:
-    """Return distances that are constant over the clips: from joint to parent, and within chest and pelvis."""
+    """Measure how constant the distances from joint to parent, and within chest and pelvis, are over the clips."""
     names = clips[0].names
     pairs = [(names[p], n) for n, p in zip(names, clips[0].parents, strict=True) if p >= 0]
     pairs += [
@@ -149,7 +149,7 @@ def solve(clips: Sequence[Clip]) -> list[SegmentFit]:
 
 
 def expected(solved: Sequence[SegmentFit]) -> Body:
-    """Return the skeleton with the means and widened standard deviations of its angles in these clips.
+    """Return the skeleton with the means and widened standard deviations of its angles in the clips.
 
     Each clip counts a second time, mirrored left to right.
     """
@@ -167,7 +167,7 @@ def expected(solved: Sequence[SegmentFit]) -> Body:
 
 
 def expectations(solved: Sequence[SegmentFit]) -> Rows:
-    """Return a row for each angle, with the expectations from these clips next to those of the skeleton's file."""
+    """Compare the expectations of each angle measured in the clips with the values of the skeleton's file."""
     file, found = body_of(), expected(solved)
     fields = ("mean_rad", "sigma_rad", "acceleration_rad_s2")
     return [
@@ -222,7 +222,7 @@ def write_view(
     px += rng.normal(0, NOISE_PX, px.shape)
     if as_stated:
         off = rng.standard_normal(px.shape)
-        # neighbouring frames are correlated so that errors last for `ERROR_TIME_S`
+        # Correlate neighbouring frames, so that errors last for `ERROR_TIME_S`.
         stays = np.exp(-2 / (constants.ERROR_TIME_S * clip.fps))
         for before, now in pairwise(off):
             now[:] = stays * before + (1 - stays**2) ** 0.5 * now

@@ -5,8 +5,8 @@
 A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) are seen by simulated
 cameras. The skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in
 skeleton (for the rat: --skeleton). A later part is fitted from one, two and six cameras. The table has the fractions of
-joints whose pose and position are inside the stated 90 % regions, and their errors in mm. Keypoints have a constant
-bias of 2.5 % of the body's length along each axis, and 2 px of noise.
+joints whose pose and position are inside the stated 90 % regions, and their errors in mm. Keypoints have 2 px of
+noise and a constant bias, whose standard deviation along each axis is 2.5 % of the body's length.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from recon.testing.cameras import camera_ring
 from recon.testing.coverage import coverage
 
 BIAS_SHARE = 0.025
-"""Distance of the simulated keypoints from the recorded points, as a fraction of the body's length."""
+"""Standard deviation of the simulated keypoint bias along each axis, as a fraction of the body's length."""
 FRAMES = 60
-"""Number of frames of a fitted clip."""
+"""Number of frames of each fitted clip."""
 RAT_DRAFT = 500
 """Number of frames of the rat's recording from which its skeleton is drafted."""
 RAT_NAMES = {"Snout": "nose", "EarL": "l_ear", "EarR": "r_ear", "SpineF": "neck_base", "SpineM": "spine"}
@@ -152,7 +152,7 @@ def view_of_markers(view: View, order: Sequence[int]) -> View:
 
 
 def is_forward(recording: Recording, body: Body, joints_m: np.ndarray) -> bool:
-    """Return whether the body's forward direction is that of the recorded trunk, within 45 degrees."""
+    """Return whether the body's forward direction agrees with the recorded trunk to within 45 degrees."""
     rear, front = (body.markers.index(marker) for marker in body.forward)
     ahead_m = (joints_m[:, front] - joints_m[:, rear])[:, :2]
     first, last = (recording.names.index(name) for name in recording.trunk)

@@ -53,7 +53,7 @@ def measured(run: Path) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
 
 
 def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str, float]]:
-    """Return a row of force errors for each stance on a plate that the clip contains."""
+    """Compare the force of each stance with the force plate, and return a row of errors for each stance."""
     force, stance = measured(run)
     d, rows, impulses = found.dynamics, [], force.sum() / fps
     if d is None or found.gait is None:
@@ -164,7 +164,7 @@ def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
 
 
 def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the internal energy and the angular momentum (frames in rows), and their standard deviations."""
+    """Return internal energy and angular momentum, a row for each frame, and a table of their standard deviations."""
     d, frames = found.dynamics, found.motion.frames
     assert d is not None
     both = (d.internal_j_kg, d.angular_momentum), (d.internal_sigma_j_kg, d.angular_momentum_sigma)
@@ -173,7 +173,7 @@ def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def independent(off: np.ndarray) -> float:
-    """Return the number of independent errors to which consecutive errors (T,) amount, from their correlations."""
+    """Return the effective number of independent errors among correlated consecutive errors (T,)."""
     off = off - off.mean()
     along = np.correlate(off, off, "full")[len(off) - 1 :] / (off @ off)
     until = int(np.argmax(along < 0)) or len(along)
@@ -181,7 +181,7 @@ def independent(off: np.ndarray) -> float:
 
 
 def dog_rows(as_stated: bool) -> list[list[str]]:
-    """Return a row for each clip: speeds and net accelerations within their intervals, flights, mean force.
+    """Compare speeds, net accelerations, flights and mean forces of each of the dog's clips with the markers.
 
     If `as_stated` is true, the animal's size and keypoints deviate as the skeleton states.
     """
@@ -213,7 +213,7 @@ def dog_rows(as_stated: bool) -> list[list[str]]:
 
 
 def carried_rows(motion: Motion) -> list[list[str]]:
-    """Return a row for each run that is simulated from given forces, with as many frames as this motion."""
+    """Compare the forces of runs with exact poses with the given forces; the runs are as long as `motion`."""
     rows = []
     at_rest = {"lift_off_speed": 0.0, "touch_down_speed": 0.0}
     for name, run, fps in (
@@ -237,11 +237,11 @@ def carried_rows(motion: Motion) -> list[list[str]]:
 VIEWS = 5
 """Number of clips of each simulated run."""
 SHARES = 200
-"""Number of ways to divide the impulse among the feet that are drawn for each clip."""
+"""Number of random divisions of the impulse among the feet, drawn for each clip."""
 
 
 def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
-    """Fit a simulated gait seen by one camera, and return the row of its force errors.
+    """Fit a simulated gait seen by one camera, and return a table row with the errors of its forces.
 
     The feet divide the impulse among them as the model states.
     """
@@ -323,7 +323,7 @@ def print_against_plates() -> bool:
 def carried_row(
     run: Path, cameras: Sequence[int], fps: float, stride_s: float, stances: Sequence[dict[str, float]]
 ) -> list[str]:
-    """Return the row of a clip with the plates' mean force over a stride and the RMS error of its stances."""
+    """Return a clip's table row with the plates' mean force over a stride and the RMS error of its stances."""
     impulse_bw_s = measured(run)[0].to_numpy().sum() / fps
     rms = np.sqrt(np.mean([row["rms"] ** 2 for row in stances]))
     return [run.name, "+".join(map(str, cameras)), f"{impulse_bw_s / stride_s:.2f}", f"{rms:.2f}"]

@@ -41,25 +41,25 @@ PARTS = {
     "and deviations": (0, 1, 0),
     "and lasting deviations": (1, 0, 0),
 }
-"""Arguments `lasting`, `passing` and `random` of `with_parts`, by the name of the kind of simulated detections."""
+"""Arguments `lasting`, `passing` and `random` of `with_parts` for each kind of simulated detections."""
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS = 8
-"""Number of sectors around the animal; a keypoint's bias depends on the sector from which it is seen."""
+"""Number of sectors around the animal. A keypoint's bias depends on the sector from which the keypoint is seen."""
 LASTING_M = 0.03
 """Standard deviation of a keypoint's bias along each axis, metres."""
 PASSING_M = 0.03
 """Standard deviation of a keypoint's temporary deviations along each axis, metres."""
 PASSING_S = 0.16
-"""Duration of a temporary deviation, seconds, as `recon.fit.constants.ERROR_TIME_S`."""
+"""Correlation time of a temporary deviation, seconds, equal to `recon.fit.constants.ERROR_TIME_S`."""
 WHITE_PX = 5.0
 """Standard deviation of the independent noise of detections, px."""
 LEVEL_RAD = float(np.radians(1.0))
-"""Error of the tilt and roll of cameras that were levelled or measured, rad."""
+"""Standard deviation of the tilt and roll of cameras that were levelled or measured, rad."""
 TOUCHED_DEG = (2.0, 5.0)
 PUT_FRAMES = 6
 """Largest time offset, in frames, of cameras that are shifted in time."""
 FIELD_M = 1.5
-"""Distance of the middle of a simulated path from that of the run, along each axis, metres."""
+"""Largest displacement of a simulated path from the path of the run, along each axis, metres."""
 
 
 def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: bool = False) -> ClipProblem:
@@ -71,7 +71,7 @@ def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: b
 
 
 def estimated_rig(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
-    """Return the rig estimated for cameras without their poses."""
+    """Estimate the rig of cameras from their views without the poses in the camera file."""
     return solve_extrinsics([without_poses(*of) for of in zip(views, bodies, fps, strict=True)])
 
 
@@ -80,7 +80,7 @@ def placed(rig: Rig, views: Sequence[View]) -> list[View]:
 
 
 def rig_errors(rig: Rig, own: Sequence[View]) -> dict[str, float]:
-    """Return the errors of a rig relative to the views' own poses: degrees, and relative errors of distances."""
+    """Compare a rig with the views' own poses: errors of rotations, degrees, and relative errors of distances."""
     views, apart = placed(rig, own), []
     for (a, own_a), (b, own_b) in combinations(zip(views, own, strict=True), 2):
         turns = [(v.T_camera_world @ np.linalg.inv(w.T_camera_world))[:3, :3] for v, w in ((a, b), (own_a, own_b))]
@@ -159,10 +159,10 @@ def sizes(runs: Sequence[Run]) -> list[dict]:
 
 
 def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rng: np.random.Generator) -> View:
-    """Return the truth's projections plus parts of the detections' deviations from them.
+    """Replace the detections of a view by the truth's projections plus parts of the detector's deviations.
 
-    The parts are lasting deviations (a keypoint's median over the clip) and the rest, which is shuffled if `random`, or
-    replaced by white noise of the same size.
+    The parts are the lasting deviation, a keypoint's median over the clip, and the rest, which is shuffled if `random`,
+    or replaced by white noise of the same size.
     """
     projected, valid = view.project(run.truth_m)
     seen = view.present & valid & np.isfinite(run.truth_m[..., 0])
@@ -181,7 +181,7 @@ def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rn
 
 
 def causes(runs: Sequence[Run]) -> list[dict]:
-    """Return a row of means over the runs for each kind of detections, with every rig estimated from one clip."""
+    """Compare the errors of rigs estimated from one clip for each kind of detections, as means over the runs."""
     table = []
     for label, (lasting, passing, random) in PARTS.items():
         rows = []
@@ -255,9 +255,10 @@ def began_later(view: View, frames: float) -> View:
 
 
 def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """Turn every second camera in turn in the last clip, and return how far the clips disagree on the cameras' poses.
+    """Turn one camera in the last clip, and return how far the clips disagree on the cameras' poses.
 
-    The row has the smallest and the largest disagreement for each angle.
+    Every second camera is turned in a separate trial. The row has the smallest and the largest disagreement for each
+    angle.
     """
     cameras = cameras_of(clips[0])["all"]
     own = [[run.views[camera] for camera in cameras] for run in clips]
@@ -274,7 +275,7 @@ def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def turned(view: View, degrees: float) -> View:
-    """Return the view of a camera that is turned about its picture's upright axis."""
+    """Return the view of a camera that is turned about the vertical axis of its picture."""
     rays, _ = view.camera.rays(view.xy_px)
     xy_px, valid = view.camera.project(
         np.nan_to_num(rays, nan=1.0) @ Rotation.from_euler("y", degrees, True).as_matrix().T
@@ -319,7 +320,7 @@ def _detected(
 
 
 def simulated(run: Run) -> list[dict]:
-    """Return rows of means over the seeds; a row with n clips uses the first n simulated clips."""
+    """Measure the errors of rigs estimated from 1, 2, 4 and 8 simulated clips, as means over the seeds."""
     views, body, table = [run.views[camera] for camera in cameras_of(run)["all"]], body_of(run.subject), []
     for any_way in (False, True):
         rows: dict[int, list[dict[str, float]]] = {}

@@ -46,7 +46,7 @@ DOG_FRAMES = 200
 TURN = np.array([[np.cos(40 * DEG), -np.sin(40 * DEG), 0], [np.sin(40 * DEG), np.cos(40 * DEG), 0], [0, 0, 1]])
 """Rotation of the world about the vertical between the first camera and the second."""
 PAIRS = {"cheetah-24": ("l_hip", "l_shoulder"), "dog-27": ("LeftUpLeg", "LeftArm")}
-"""Left markers of the hind and the fore girdle, which give the true sagittal plane together with the right markers."""
+"""Left markers of the hind and the fore girdle. Together with the right markers, they define the sagittal plane."""
 
 
 def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
@@ -70,7 +70,7 @@ def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
 
 
 def beside(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
-    """Return the camera, displaced as if the world had been turned by `turn` (3, 3) about a point (3,), metres."""
+    """Return a second camera: the given one, displaced as if the world turned by `turn` (3, 3) about a point (3,)."""
     assert camera.rotation is not None
     assert camera.translation_m is not None
     offset_m = camera.rotation @ (middle_m - turn @ middle_m)
@@ -78,7 +78,7 @@ def beside(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Cam
 
 
 def gallops(seeds: int, folder: Path, cameras: int) -> Iterator[tuple[Motion, np.ndarray]]:
-    """Yield fits of the simulated gallop with different noise, and its markers (T, J, 3)."""
+    """Fit the simulated gallop with different noise, and yield each fit with the true markers (T, J, 3), metres."""
     clip, _ = whole_gallop()
     middle_m = clip.truth_m.mean(axis=(0, 1))
     views = [clip.camera, beside(clip.camera, middle_m)][:cameras]
@@ -96,7 +96,7 @@ def gallops(seeds: int, folder: Path, cameras: int) -> Iterator[tuple[Motion, np
 
 
 def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, np.ndarray]]:
-    """Yield fits of the dog's clips from the side, and with two cameras from a second direction, with its markers."""
+    """Fit the dog's clips from one or two cameras, and yield each fit with the true markers (T, J, 3), metres."""
     clips = {clip.name: clip for clip in read_clips(recorded)}
     for name, first in DOG_CLIPS:
         clip = replace(clips[name], points_m=clips[name].points_m[first : first + DOG_FRAMES])

@@ -34,7 +34,7 @@ from recon.thesis.solution import frame_solution
 WITHIN = 0.3
 """Largest relative error of a stated peak speed that counts as near the truth."""
 POOR_MM = 160.0
-"""Error above which no pose may have the verdict "use"."""
+"""MPJPE above which no pose may have the verdict "use", mm."""
 
 
 def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def true_acceleration_m_s2(motion: Motion, truth: Pose3D) -> float:
 
 
 def expectation_line(table: pd.DataFrame) -> str:
-    """Return a sentence on the pose errors relative to those that the verdict expects."""
+    """Return a sentence that compares the pose errors with the errors that the verdict expects."""
     ratio = table["mpjpe_mm"] / np.sqrt(table["low_mm"] * table["high_mm"])
     by_run = [ratio[table["run"] != run].median() for run in table["run"].unique()]
     return (
@@ -110,7 +110,7 @@ def expectation_line(table: pd.DataFrame) -> str:
 
 
 def acceleration_lines(table: pd.DataFrame) -> list[str]:
-    """Return sentences on the intervals of the acceleration along the path."""
+    """Return sentences on how often the intervals of the acceleration along the path contain the truth."""
     off = (table["acceleration_m_s2"] - table["true_acceleration_m_s2"]).abs()
     sigma = table["acceleration_sigma_m_s2"]
     stated = sigma <= ACCELERATION_KNOWN_M_S2
@@ -130,7 +130,7 @@ def pose_holds(table: pd.DataFrame) -> float:
 
 
 def summary(table: pd.DataFrame) -> list[str]:
-    """Return the cells of the summary row, such as the fraction of stated peak speeds that are near the truth."""
+    """Summarise the errors of all views as cells of a table row, such as the number of stated peak speeds."""
     stated = table[table["speed_stated"]]
     ratio = stated["peak_m_s"] / stated["true_peak_m_s"]
     off = (stated["peak_m_s"] - stated["true_peak_m_s"]).abs()

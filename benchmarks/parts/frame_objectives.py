@@ -29,7 +29,7 @@ from recon.thesis.objectives import FrameOptions, Objective, ResidualAndJacobian
 from recon.thesis.solution import FrameSolution
 
 LIMITS = ("theta range", "phi range", "theta rate", "phi rate")
-"""Names of the objectives f2, f3, f4 and f5."""
+"""Names of the objectives f2, f3, f4 and f5, which limit angles and rates."""
 PRIORS = ("theta prior", "phi prior", "roll prior", "heading tie", "travel prior")
 SIZE = ("base length prior",)
 EVERY = (*LIMITS, *SIZE, *PRIORS)
@@ -50,8 +50,10 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "the same, f1 to f5 as printed": (EVERY, FREE | {"form": "printed", "reprojection": "printed"}),
     "all, the default": (EVERY, {}),
 }
-"""Objectives that are kept, and settings. Only the last case ties frames by a path; in the others each frame is solved
-separately, as published. "As printed" means f4 and f5 with the missing da/dt and the square of the limit corrected.
+"""Objectives that each case keeps, and its settings.
+
+Only the last case ties frames by a path. In the other cases each frame is solved separately, as published. "As printed"
+means f4 and f5 with the missing da/dt and the square of the limit corrected.
 """
 FADED = 1e-6
 TOLERANCE = 1e-5

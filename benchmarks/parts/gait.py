@@ -48,12 +48,12 @@ CHAINS = {
     "spine": ("tail_base", "spine", "neck_base"),
     "front": ("spine", "neck_base", "{}_front_knee", "{}_front_ankle", "{}_front_paw"),
 }
-"""Markers along links 6 to 8, 1, and 2 to 4 of the skeleton cheetah-8u."""
+"""Markers of the hind limb, the spine and the front limb, whose links are 6 to 8, 1, and 2 to 4 of cheetah-8u."""
 LINKS = {"hind": "678", "spine": "1", "front": "234"}
 
 
 def run_row(pose: Pose3D, fps: float) -> dict:
-    """Return the row of one run in the tables of stances and gaits."""
+    """Describe the stances, strides and gait of one run in a table row."""
     tracks = pose_tracks(pose, fps)
     found = gait(tracks)
     ((_, plane),) = tracks.grounds
@@ -90,7 +90,7 @@ FORMULA_FPS = 3600
 
 
 def sample_rows() -> list[dict]:
-    """Return rows for the samples' true joints and reconstructions, with errors against the formula or the truth."""
+    """Compare the samples' true joints with the formula, and their reconstructions with the truth, in a row each."""
     formula = gallop(fps=float(FORMULA_FPS), n_frames=29 * FORMULA_FPS // 30 + 1)
     fine = Pose3D(formula.names, formula.truth_m, np.arange(len(formula.truth_m)))
     clean, whole = (read_pose3d(SAMPLES / f"{name}_truth.csv") for name in ("clean", "whole"))
@@ -151,11 +151,11 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 
 
 Events = list[tuple[float, float, bool]]
-"""Delay of each event, its standard deviation, both in seconds, and whether it is a touch-down."""
+"""Delay of each event, s, standard deviation of its time, s, and whether it is a touch-down."""
 
 
 def fitted(run: Path, camera: int, about: dict) -> Motion:
-    """Return the fit of a single view."""
+    """Fit the view of one camera of a run."""
     scene = run / "scene.json"
     one, name = (scene, (f"cam{camera}",)) if scene.is_file() else (run / f"cam{camera}.toml", None)
     return fit_clip(
@@ -170,7 +170,7 @@ def found_gait(motion: Motion) -> Gait:
 
 
 def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
-    """Return the delays of touch-downs and lift-offs in the stances that both sets contain."""
+    """Return the delays of touch-downs and lift-offs in the stances that both `found` and `exact` contain."""
     both = match_stances(exact, found)
     late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
@@ -200,7 +200,7 @@ CANDIDATES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 
 def held_out_rows(runs: Sequence[Path]) -> list[dict]:
-    """Choose `SPEED_ERROR` for each kind of recordings on the other kinds, and test the choice on that kind.
+    """Choose `SPEED_ERROR` on all kinds of recordings but one, and test the choice on the remaining kind.
 
     The criteria are the number of missed stances and the error of the median duration.
     """
@@ -259,7 +259,7 @@ def event_row(kind: str, some: Sequence[tuple[Sequence[Stance], Sequence[Stance]
 
 @cache
 def run_gaits(runs: tuple[Path, ...]) -> tuple[tuple[Gait, Gait], ...]:
-    """Return the gait of each single view, and the gait of its run from all cameras."""
+    """Fit each single view of the runs, and return its gait and the gait of the run from all cameras."""
     found = []
     for run in runs:
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -269,7 +269,7 @@ def run_gaits(runs: tuple[Path, ...]) -> tuple[tuple[Gait, Gait], ...]:
 
 
 def named_views(runs: Sequence[Path]) -> str:
-    """Return a sentence on the views whose gait has a name."""
+    """Return a sentence on how many views get a gait name, and how often all cameras give the same name."""
     pairs = [(seen.name.name, exact.name.name) for seen, exact in run_gaits(tuple(runs))]
     named = [(seen, exact) for seen, exact in pairs if seen != "unknown"]
     same = sum(seen == exact for seen, exact in named)
@@ -277,7 +277,7 @@ def named_views(runs: Sequence[Path]) -> str:
 
 
 def view_rows(runs: Sequence[Path]) -> list[dict]:
-    """Compare the stances of single views with those that the same rule finds from all cameras or from the markers."""
+    """Compare the stances of single views with the stances found from all cameras or from the markers."""
     rows, dogs = [], []
     cheetahs = [(seen.stances, exact.stances) for seen, exact in run_gaits(tuple(runs))]
     if cheetahs:
@@ -290,7 +290,7 @@ def view_rows(runs: Sequence[Path]) -> list[dict]:
 
 @cache
 def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
-    """Return each clip of the dog, the gait computed from its markers, and its fit from one camera at the side."""
+    """Fit each clip of the dog from one side camera, and return it with the gait of its markers and the fit."""
     folder, found = recordings("dog-mocap"), []
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
@@ -300,7 +300,7 @@ def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
 
 
 def animal_rows() -> list[dict]:
-    """Return the names of the gaits of a dog's clips and of a horse."""
+    """Compare the gait names of a dog's clips, from markers and from one view, and name the gait of a horse."""
     rows = []
     for clip, marked, motion in dog_gaits():
         seen = found_gait(motion)

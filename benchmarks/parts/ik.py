@@ -60,7 +60,7 @@ TASKS, SEED = 50, 0
 STEPS, WARM = 1500, 200
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
 SLOWER = 10
-"""Factor of slow motion for strides, so that rate limits do not delay the methods."""
+"""Factor by which strides are slowed down, so that rate limits do not delay the methods."""
 SIDES = ("left", "right")
 PUBLISHED = {
     "gradient projection (differences)": "264, ended 11 mm away",
@@ -68,7 +68,7 @@ PUBLISHED = {
     "damped (0.05 m)": "765",
     "extended Jacobian (energy)": "587, ended 32.7 mm away",
 }
-"""Published iterations to a target; the publication states neither the target nor the cost."""
+"""Published number of iterations to a target; the publication states neither the target nor the cost."""
 
 
 HARMONIC = "harmonic map"
@@ -79,11 +79,11 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
     HARMONIC: lambda chain: harmonic_map(),
 }
 NEAR_RAD = 1e-6
-"""Difference between two close starts in every joint."""
+"""Difference of every joint angle between two close starts, rad."""
 CLOSED_RAD = 1e-3
-"""Largest gap of a path that counts as closed."""
+"""Largest change of a joint angle over one turn at which the path counts as closed, rad."""
 APART = 1e3
-"""Factor of growth of the distance between two paths from which they count as chaotic."""
+"""Growth of the distance between two paths, as a factor, above which a path counts as chaotic."""
 
 
 def joined(parts: list[Frames]) -> Frames:
@@ -120,7 +120,7 @@ def methods(chain: SerialChain) -> dict[str, Method]:
 
 
 def step_times_s(chain: SerialChain) -> dict[str, float]:
-    """Return the processor time of a step at random configurations within the limits, by method, seconds.
+    """Measure the processor time of a step of each method at random configurations within the limits, seconds.
 
     The methods take turns, and the time is the tenth percentile, because other programs on the machine can only
     make steps slower.
@@ -131,7 +131,7 @@ def step_times_s(chain: SerialChain) -> dict[str, float]:
     times = np.empty((STEPS, len(every)))
     for k in range(STEPS):
         for i, method in enumerate(every.values()):
-            at = (k + 100 * i) % STEPS  # the chain keeps what it computed for the last configuration
+            at = (k + 100 * i) % STEPS  # vary q, because the chain caches its last configuration
             start = time.thread_time()
             method.rates(chain, q[at], dx[at])
             times[k, i] = time.thread_time() - start
@@ -139,7 +139,7 @@ def step_times_s(chain: SerialChain) -> dict[str, float]:
 
 
 def print_steps() -> None:
-    """Print ratios of processor times, which hardly depend on the machine."""
+    """Print the processor time of each method relative to least norm, which hardly depends on the machine."""
     print("Processor time of a step, relative to least norm:\n")
     every, columns = chains(True), []
     for chain in every.values():
@@ -150,7 +150,7 @@ def print_steps() -> None:
 
 
 def tasks(chain: SerialChain) -> list[tuple[Array, Array]]:
-    """Return starts and targets from random poses within the limits."""
+    """Draw start angles (n,), rad, and targets (dim,), m, from random poses within the limits."""
     starts, ends = np.random.default_rng(SEED).uniform(chain.lower_rad, chain.upper_rad, (2, TASKS, chain.n))
     return [(q, chain.end(end)) for q, end in zip(starts, ends, strict=True)]
 
@@ -178,7 +178,7 @@ def print_targets() -> None:
 
 
 def print_alphas() -> None:
-    """Print results for factors on the rates of every method, from steps that are too short to steps that overshoot."""
+    """Print the iterations of every method for factors on its rates, from too short steps to overshooting steps."""
     chain = next(iter(chains(False).values()))
     some = tasks(next(iter(chains(True).values())))[:ALPHA_TASKS]
     print(f"\nIterations to {ALPHA_TASKS} targets in the plane by alpha, median; in brackets how many were reached:\n")
@@ -201,9 +201,9 @@ def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
 
 
 def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
-    """Return as text the smallest closure of any joint after the turns on a circle, for the angle and in the plane.
+    """Follow a circle, and return the smallest degree of closure of any joint as text.
 
-    The plane is that of angle and rate.
+    The text has the closure of the angle and the closure in the plane of angle and rate.
     """
     method = methods(chain).get(name)
     if method is None:
@@ -225,7 +225,7 @@ def circle(chain: SerialChain, q: Array) -> Array:
 
 
 def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
-    """Classify what the extended Jacobian does with a cost on the circle, from the cost's optimum.
+    """Classify the motion of the extended Jacobian with a cost on the circle, starting at the cost's optimum.
 
     The motion is "convergent" if the angles after every turn equal those at its beginning; "singular" if the matrix was
     singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away; otherwise
@@ -277,7 +277,7 @@ def print_circle() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A run's front leg, with its chain at the animal's size, its angles (T, n), rad, and the frame rate."""
+    """Front leg of a run, with a chain of the animal's size, joint angles (T, n), rad, and the frame rate."""
 
     name: str
     chain: SerialChain
@@ -286,13 +286,13 @@ class Leg:
     duration_range_s: tuple[float, float]
 
     def online(self, stride: StridePath) -> dict[str, list[Method]]:
-        """Return, by method, parameters refitted at every frame of a stride."""
+        """Refit the parameters of each method at every frame of a stride."""
         return fit_parameter_series(Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, LAST)[1]
 
 
 @cache
 def real_legs(folder: Path) -> dict[str, list[Leg]]:
-    """Return the legs of all runs by chain: "2D" (in the plane of travel), "3D" and "whole animal"."""
+    """Load the legs of all runs for the chains "2D" (in the plane of travel), "3D" and "whole animal"."""
     skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
     legs: dict[str, list[Leg]] = {"2D": [], "3D": [], "whole animal": []}
     for meta in sorted(folder.glob("*/meta.json")):
@@ -384,7 +384,10 @@ def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Fram
 
 
 def print_fits(folder: Path) -> None:
-    """Print fitted parameters for all chains except the 8U chain in 3D, whose phi and rates jump at upright links."""
+    """Print the parameters fitted to the joint rates of real legs.
+
+    The 8U chain in 3D is left out, because its phi and rates jump at upright links.
+    """
     for kind in ("2D", "whole animal"):
         legs = real_legs(folder)[kind]
         data = [frames_of(leg) for leg in legs]
@@ -421,7 +424,7 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A run's leg with one stride, and the known frames of this stride."""
+    """Leg of a run with one stride, and the frames of the stride with known angles."""
 
     leg: Leg
     stride: StridePath
@@ -437,10 +440,10 @@ class Shown:
         return self.leg.name.split(",")[0]
 
     def off_deg(self, method: Method, each: Sequence[Method] = ()) -> float:
-        """Return the RMS deviation of the joints from the animal's while a method follows the stride.
+        """Follow the stride by a method, and return the RMS deviation of the joints from the animal's, degrees.
 
-        `each` gives a method for each frame instead. The start is the animal's own pose, or the extended Jacobian's own
-        start.
+        `each` gives a method for each frame instead. The start is the animal's own pose; the extended Jacobian starts
+        at an optimum of its cost.
         """
         run = follow_stride(self.leg.chain, self.stride, method, by_frame=each)
         every = round(1 / (self.leg.fps * self.stride.interval_s))
@@ -449,14 +452,14 @@ class Shown:
 
 
 def rates_by(method: Method, shown: Shown) -> Array:
-    """Return the rates (T, n) of a method without limits."""
+    """Return the joint rates (T, n), rad/s, that a method without limits computes for a stride."""
     chain = copy(shown.leg.chain)
     object.__setattr__(chain, "max_rate_rad_s", np.full(chain.n, 1e9))
     return np.array([method.rates(chain, q, dx).dq for q, dx in zip(shown.frames.q, shown.frames.dx, strict=True)])
 
 
 def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
-    """Return methods without a fitted parameter; the reference pose is the mean pose of the other runs."""
+    """Return the methods without a fitted parameter; their reference pose is the mean pose of the other runs."""
     chain = shown.leg.chain
     pose = np.mean([one.frames.q.mean(axis=0) for one in others], axis=0)
     every = {name: method for name, method in methods(chain).items() if name.startswith(("extended", "weighted"))}
@@ -494,10 +497,10 @@ def print_held_out(folder: Path) -> None:
 
 
 def print_online(folder: Path) -> None:
-    """Print results with parameters from all other runs' strides, and with parameters refitted at every frame.
+    """Compare parameters from the strides of all other runs with parameters refitted at every frame.
 
-    The refit uses the animal's rates just before, as `recon ik --online` does. The tables show the fraction of a
-    frame's rates that is explained, and the deviation after following the stride.
+    The refit uses the animal's joint rates just before the frame, as `recon ik --online` does. The table shows the
+    explained fraction of a frame's squared rates, and the deviation of the joints after following the stride.
     """
     data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
     print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joint error, deg:\n")

@@ -66,13 +66,13 @@ STEPS = {
     "right: lower legs alone, followed": Case(legs_alone),
     "a quarter of frames dropped": CASES["a quarter of frames dropped"],
 }
-"""Cases in which steps are measured, by their names; none is fitted."""
+"""Cases without a fit, in which the steps between frames are measured."""
 TURNED = {name: CASES[name] for name in ("portrait", "y-up world", "upside down", "y up in the picture")}
-"""Cases in which the animal does not stand upright, by their names; none is fitted."""
+"""Cases without a fit, in which the animal does not stand upright in the picture."""
 MOVING = {name: CASES[name] for name in ("follows", "on a belt that slows down", "pans by 400 px")}
-"""Cases in which standing feet slide, by their names."""
+"""Cases in which standing feet slide over the ground."""
 FITTED = {**MOVING, **{name: CASES[name] for name in ("zooms x 1.5", "stabiliser's crop", "interpolated, every 8th")}}
-"""Wrong cases that are fitted, by their names."""
+"""Cases of wrong inputs that are fitted."""
 _RIGHT = (UNTOUCHED, DOGS, FILM)
 _SLIDING = (*_RIGHT, *MOVING)
 STATISTICS = {
@@ -86,15 +86,15 @@ STATISTICS = {
     "feet on the ground": ("0.5", _SLIDING),
     **{f"jolts, {name}": (f"{limit}", (*_RIGHT, *FITTED)) for name, limit in inputs.JOLTS.items()},
 }
-"""The limit of each statistic, and the cases in which it is shown."""
+"""Limit of each statistic as text, and the cases for which the statistic is shown."""
 
 Statistics = dict[str, float]
-"""Values of one clip by the names of `STATISTICS`, without statistics that do not apply to the clip."""
+"""Value of each of `STATISTICS` that applies to a clip."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Clips of one case."""
+    """Statistics of all clips of one case."""
 
     name: str
     statistics: Sequence[Statistics]
@@ -147,14 +147,14 @@ def statistics_of_motion(motion: Motion, prior: MotionPrior, options: Trajectory
 
 
 def statistics_of(run: Callable[[], object], stage: str) -> Statistics:
-    """Return the statistics of one fit at a stage, "prepare" or "input_findings", after which the fit is not continued.
+    """Run a fit up to a stage, "prepare" or "input_findings", and return the statistics there.
 
     The statistics are empty if the input is refused.
     """
     found: Statistics = {}
 
     class FinishedError(Exception):
-        """Ends a fit as soon as its statistics are known."""
+        """Raised to end a fit as soon as its statistics are known."""
 
     def before_fit(settings: FitSettings) -> None:
         found.update(statistics_of_keypoints(settings))
@@ -176,7 +176,7 @@ def fit_of_view(clip: Clip, case: Case) -> None:
 
 
 def fits_of_dogs() -> Iterator[Callable[[], object]]:
-    """Yield fits of parts of the dog's clips."""
+    """Yield functions that fit parts of the dog's clips."""
     folder = recordings("dog-mocap")
     for clip in read_clips(folder) if folder.is_dir() else ():
         for part in parts_of(clip) if clip.name in CLIPS else ():
@@ -195,7 +195,7 @@ def fit_of_film() -> None:
 
 
 def groups(every: int) -> Iterator[Group]:
-    """Yield the clips of each case; wrong cases use every n-th view only."""
+    """Yield the statistics of the clips of each case; wrong cases use only one in `every` views."""
     kinds = ("cheetah-runs", "plate-trials")
     runs = sorted(path.parent for kind in kinds for path in recordings(kind).glob("*/meta.json"))
     views = [Clip(run, (name,)) for run in runs for name in cameras_of(run)]

@@ -30,7 +30,7 @@ from recon.gait.stances import INTERVAL
 
 
 def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:
-    """Return the row of one view, as in `clips.csv` of `recon compare`."""
+    """Fit one view, and return its row as in `clips.csv` of `recon compare`."""
     keypoints, cameras = (run / f"cam{camera}.csv",), (run / "scene.json",)
     motion = fit_clip(FitSettings(keypoints=keypoints, camera=cameras, camera_name=(f"cam{camera}",), fps=fps))
     speed = analyse(motion).quantities[SPEED]

@@ -1,4 +1,4 @@
-"""Compare the time of each kernel of a fit with its theoretical limit, and that of each stage with the whole fit.
+"""Compare the time of each kernel of a fit with a theoretical limit, and the time of each stage with the whole fit.
 
     python benchmarks/parts/kernels.py [CASE ...]
 
@@ -44,12 +44,12 @@ STAGES = {
     "cost": "cost (within all)",
     "step": "banded steps (within all)",
 }
-"""Name of each stage of a fit, by the solver's function."""
+"""Title of the stage of a fit that each function of the solver computes."""
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """A computation on all frames, with the least number of operations and bytes that one frame needs."""
+    """A computation on all frames, with the minimum number of operations and bytes per frame."""
 
     name: str
     run: Callable[[], object]
@@ -58,7 +58,7 @@ class Kernel:
 
 
 def processor_s(run: Callable[[], object]) -> float:
-    """Return the smallest processor time of a few runs, seconds."""
+    """Run a function a few times, and return the shortest processor time, seconds."""
     times = []
     for _ in range(REPEATS):
         began = time.process_time()
@@ -68,7 +68,7 @@ def processor_s(run: Callable[[], object]) -> float:
 
 
 def speeds(body: Body) -> tuple[float, float]:
-    """Return floating-point operations per second of small matrix products, and bytes per second of copying."""
+    """Measure the speed of small matrix products, operations/s, and the speed of copying, bytes/s."""
     D = body.n_state
     a, out = np.ones((400, 3 * D, 3 * D)), np.empty((400, 3 * D, 3 * D))
     flops = 400 * 2 * (3 * D) ** 3 / processor_s(lambda: np.matmul(a, a, out=out))
@@ -77,7 +77,7 @@ def speeds(body: Body) -> tuple[float, float]:
 
 
 def kernels(frames: int, cameras: int) -> list[Kernel]:
-    """Return the kernels of a simulated clip at its solution."""
+    """Build the kernels of a fit from a simulated clip at its solution."""
     body, prior = body_of("phantom"), prior_of(PRIOR)
     views, _ = circling(frames, cameras)
     solution = solve_trajectory(views, body, prior, FPS, TrajectoryOptions(fast=True))
@@ -91,7 +91,7 @@ def kernels(frames: int, cameras: int) -> list[Kernel]:
     normal = last.normal(states)
     factor = banded.factored(normal.blocks, 1e-3)
     P, width, number = len(normal.corner), 3 * D, 8
-    # Products of the derivatives of pictures with those of markers, then of both with the states.
+    # Multiply the derivatives of pixels by those of markers, then accumulate the normal equations of the states.
     by_state = 2 * 2 * cameras * J * D * 3 + 2 * 3 * J * D * (D + P)
     normal_bytes = number * (D * width + D * P + 3 * J * D)
     right = np.concatenate([normal.gradient[..., None], normal.border], axis=2)
@@ -111,7 +111,7 @@ def kernels(frames: int, cameras: int) -> list[Kernel]:
 
 
 def stages(frames: int, cameras: int) -> list[list[str]]:
-    """Return a row for each stage of a fit, with milliseconds per frame and the fraction of the whole."""
+    """Profile a fit, and return milliseconds per frame and fraction of the whole fit for each stage."""
     views, _ = circling(frames, cameras)
     profile = cProfile.Profile(time.process_time)
     profile.runcall(solve_trajectory, views, body_of("phantom"), prior_of(PRIOR), FPS)
