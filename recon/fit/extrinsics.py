@@ -40,30 +40,30 @@ from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
 _UNKNOWN_RAD = float(np.radians(10.0))
-"""Expected error of a camera's initial rotation about each axis, rad, if no poses are given."""
+"""Standard deviation of a camera's initial rotation about each axis, rad, if no poses are given; an assumption."""
 _UNKNOWN_M = 1.0
-"""Expected error of a camera's initial position along each axis, m, if no poses are given."""
+"""Standard deviation of a camera's initial position along each axis, m, if no poses are given; an assumption."""
 LEVEL_RAD = float(np.radians(5.0))
-"""Expected deviation of a camera from level, or from its given tilt, about each axis, rad, if it was not measured."""
+"""Standard deviation of a camera's tilt and roll about the level or stated ones, rad, if they were not measured."""
 _FIXED = 1e-6
-"""Standard deviation that fixes an unknown, in its own unit."""
+"""Standard deviation, in the unknown's own unit, that is small enough to fix the unknown."""
 _SIZE_SIGMA = 1e-3
-"""Relative standard deviation that fixes the animal's size if no view has a pose; the size then gives the scale."""
+"""Relative standard deviation that fixes the animal's size, and with it the scale, if no view has a pose."""
 _MIN_FRAMES = 5
-"""Smallest number of frames that two cameras must have in common."""
+"""Minimum number of frames in which two cameras both show a pose."""
 _TIME_OFFSET_FRAMES = 1.0
 """Standard deviation of the time offset, in frames, between cameras that were started together.
 
-In two clips, larger time offsets could not be distinguished from rotations of a camera.
+Larger time offsets could be mistaken for rotations of a camera.
 """
 _SEARCHED_S = 1.0
-"""Largest time offset between cameras that the search tries, s."""
+"""Maximum time offset between cameras that the search tries, s."""
 _MATCHING = 0.5
-"""Largest distance between matching joints, as a fraction of their distance from the animal's middle."""
+"""Maximum distance between joints that match, as a fraction of the joints' distance from the animal's middle."""
 ROUNDS = 12
-"""Largest number of rounds of solving the clips and moving the cameras."""
+"""Maximum number of rounds of solving the clips and moving the cameras."""
 CLOSE_ENOUGH = 0.05
-"""Step of the unknowns, in standard deviations, below which the rounds end."""
+"""Root mean square step of the unknowns, in standard deviations, below which the rounds end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,9 @@ class Rig:
     height_sigma_m: Array
     """Standard deviations of the cameras' heights above the ground, shape (V,); NaN without a ground."""
     disagreement: Array
-    """Squared deviation of each camera's pose in each of C clips from its pose in all clips, shape (C, V).
+    """Squared Mahalanobis distance between each camera's pose in one of C clips and in all clips, shape (C, V).
 
-    The deviation is relative to its covariance. Its expectation is at most 6 if the errors are as large as stated.
+    Its expectation is at most 6 if the errors are as large as stated.
     """
     time_offset_frames: tuple[Array, ...]
     """Delay in frames of each camera's pictures beyond the stated offset, (V,) for each clip.
@@ -106,11 +106,12 @@ def solve_extrinsics(
         Problems of clips, each with the same V cameras in the same order. A camera that did not film a clip has no
         detections in it.
     posed
-        Whether the views have poses with errors of `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
+        Whether the views have rough poses, with standard deviations `CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M` of
+        `recon.fit.constants`.
     level_rad
         Standard deviation of the cameras' upward directions (`Camera.up`) about each axis, rad; not used if `posed`.
     progress
-        Called with the name of the stage and the fraction that is done.
+        Function that is called with the name of the stage and the fraction that is done.
 
     Raises
     ------
@@ -195,7 +196,7 @@ def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
 
 
 def _time_offsets(segments: Sequence[SegmentFit], clip: ClipProblem) -> Array:
-    """Return the cameras' time offsets (V,), in frames, that the longest segment gives."""
+    """Return the cameras' time offsets (V,), in frames, as estimated in the longest segment."""
     V = range(len(clip.views))
     if not segments:
         return np.zeros(len(V))
@@ -206,7 +207,7 @@ def _time_offsets(segments: Sequence[SegmentFit], clip: ClipProblem) -> Array:
 
 
 def _level_prior(views: Sequence[View], sigma_rad: float) -> tuple[Array, Array]:
-    """Return the curvature (6V, 6V) and gradient (6V,) of the prior of the upward direction in each camera."""
+    """Return the curvature (6V, 6V) and gradient (6V,) of the prior of each camera's upward direction."""
     curvature, gradient = np.zeros((6 * len(views), 6 * len(views))), np.zeros(6 * len(views))
     for i, view in enumerate(views):
         up, columns = view.T_camera_world[:3, 2], slice(6 * i, 6 * i + 3)
@@ -258,7 +259,7 @@ def _joints_by_view(clip: ClipProblem, view: View) -> Array:
 
 
 def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
-    """Return T (4, 4) that maps points (N, 3) to other points as closely as possible, with outliers down-weighted."""
+    """Return the rigid transform (4, 4) that maps points a (N, 3) to points b (N, 3), robust to outliers."""
     weight, R, t = np.ones(len(a)), np.eye(3), np.zeros(3)
     for _ in range(rounds):
         share = weight / weight.sum()
@@ -271,15 +272,15 @@ def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _ReducedProblem:
-    """Cost of a segment as a function of the camera poses: curvature (6V, 6V) and gradient (6V,)."""
+    """Quadratic cost of a segment as a function of the V camera poses, with curvature (6V, 6V) and gradient (6V,)."""
 
     curvature: Array
     gradient: Array
     solved: SegmentFit
     states: Array
-    """(T, D, 6V + 1): derivatives of the states with respect to the poses, and the states' own step."""
+    """Derivatives of the states with respect to the poses, and the states' own step, shape (T, D, 6V + 1)."""
     shared_step: Array
-    """(P, 6V + 1): derivatives of the clip's shared unknowns with respect to the poses, and their own step."""
+    """Derivatives of the shared unknowns with respect to the poses, and the unknowns' own step, shape (P, 6V + 1)."""
 
     def follow(self, step: Array) -> SegmentFit:
         """Return the segment with the unknowns predicted for a step (6V,) of the poses."""
@@ -293,7 +294,7 @@ class _ReducedProblem:
 def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
     """Return the cost of a segment as a function of the camera poses alone.
 
-    The ground is left out: its plane follows from the feet, and a fixed plane would fix the tilt of the world.
+    The ground is left out, because a fixed plane would fix the tilt of the world.
     """
     V, problem = len(clip.views), segment.problem
     corrections = [SharedUnknown(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
@@ -310,7 +311,7 @@ def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
 
 
 def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:
-    """Return twice the decrease (C, V) of each clip's cost if one camera could move in that clip alone."""
+    """Return twice the decrease (C, V) of a clip's cost if a camera's pose were free in this clip alone."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
     cameras = np.arange(V)
@@ -349,7 +350,7 @@ def _ground_and_heights(
     reduced: Sequence[tuple[int, _ReducedProblem]],
     covariance: Array,
 ) -> tuple[float, Array]:
-    """Return the height of the ground and the standard deviations (V,) of the cameras' heights above it, as in `Rig`.
+    """Return the ground's height, m, and the standard deviations (V,) of the cameras' heights above it, as in `Rig`.
 
     If the poses of the cameras change, the ground moves as the animal does.
     """

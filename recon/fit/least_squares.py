@@ -38,38 +38,36 @@ from recon.fit.terms import (
 from recon.geometry.kinematics import Tree, TreePose
 
 _ByShape = tuple[Array, Array]
-"""Derivatives of markers with respect to the lengths (n, J, 3, L) and to each marker's own offset (n, J, 3, 3)."""
-BANDS = 2
-"""Largest distance, in frames, between two frames that are coupled."""
-_FRAMES_AT_ONCE = 128
-"""Number of frames whose terms are evaluated at once: few enough for the processor's cache."""
-_PIECE_S = 5.5
-"""Time in seconds beyond which frames hardly influence each other.
-
-Solving in pieces changes the states by 1e-6 at most.
+"""Derivatives of the markers with respect to the lengths, (n, J, 3, L), and to each marker's own offset, (n, J, 3, 3).
 """
+BANDS = 2
+"""Maximum distance, in frames, between two frames that a term couples."""
+_FRAMES_AT_ONCE = 128
+"""Number of frames whose terms are evaluated at once, few enough for the processor's cache."""
+_PIECE_S = 5.5
+"""Time, in seconds, after which frames hardly influence each other, so that a long clip can be solved in pieces."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
-"""Smallest expected further decrease of the cost for which a step is extended.
+"""Minimum further decrease of the cost for which a step is extended.
 
-The value is a fraction of the decrease below which a search ends.
+The value is a fraction of the decrease below which the search ends.
 """
 _LONGEST = 4.0
-"""Largest factor by which a step is extended."""
+"""Maximum factor by which a step is extended."""
 _TRIED = 4
-"""Number of iterations after which a search is given up if its cost is too high to be useful."""
+"""Number of iterations after which a search stops if its cost is above the limit `useful_cost`."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
 
 def piece_of(fps: float) -> int:
-    """Return the number of frames of a long clip that are solved at once."""
+    """Return the number of frames in a piece of a long clip, which is solved at once."""
     return _FRAMES_AT_ONCE * math.ceil(_PIECE_S * fps / _FRAMES_AT_ONCE)
 
 
 @dataclass(frozen=True)
 class SharedUnknown:
-    """Unknowns (P,) under one name that all frames share, with their prior means and standard deviations."""
+    """P unknowns that all frames share, under one name, with prior means (P,) and standard deviations (P,)."""
 
     name: str
     mean: Array
@@ -81,19 +79,19 @@ class Estimate:
     """Values of all unknowns at a minimum, or at an intermediate point of the search, with their cost."""
 
     states: Array
-    """(T, D): unknowns of each frame."""
+    """Unknowns of each frame, shape (T, D)."""
     cost: float
     """Cost of all terms: half the squared norm of the residuals, under the robust loss."""
     iterations: int
     converged: bool
     """Whether the search ended because the cost hardly decreased any more."""
     shared: Mapping[str, Array] = field(default_factory=dict)
-    """Values (P,) of the shared unknowns, by name."""
+    """Values (P,) of each group of shared unknowns, by the group's name."""
 
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """A least-squares problem: terms (`recon.fit.terms`) that read the markers of a tree, and shared unknowns.
+    """Least-squares problem of the terms (`recon.fit.terms`) of a clip, with unknowns that all frames share.
 
     The attribute `shared` holds the free unknowns. The methods take their values as `shared`, by default the expected
     values. `nuisance` unknowns stay at their expected values and count only in the posterior.
@@ -105,30 +103,26 @@ class LeastSquares:
     shared: Sequence[SharedUnknown] = ()
     nuisance: Sequence[SharedUnknown] = ()
     piece: int = 4 * _FRAMES_AT_ONCE
-    """Number of frames in a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`; the window includes as many frames
-    of the next piece.
-    """
+    """Number of frames in a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`."""
     shape: FreeShape | None = None
-    """The body's shape, if `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns of the solution.
+    """Shape of the body, if `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns; None if they are not.
 
-    `tree` then has the unchanged shape.
+    The attribute `tree` has the shape before any change.
     """
 
     @property
     def ahead(self) -> int | None:
-        """Return the number of frames of the next piece that represent all later frames in `eliminated`.
+        """Return the number of frames of the next piece that represent all later frames; None for the whole piece.
 
-        None means the whole next piece.
-
-        Several cameras determine the position so well that half of `_PIECE_S` changes no variance of a simulated clip
-        of six cameras by more than 1e-13. One camera leaves the distance uncertain, to which all frames contribute.
+        Several cameras determine the position so well that frames after half of `_PIECE_S` have no influence. One
+        camera leaves the distance uncertain, and all frames contribute to it.
         """
         is_seen_by_several = sum(isinstance(term, Reprojection) for term in self.terms) > 1
         return self.piece // 2 if is_seen_by_several else None
 
     @cached_property
     def columns(self) -> dict[str, slice]:
-        """Return the columns, among those of all P shared unknowns, that belong to each name."""
+        """Return the columns of each name's unknowns among all P shared unknowns."""
         ends = np.cumsum([len(unknown.mean) for unknown in self.shared], dtype=int)
         return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
 
@@ -150,16 +144,13 @@ class LeastSquares:
         return costs
 
     def subset(self, names: Sequence[str]) -> LeastSquares:
-        """Return the problem of the terms with these names, without shared unknowns."""
+        """Return the problem of only the named terms, without shared unknowns."""
         linear = [term for term in self.linear if term.name in names]
         terms = [term for term in self.terms if term.name in names]
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
-        """Return the sum of the squared residuals.
-
-        Linear terms count in all frames, other terms in the frames `rows`.
-        """
+        """Return the sum of the squared residuals; terms that are not linear count only in the frames `rows`."""
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
         jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
         for span in self.spans(states, self.expected() if shared is None else shared, jacobian, rows):
@@ -175,7 +166,7 @@ class LeastSquares:
         return sum(self.costs(states, shared).values())
 
     def normal(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> Normal:
-        """Return the normal equations at given values of the unknowns, for some rows if the other frames are fixed."""
+        """Return the normal equations at given values of the unknowns, for the frames `rows`; the others are fixed."""
         start, stop, _ = rows.indices(len(states))
         (whole,) = self._pieces(states, shared, [stop], start)
         return whole
@@ -196,9 +187,9 @@ class LeastSquares:
         T, stops = len(states), self._stops(len(states))
         if len(stops) == 1:
             return slice(0, T), self.normal(states, shared)
-        i = next(i for i, stop in enumerate(stops) if stop > T // 2)  # 1 at least
+        i = next(i for i, stop in enumerate(stops) if stop > T // 2)  # i is at least 1
         start, stop = stops[i - 1], stops[i]
-        # the terms of the frame before the piece read its first frame
+        # the terms of the previous frame read the first frame of the piece
         _, piece = self._pieces(states, shared, [start, stop], start - _FRAMES_AT_ONCE)
         return slice(start, stop), piece
 
@@ -243,7 +234,7 @@ class LeastSquares:
             start = stop
 
     def _add_span(self, sums: _Sums, span: Span, start: int) -> None:
-        """Add the normal equations of a span's non-linear terms, in place; `start` is the frame of the first row."""
+        """Add the normal equations of a span's non-linear terms to `sums`, whose first row is frame `start`."""
         by_shape, first = self._by_shape(span), span.first - start
         merged = self._cameras_in_step(span)
         if merged:
@@ -257,7 +248,7 @@ class LeastSquares:
                 term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames])
                 continue
             by_stencil.setdefault(term.stencil, []).append(_rows_with_shape(term, span, by_shape))
-        for stencil, rows_of_terms in by_stencil.items():  # together, because each sum goes through all of the blocks
+        for stencil, rows_of_terms in by_stencil.items():  # one pass through the blocks for each stencil
             rows = _together(rows_of_terms)
             add_normal(sums.blocks, sums.gradient, first, stencil, rows.residual, rows.jacobian)
             _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, stencil, rows)
@@ -270,11 +261,11 @@ class LeastSquares:
         shared: Mapping[str, Array] | None = None,
         useful_cost: float = np.inf,
     ) -> Estimate:
-        """Return the minimum reached from a start.
+        """Return the minimum that a search reaches from given states (T, D).
 
         The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps,
-        the search also stops if the decrease that is expected of the next step, from the ratio of the last two
-        decreases, is that small. A search whose cost after `_TRIED` iterations is above `useful_cost` is given up.
+        it also stops if the next step is expected to do so, from the ratio of the last two decreases. It is given up if
+        the cost after `_TRIED` iterations is above `useful_cost`.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
@@ -296,8 +287,8 @@ class LeastSquares:
     def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, bool, float]:
         """Return a point of lower cost along a damped step, whether it is the whole step or more, and the next damping.
 
-        The point is None if no damping leads to a lower cost. A step is not extended for a small part of the decrease
-        `enough`.
+        The point is None if no damping leads to a lower cost. A step is extended only if this lowers the cost by more
+        than `_BEYOND` times `enough`.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
@@ -316,7 +307,7 @@ class LeastSquares:
                             further = self._moved(current, states_step, shared_step, length)
                             trial = further if further.cost < trial.cost else trial
                         return trial, True, next_damping
-            except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
+            except np.linalg.LinAlgError:  # the matrix is not positive definite to rounding, and needs more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
         return None, False, damping
@@ -324,9 +315,9 @@ class LeastSquares:
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the point at a fraction of a step, with its cost.
 
-        Several cameras determine the animal's position in the world, which therefore changes linearly along the step
-        (`with_step`). The picture of one camera depends more on the root than on the size, and the root itself changes
-        linearly.
+        If there are several cameras, which determine the animal's position in the world, this position changes linearly
+        along the step (`with_step`). With one camera, the root at nominal size changes linearly instead, because the
+        picture depends more on the root than on the size.
         """
         shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
         sizes = size_of(current.shared), size_of(shared)
@@ -359,12 +350,12 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras without a time offset, whose rows `_add_detections` adds together."""
+        """Return the cameras without a time offset, whose normal equations `_add_detections` adds together."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
     def _by_shape(self, span: Span) -> _ByShape | None:
-        """Return the derivatives of a span's markers with respect to a free shape, or None."""
+        """Return the derivatives of a span's markers with respect to the shape; None if the shape is not an unknown."""
         if self.shape is None or LENGTHS not in self.columns:
             return None
         return self.shape.derivatives(span.shared, span.states)
@@ -380,14 +371,14 @@ class LeastSquares:
 
     @cached_property
     def _linear_kinds(self) -> Array:
-        """Return the curvature of the linear terms in a clip's first frames, a middle frame, and its last frames.
+        """Return the different blocks of the linear terms' curvature, (2 BANDS + 1, BANDS + 1, D, D).
 
-        The shape is (2 BANDS + 1, BANDS + 1, D, D).
+        They belong to the first frames of a clip, to any middle frame, and to the last frames.
         """
         return self._linear_curvature(2 * BANDS + 1)
 
     def _linear_curvature(self, T: int) -> Array:
-        """Return the curvature of the linear terms of a whole clip, (T, BANDS + 1, D, D), which is constant."""
+        """Return the curvature of the linear terms of a whole clip, (T, BANDS + 1, D, D), for any states."""
         blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
         for term in self.linear:
             for a, column in enumerate(term.stencil):
@@ -401,14 +392,14 @@ def _no_markers(states: Array) -> TreePose:
 
 
 def _best_length(decrease: float, slope: float) -> float:
-    """Return the factor on a step at which the parabola through its end has its minimum, at most `_LONGEST`."""
+    """Return the factor on a step that minimises the cost along it, as a parabola; at most `_LONGEST`."""
     bend = -decrease - slope  # the cost at length x is slope x + bend x^2
     return min(-0.5 * slope / bend, _LONGEST) if bend > 0 else _LONGEST
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """Normal equations of a piece, as in `Normal`, to which the terms add their parts in place."""
+    """Normal equations of a piece, as in `Normal`, to which the terms add their contributions in place."""
 
     blocks: Array
     gradient: Array
@@ -418,7 +409,7 @@ class _Sums:
 
 
 def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, frames: Index, start: int, stop: int) -> None:
-    """Add a linear term's gradient for the frames from start up to stop, in place; `residual` belongs to `frames`."""
+    """Add a linear term's gradient for the frames from start up to stop in place, from its residual at `frames`."""
     for offset, slot in zip(term.stencil, term.slots, strict=True):
         first, last = np.searchsorted(frames + offset, [start, stop])
         if first < last:
@@ -436,11 +427,11 @@ def _add_detections(
 ) -> None:
     """Add the normal equations of several cameras' detections, in place.
 
-    The result is that of `add_normal` and `_add_shared` with the rows of each camera. The residuals of a camera depend
-    on a marker only through its position p, with the derivatives B (2, 3). The position has the derivatives A with
-    respect to the state, L with respect to the lengths, and R with respect to the marker's own keypoint bias. If W is
-    the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide products are computed once for
-    all cameras. `start` is the frame of the first row.
+    The result is the same as from `add_normal` and `_add_shared` with the rows of each camera. The residuals of a
+    camera depend on a marker only through its position p, with the derivatives B (2, 3). The position has the
+    derivatives A with respect to the state, L with respect to the lengths, and R with respect to the marker's own
+    keypoint bias. If W is the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide
+    products are computed once for all cameras. `start` is the frame of the first row.
     """
     A = span.pose.jacobian[span.own_rows]
     (N, J), D = A.shape[:2], A.shape[3]
@@ -485,9 +476,9 @@ def _add_detections(
 def _add_own_unknowns(
     corner: Array, gradient: Array, columns: Mapping[str, slice], every_camera: Sequence[PointRows]
 ) -> tuple[Integers, Array]:
-    """Add the curvature of the cameras' own unknowns in place: K'K to corner, K'r to gradient.
+    """Add the curvature K'K and the gradient K'r of the cameras' own unknowns in place.
 
-    Returns the columns (P,) of the unknowns without keypoint bias, and B'K (N, J, 3, P).
+    Return the columns (P,) of these unknowns except the keypoint bias, and B'K (N, J, 3, P).
     """
     names = dict.fromkeys(name for points in every_camera for name in points.by_shared if name in columns)
     own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))
@@ -505,7 +496,7 @@ def _add_own_unknowns(
             B_T = points.by_point.swapaxes(2, 3)
             across[..., np.searchsorted(own_columns, view_columns)] += B_T @ K.reshape(N, J, 2, -1)
         bias = columns.get(keypoint_bias(points.number))
-        if points.by_bias is not None and bias is not None:  # K of the bias is diagonal
+        if points.by_bias is not None and bias is not None:  # the bias has a diagonal K
             by_bias = np.repeat(points.by_bias, 2, axis=1)
             corner[bias, bias] += np.diag(np.sum(by_bias**2, axis=0))
             gradient[bias] += np.sum(by_bias * points.residual.reshape(N, 2 * J), axis=0)
@@ -524,7 +515,7 @@ def _add_keypoint_bias(
 ) -> None:
     """Add the curvature between the cameras' keypoint bias and states, lengths and common bias, in place.
 
-    The keypoint bias of a joint in one camera moves only the two coordinates of that joint. A, L and R are those of
+    The keypoint bias of a joint in one camera moves only the two coordinates of that joint. A, L and R are defined in
     `_add_detections`.
     """
     N, J, _, D = A.shape
@@ -550,9 +541,10 @@ def _add_keypoint_bias(
 def _by_lengths_and_bias(
     columns: Mapping[str, slice], span: Span, by_shape: _ByShape | None
 ) -> tuple[Array | None, Array | None]:
-    """Return the derivatives of markers with respect to the lengths and to their own keypoint bias.
+    """Return the derivatives of markers with respect to the lengths, (3NJ, L), and to their own keypoint bias.
 
-    Their shapes are (3NJ, L) and (N, J, 3, 3). Each is None if the lengths, or the bias, are not unknowns.
+    The derivatives with respect to the bias have the shape (N, J, 3, 3). Either array is None if its unknowns are
+    fixed.
     """
     if by_shape is None:
         is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
@@ -565,7 +557,7 @@ def _by_lengths_and_bias(
 
 
 def _by_joint(R: Array, values: Array) -> Array:
-    """Return the sum over frames of R' v, (3J, P), of each joint's R (N, J, 3, 3) and v (N, J, 3, P)."""
+    """Return the sum over frames of R' v, (3J, P), for each joint, from R (N, J, 3, 3) and v (N, J, 3, P)."""
     N, J = R.shape[:2]
     transposed = R.transpose(1, 3, 0, 2).reshape(J, 3, 3 * N)
     return (transposed @ values.swapaxes(0, 1).reshape(J, 3 * N, -1)).reshape(3 * J, -1)
@@ -578,9 +570,9 @@ def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> N
 
 
 def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermRows:
-    """Return the rows of a term, with derivatives with respect to the shape, which moves markers as the state does.
+    """Return the rows of a term, with their derivatives with respect to the body's shape.
 
-    The term is evaluated for its own markers only, each of which moves with the state, the lengths and its own offset.
+    The term is evaluated for its own markers only, which move with the states, the lengths and their own offsets.
     """
     if by_shape is None or not isinstance(term, MARKER_TERMS):
         return term.evaluate(span, jacobian=True)
@@ -602,7 +594,7 @@ def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermR
 
 
 def _together(rows_of_terms: Sequence[TermRows]) -> TermRows:
-    """Join the rows of terms with the same stencil to those of a single term."""
+    """Join the rows of several terms with the same stencil, as if they were one term."""
     if len(rows_of_terms) == 1:
         return rows_of_terms[0]
     counts = [rows.residual.shape[1] for rows in rows_of_terms]
@@ -628,8 +620,8 @@ def _add_shared(
 ) -> None:
     """Add a term's normal equations for the shared unknowns in place: J'K to border, K'K to corner, K'r to gradient.
 
-    K holds the derivatives of the term's rows with respect to the unknowns of `columns`. The term's first frame is that
-    of row `first`.
+    K holds the derivatives of the term's rows with respect to the unknowns of `columns`. The term's first frame is in
+    row `first`.
     """
     by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
     if not by_shared:

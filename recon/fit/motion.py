@@ -28,22 +28,25 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 MEASURED_SHARE = 0.5
-"""Smallest information fraction at which a quantity counts as measured."""
+"""Minimum information fraction, 0 to 1, at which a quantity counts as measured.
+
+More of its precision then comes from the pixels than from the prior.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture(Brief):
-    """Motion of T frames and J joints as one camera pictures it: the detections, and the joints of the pose."""
+    """Detections of one camera in T frames, and the pose's J joints in that camera's frame and picture."""
 
     source: Source
     T_reference_camera: Array
     """Transform from the camera to the motion's frame of reference, (4, 4), or (T, 4, 4) for a moving camera."""
     joints_camera_m: Array
-    """Joints in this camera's frame at the times of its pictures, shape (T, J, 3); NaN without a pose."""
+    """Joints in this camera's frame, m, at the times of its pictures, shape (T, J, 3); NaN without a pose."""
     reprojected_px: Array
-    """Reprojected keypoints, shape (T, J, 2); NaN without a pose."""
+    """Reprojected keypoints, px, shape (T, J, 2); NaN without a pose."""
     sigma_px: Array
-    """Standard deviation that the fit assigned to each detection, shape (T, J)."""
+    """Standard deviation that the fit assigned to each detection, px, shape (T, J)."""
     weight: Array
     """Weight of each detection, shape (T, J), 0 to 1; NaN if missing.
 
@@ -72,7 +75,7 @@ class Picture(Brief):
 
     @cached_property
     def image_error_px(self) -> Array:
-        """Return the reprojected minus the detected positions, (T, J, 2), NaN if either is missing."""
+        """Return the reprojected minus the detected positions, (T, J, 2), px; NaN if either is missing."""
         return self.reprojected_px - self.detected_px
 
     @cached_property
@@ -82,7 +85,7 @@ class Picture(Brief):
 
     @cached_property
     def outliers(self) -> Bools:
-        """Return a mask of the detections further than `OUTLIER_SIGMAS` from the pose, (T, J)."""
+        """Return a mask (T, J) of the detections that are more than `OUTLIER_SIGMAS` from the reprojected joints."""
         return self.distance_px > OUTLIER_SIGMAS * self.sigma_px
 
     @cached_property
@@ -98,21 +101,20 @@ class Motion:
     sources: tuple[Source, ...]
     """Keypoints of each camera, in the order of the solution's views.
 
-    Keypoints are cleaned and in the order of the joints, all missing for joints that the file does not have.
+    The keypoints are cleaned and in the order of the joints. Joints that a file does not have are missing in all
+    frames.
     """
     side: Side | None
-    """Side whose limbs were fitted, for a chain; None means both."""
+    """Side of the animal whose limbs were fitted, if a chain was fitted; None for both sides."""
     side_reason: str
     solution: Solution
-    """Result of the method of fitting, such as a `TrajectorySolution`."""
+    """Result of the fitting method, such as a `TrajectorySolution`."""
     findings: tuple[Finding, ...] = ()
     """Findings on the input and the fit (`recon.check`), the most serious first."""
     verdict: Verdict | None = None
-    """Whether the motion may be used, and its expected errors; None until `recon.check.verdict.add_verdict` is
-    called.
-    """
+    """Verdict on whether the motion may be used; None until `recon.check.verdict.add_verdict` is called."""
     chain: Skeleton | None = None
-    """The `recon.animal.chain.Chain` that `body` was made from, if any."""
+    """Chain (`recon.animal.chain.Chain`) from which `body` was made; None if there is none."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All settings of the fit in JSON types.
 
@@ -124,15 +126,15 @@ class Motion:
     The array is None if the method cannot compute the decrease (`recon.fit.correction_gain`).
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
-    """Seconds that each part of the fit took, by name; `solution` has the times of its own stages."""
+    """Seconds that each part of the fit took, by name; `solution.stage_s` has the stages of the solver."""
 
     def __repr__(self) -> str:
-        """Return a line of text with the clip, the animal and the verdict."""
+        """Return one line of text with the clip, the animal and the verdict."""
         posed, level = int(self.solved.sum()), "not judged" if self.verdict is None else self.verdict.level
         return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {self.clip_frames} frames, {level}>"
 
     def _repr_html_(self) -> str:
-        """Return the HTML with which a notebook shows the motion."""
+        """Return the motion as HTML, for a notebook."""
         from recon.fit.motion_forms import html_of
 
         return html_of(self)
@@ -155,8 +157,9 @@ class Motion:
         Parameters
         ----------
         wide
-            False: a row for each frame and joint, with frame, time_s, joint, x_m, y_m, z_m, x_sigma_m, y_sigma_m,
-            z_sigma_m, flags. True: a row for each frame, with columns by joint and value.
+            Whether the table has one row for each frame, with columns by joint and value. Otherwise it has one row for
+            each frame and joint, with the columns frame, time_s, joint, x_m, y_m, z_m, x_sigma_m, y_sigma_m, z_sigma_m,
+            flags.
 
         Returns
         -------
@@ -269,7 +272,7 @@ class Motion:
 
     @property
     def body(self) -> Body:
-        """Return the animal that was fitted."""
+        """Return the body that was fitted."""
         return self.solution.body
 
     @property
@@ -284,22 +287,22 @@ class Motion:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the joints' keypoints in the file, (J,)."""
+        """Return the names of the joints' keypoints in the keypoint file, (J,)."""
         return self.keypoints.names
 
     @property
     def limbs(self) -> dict[str, tuple[int, ...]]:
-        """Return the indices of the joints along each limb, for drawing."""
+        """Return the indices of the joints along each limb, by the limb's name, for drawing."""
         return self.body.limb_rows
 
     @property
     def size(self) -> float:
-        """Return the factor on the body's lengths; for the frame method, the median over the frames."""
+        """Return the factor on the body's lengths, the median over the frames for the frame method."""
         return self.solution.size
 
     @cached_property
     def limb_sides(self) -> dict[str, Side | None]:
-        """Return the side of each limb; None is the middle."""
+        """Return the side of each limb, by the limb's name; None for the middle."""
         return self.body.limb_sides(self.side)
 
     @property
@@ -364,7 +367,7 @@ class Motion:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Return all cameras that filmed the clip, (V,)."""
+        """Return all V cameras of the clip."""
         return tuple(source.camera for source in self.sources)
 
     @property
@@ -387,7 +390,7 @@ class Motion:
 
     @property
     def frames(self) -> Integers:
-        """Return the frame numbers (T,) in the first keypoint file; most frames far from any detection are left out."""
+        """Return the frame numbers (T,) in the first keypoint file, without long parts that have no detections."""
         return self.keypoints.frames
 
     @property
@@ -407,12 +410,12 @@ class Motion:
 
     @property
     def unused_keypoints(self) -> tuple[str, ...]:
-        """Return the keypoints of a file that the skeleton does not have."""
+        """Return the names of the files' keypoints that the skeleton does not have."""
         return tuple(name for name in self._file_names if name not in self.names)
 
     @property
     def missing_keypoints(self) -> tuple[str, ...]:
-        """Return the keypoints of the skeleton that no file has."""
+        """Return the names of the skeleton's keypoints that no file has."""
         return tuple(name for name in self.names if name not in self._file_names)
 
     @cached_property
@@ -424,7 +427,7 @@ class Motion:
 
     @property
     def states_frame(self) -> Literal["world", "level"]:
-        """Return the frame of position and rotation in `states`, as in `recon.geometry.frames`."""
+        """Return the frame of reference of the root's position and rotation in `states` (`recon.geometry.frames`)."""
         return "world" if self.knows_up else "level"
 
     @property
@@ -434,7 +437,7 @@ class Motion:
 
     @property
     def states(self) -> Array:
-        """Return the D unknowns of each frame, (T, D), NaN in frames without a pose."""
+        """Return the D unknowns of each frame, (T, D), in the units of `state_names`; NaN in frames without a pose."""
         return self.solution.states
 
     @property
@@ -467,7 +470,7 @@ class Motion:
 
     @property
     def posture_data_share(self) -> Array:
-        """Return the information fraction of the posture angles, the part of their precision due to pixels, (T, P)."""
+        """Return the fraction of the posture angles' precision that comes from the pixels, (T, P), 0 to 1."""
         return self.solution.angle_data_share[:, PITCH - YAW :]
 
     @cached_property
@@ -487,12 +490,12 @@ class Motion:
 
     @property
     def upright_sigma_m(self) -> Array:
-        """Return the standard deviations of the joints along the axes, (T, J, 3), m, position and size included."""
+        """Return the standard deviations of `upright` along the axes, (T, J, 3), m, position and size included."""
         return _sigmas(self.solution.covariance_m2)
 
     @property
     def upright_relative_sigma_m(self) -> Array:
-        """Return the standard deviations of the joints relative to the mean of all joints, (T, J, 3), m."""
+        """Return the standard deviations of `upright` relative to the mean of all joints, (T, J, 3), m."""
         return _sigmas(self.solution.relative_covariance_m2)
 
     @property
@@ -518,17 +521,17 @@ class Motion:
         return np.eye(4) if self.camera_moves else inverse(world_from_reference(self.camera))
 
     def in_reference(self, world_m: Array) -> Array:
-        """Transform points (..., 3) from the solution's world to the frame of reference."""
+        """Transform points (..., 3), metres, from the solution's world to the frame of reference."""
         return moved(self.T_reference_world, world_m)
 
     @cached_property
     def joints_m(self) -> Array:
-        """Return the joints in the frame of reference, (T, J, 3), NaN without a pose."""
+        """Return the joints in the frame of reference, (T, J, 3), metres; NaN without a pose."""
         return self.in_reference(self.solution.joints_m)
 
     @property
     def joints_camera_m(self) -> Array:
-        """Return the joints in the first camera's frame, (T, J, 3)."""
+        """Return the joints in the first camera's frame, (T, J, 3), metres; NaN without a pose."""
         return self.solution.joints_camera_m
 
     @cached_property
@@ -538,7 +541,7 @@ class Motion:
 
     @property
     def root_name(self) -> str:
-        """Return the name of the root's origin: the marker there, or the root segment."""
+        """Return the name of the marker at the root's origin, or of the root segment if no marker is there."""
         root = self.body.tree.segments[0].name
         return next((m.name for m in self.body.tree.markers if m.segment == root and not any(m.offset_m)), root)
 
@@ -548,10 +551,7 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """Return the point of the ground below the middle of the root's path in a segment, or None if unknown.
-
-        The point (3,) is in the world frame, metres.
-        """
+        """Return the ground point (3,), m, in the world, below the middle of the root's path; None if unknown."""
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if segment.ground is None or not len(xy_m):
@@ -563,7 +563,7 @@ class Motion:
 
     @cached_property
     def pictures(self) -> tuple[Picture, ...]:
-        """Return the motion as each camera pictures it, in the order of the sources."""
+        """Return the detections and the reprojected pose of each camera, in the order of the sources."""
         solution = self.solution
         pictures = []
         for source, view, *rest in zip(self.sources, solution.views, solution.noise_px, solution.weight, strict=True):
@@ -596,7 +596,7 @@ class Motion:
         return _sigmas(self._turned(self.solution.covariance_m2))
 
     def relative_covariance_m2(self, rows: slice = slice(None)) -> Array:
-        """Return the covariances of the joints relative to their mean in these rows, (T, J, 3, 3)."""
+        """Return the covariances (T, J, 3, 3), m^2, of the joints relative to their mean, in the frames `rows`."""
         return self._turned(self.solution.relative_covariance_m2[rows])
 
     @property

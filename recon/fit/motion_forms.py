@@ -55,7 +55,7 @@ def _frame_solution() -> type:
 
 
 CLASSES = {"chain": _chain, "trajectory": _trajectory_solution, "frame": _frame_solution}
-"""Functions that return the subclasses in the file of a motion, by the subclass's `record_tag`."""
+"""Functions that import the subclasses which a motion file may contain, by the subclass's `record_tag`."""
 _CLASSES_BY_PATH = {
     "recon.animal.chain:Chain": _chain,
     "recon.thesis.chain:UnknownsChain": _chain,
@@ -71,13 +71,7 @@ Motion: TypeAlias = Any
 
 
 def load(motion_class: type[Motion], folder: Path) -> Motion:
-    """Return the motion in a folder as an instance of the given class, which `Motion.load` passes.
-
-    Raises
-    ------
-    InputError
-        In the cases that `Motion.load` lists.
-    """
+    """Return the motion in a folder as an instance of `motion_class`, or raise the errors of `Motion.load`."""
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
@@ -96,7 +90,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
 
 
 def _misfits(motion: Motion) -> list[tuple[str, str, str]]:
-    """Return the arrays whose shapes do not match, as name, shape and expected shape."""
+    """Return the name, shape and expected shape of every array of a motion that has the wrong shape."""
     sizes = {"T": len(motion.frames), "J": len(motion.joints), "V": len(motion.sources), "D": motion.body.n_state}
     sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
     solution = motion.solution
@@ -122,7 +116,7 @@ def _refit_command(folder: Path) -> str:
 
 
 def _no_motion(folder: Path) -> Problem:
-    """Return the error's description of a folder that contains no motion."""
+    """Describe the error of a folder that contains no motion."""
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
@@ -177,9 +171,9 @@ def html_of(motion: Motion) -> str:
 
 
 def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
-    """Return an SVG picture of eight poses from the side, evenly spaced in time, from joints (T, J, 3) with z up.
+    """Return eight poses from the side, evenly spaced in time, as SVG; empty if there are fewer than two poses.
 
-    The text is empty if there are fewer than two poses.
+    The joints (T, J, 3) are in a world with z up.
     """
     posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
     if len(posed) < 2:

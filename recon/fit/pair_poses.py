@@ -33,18 +33,21 @@ _MOVED = np.array([[False, False], [True, False], [False, True]])
 
 @dataclass(frozen=True, eq=False)
 class PairPoses:
-    """Hypotheses about the errors (12,) of two cameras' poses, three angles and a shift each (`View.corrected`)."""
+    """Hypotheses about the errors of two cameras' poses.
+
+    The twelve errors are three angles and a shift for each camera, as in `View.corrected`.
+    """
 
     is_turned: Bools
-    """(E, 2, 3): about which axes each of the two cameras is turned, for each of E hypotheses."""
+    """Mask of the axes about which each of the two cameras is turned, under each of E hypotheses, shape (E, 2, 3)."""
     is_moved: Bools
-    """(E, 2): which camera was moved, if any, under each hypothesis."""
+    """Mask of the camera that was moved, if any, under each hypothesis, shape (E, 2)."""
     weight: Array
-    """(E,): posterior probabilities of the hypotheses."""
+    """Posterior probabilities of the hypotheses, shape (E,)."""
     mean: Array
-    """(E, 12): expected errors under each hypothesis, rad and m."""
+    """Expected errors under each hypothesis, rad and m, shape (E, 12)."""
     covariance: Array
-    """(E, 12, 12): covariances of the errors under each hypothesis."""
+    """Covariances of the errors under each hypothesis, shape (E, 12, 12)."""
 
     @classmethod
     def weigh(cls, precision: Array, pull: Array, calibrated_sigma: Array, misplaced_sigma: Array) -> PairPoses:
@@ -53,11 +56,11 @@ class PairPoses:
         Parameters
         ----------
         precision, pull
-            (12, 12), (12,): curvature and gradient of the negative log-likelihood at errors of 0.
+            Curvature (12, 12) and gradient (12,) of the negative log-likelihood at errors of 0.
         calibrated_sigma
-            (12,): standard deviations of the errors of well calibrated cameras, rad and m.
+            Standard deviations (12,) of the errors of well calibrated cameras, rad and m.
         misplaced_sigma
-            (12,): standard deviations of the errors of cameras that were turned and moved, rad and m.
+            Standard deviations (12,) of the errors of cameras that were turned and moved, rad and m.
         """
         is_turned = np.repeat(_TURNED, len(_MOVED), axis=0)
         is_moved = np.tile(_MOVED, (len(_TURNED), 1))
@@ -81,7 +84,7 @@ class PairPoses:
 
     @property
     def expected(self) -> Array:
-        """Return the errors (12,) of the poses that are expected over all hypotheses, rad and m."""
+        """Return the mean errors (12,) of the poses over all hypotheses, rad and m."""
         return self.weight @ self.mean
 
 
@@ -91,17 +94,17 @@ class WeighedPair:
 
     poses: PairPoses
     columns: Index
-    """(12,): columns of the errors among the shared unknowns."""
+    """Columns of the errors among the shared unknowns, shape (12,)."""
     precision: Array
-    """(12, 12): marginal precision of the errors in the problem, including that of their prior."""
+    """Marginal precision of the errors in the problem, including the precision of their prior, shape (12, 12)."""
     prior_mean: Array
-    """(12,): mean of the errors' prior that puts the problem's minimum at the errors expected over all hypotheses."""
+    """Prior mean of the errors that puts the minimum at their mean over all hypotheses, rad and m, shape (12,)."""
 
 
 def pair_poses(
     problem: LeastSquares, shared: Mapping[str, Array], normal: tuple[Array, Array], variance_factor: float
 ) -> WeighedPair | None:
-    """Return the hypotheses about two cameras' poses with their posterior probabilities, or None without unknown poses.
+    """Return the hypotheses about two cameras' poses with their posterior probabilities; None if the poses are known.
 
     The animal's size has one error for the whole clip. Like the errors of the poses, it counts once for any number of
     frames.
@@ -109,11 +112,11 @@ def pair_poses(
     Parameters
     ----------
     problem
-        A problem in which the poses of both cameras are shared unknowns. Otherwise the result is None.
+        The problem. If the poses of both cameras are not among its shared unknowns, the result is None.
     shared
-        Values of the shared unknowns.
+        Values of the shared unknowns, by name.
     normal
-        (P, P), (P,): precision and gradient of all shared unknowns at these values.
+        Precision (P, P) and gradient (P,) of all shared unknowns at the values `shared`.
     variance_factor
         Factor on all variances, which the problem itself does not contain.
     """

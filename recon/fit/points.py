@@ -11,20 +11,20 @@ from recon.base.arrays import Array
 from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 MIN_MARKERS = 8
-"""Smallest number of known markers with which a frame is solved."""
+"""Minimum number of known markers in a frame that is solved."""
 
 _BLOCK = 512
-"""Number of frames that are solved together; it bounds the memory of the Jacobians."""
+"""Number of frames that are solved together, to limit the memory of the Jacobians."""
 _ITERATIONS = 300
-"""Largest number of steps in which the pose of a frame is solved."""
+"""Maximum number of steps to the pose of a frame."""
 _TOLERANCE = 1e-10
-"""Largest change of an angle (rad) or a position (m) in a step at which a frame counts as converged."""
+"""Change of every angle (rad) and position (m) in a step below which a frame counts as converged."""
 _SIZE_ROUNDS = 20
-"""Largest number of rounds that estimate the poses and then the size."""
+"""Maximum number of rounds, each of which estimates the poses and then the size."""
 _RETRIES = 2
 """Number of times that frames with a large error are solved again, starting from their neighbours."""
 _DAMPING = (1e-12, 1e12)
-"""Smallest and largest damping; if the largest is reached, the frame is not improved further."""
+"""Minimum and maximum damping of a step; a frame that reaches the maximum is not improved further."""
 
 
 def solve_points(
@@ -89,7 +89,7 @@ def solve_points(
 
 
 def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
-    """Return states (T, D) of the expected pose, turned about the vertical and moved onto the points."""
+    """Return states (T, D) of the expected pose, turned about the vertical and moved to fit the points."""
     states = np.zeros((len(targets), body.n_state))
     states[:, PITCH:] = body.mean_rad
     share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
@@ -103,7 +103,7 @@ def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
 
 
 def _nearest_turns(body: Body, states: Array) -> Array:
-    """Return the states with each angle within half a turn of its expectation."""
+    """Return the states with every angle within half a turn of its expected value."""
     difference = states[:, PITCH:] - body.mean_rad
     return np.concatenate(
         [states[:, :PITCH], body.mean_rad + np.remainder(difference + np.pi, 2 * np.pi) - np.pi], axis=1
@@ -135,13 +135,15 @@ class _NormalEquations(NamedTuple):
     """Normal equations of N frames, each with D unknowns of its own, and of the size that they share."""
 
     hessian: Array
-    """(N, D, D): curvature of the cost with respect to the states."""
+    """Curvature of the cost with respect to the states, shape (N, D, D)."""
     gradient: Array
-    """(N, D): gradient of the cost with respect to the states."""
+    """Gradient of the cost with respect to the states, shape (N, D)."""
     size_hessian: Array
-    """(N, D + 1): mixed curvature with respect to the size's logarithm and each state; the last is that of the size."""
+    """Second derivatives by the size's logarithm and each state or, in the last column, twice by the size's, shape (N,
+    D + 1).
+    """
     size_gradient: Array
-    """(N,): gradient of each frame's cost with respect to the size's logarithm."""
+    """Gradient of each frame's cost with respect to the size's logarithm, shape (N,)."""
 
 
 def _normal_equations(
@@ -171,7 +173,7 @@ def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, s
 
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
-    """Return the states of least cost, by Levenberg-Marquardt in blocks of frames, each frame with its own damping."""
+    """Return the states that minimise each frame's cost, by Levenberg-Marquardt with a damping for each frame."""
     states, damping, diagonal = start.copy(), np.full(len(start), 1e-3), np.arange(start.shape[1])
     cost = _cost(body, targets, weight, size, pull, states)
     for active in np.array_split(np.arange(len(states)), range(_BLOCK, len(states), _BLOCK)):
@@ -193,7 +195,7 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
 
 
 def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:
-    """Return the Gauss-Newton step of the size's logarithm with the states, which are at their minimum, eliminated."""
+    """Return the Gauss-Newton step of the size's logarithm, with the states, at their minimum, eliminated."""
     curvature = gradient = 0.0
     for first in range(0, len(states), _BLOCK):
         block = slice(first, first + _BLOCK)

@@ -141,13 +141,13 @@ class _Residuals:
     """Reprojection errors of one view of T frames with J keypoints, before deviations are estimated."""
 
     error_px: Array
-    """(T, J, 2): detections minus projected markers, 0 if missing."""
+    """Detections minus projected markers, 0 if missing, shape (T, J, 2)."""
     by_point: Array
-    """(T, J, 2, 3): derivatives of the projections with respect to the markers, px/m."""
+    """Derivatives of the projections with respect to the markers, px/m, shape (T, J, 2, 3)."""
     noise_px: Array
-    """(T, J): standard deviation of the detections."""
+    """Standard deviation of the detections, shape (T, J)."""
     weight: Array
-    """(T, J): weights under the robust loss, 0 if missing."""
+    """Weights under the robust loss, 0 if missing, shape (T, J)."""
 
     @classmethod
     def of_view(cls, solution: Solution, number: int) -> _Residuals:

@@ -14,7 +14,10 @@ from recon.base.numbers import interval, percent
 from recon.clip import View
 
 Severity = Literal["error", "warning", "note"]
-"""error: do not use the result; warning: use it with care; note: for information."""
+"""Severity of a finding.
+
+An error means that the result must not be used, a warning asks for care, and a note only informs.
+"""
 Number = float | int | str | tuple[str, ...]
 
 
@@ -25,36 +28,36 @@ class Finding:
     code: str
     severity: Severity
     frames: tuple[int, int] | None = None
-    """First frame number, and the one after the last; None means the whole clip."""
+    """First frame number of the finding, and the frame number after its last; None for the whole clip."""
     camera: str | None = None
-    """Name of the camera that the finding is about; None means all cameras, or the clip."""
+    """Name of the camera that the finding is about; None for all cameras, or for the clip."""
     numbers: dict[str, Number] = field(default_factory=dict)
-    """Evidence as plain numbers and names; the endings of the names give the units: rad, m, s, px."""
+    """Evidence, as numbers or texts, by name; the end of a name gives the unit (rad, m, s, px)."""
 
     def names(self, number: str) -> tuple[str, ...]:
-        """Return the names among the finding's evidence under a key; empty if there are none."""
+        """Return the names in the evidence under a key; empty if the evidence has none."""
         value = self.numbers.get(number, ())
         return value if isinstance(value, tuple) else ()
 
 
 Level = Literal["do not use", "check", "use"]
 LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
-"""Levels of a verdict, in the order in which clips should be looked at."""
+"""Levels of a verdict, the worst first."""
 
 
 _NOTHING = 0.1
-"""Lower end of an interval, relative to its upper end, below which the interval only says "at most"."""
+"""Lower end of an interval, relative to its upper end, below which the text gives only the upper end."""
 
 
 @dataclass(frozen=True, repr=False)
 class ExpectedError(Brief):
-    """Expected size of an unknown error: the median, and the interval that holds 90 %."""
+    """Expected size of an unknown error: the median of its distribution, and its 90 % interval."""
 
     expected: float
     low: float
     high: float
     widened_by: str = ""
-    """Code of the finding whose possible effect makes up most of the upper end; empty if there is none."""
+    """Code of the finding that widens the interval most; empty if no finding does."""
 
     def __repr__(self) -> str:
         return f"ExpectedError({self.expected:.3g}, 90 %: {self.low:.3g} to {self.high:.3g})"
@@ -71,23 +74,23 @@ class ExpectedError(Brief):
         return interval(*ends, unit, level="90 %", least=_NOTHING * error.high, remark=cause)
 
     def times(self, factor: float) -> ExpectedError:
-        """Return the error multiplied by a factor, for another unit."""
+        """Return the error multiplied by a factor, to convert its unit."""
         return replace(self, expected=factor * self.expected, low=factor * self.low, high=factor * self.high)
 
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Brief):
-    """Verdict on whether a clip may be used, with its expected errors (`recon.check.verdict`, docs/verdict.md)."""
+    """Verdict on whether the result for a clip may be used, with its expected errors (docs/verdict.md)."""
 
     level: Level
     reason: str
     """Reason for the level, in one sentence."""
     pose_m: ExpectedError | None = None
-    """Mean distance of the joints from their true positions, both centred (MPJPE); None without a pose."""
+    """Mean distance of the joints from their true positions, both centred (MPJPE), m; None without a pose."""
     pose_of_trunk: ExpectedError | None = None
-    """Error of the pose as a fraction of the length of the trunk."""
+    """`pose_m` as a fraction of the trunk's length; None without a pose."""
     position_m: ExpectedError | None = None
-    """Distance of the mean of all joints from its true position, as a mean over the frames."""
+    """Distance of the mean of all joints from its true position, averaged over the frames, m; None without a pose."""
     warned: bool = False
     """Whether a finding warns that errors may be larger than stated."""
 
@@ -126,16 +129,16 @@ SINGLE = (
     "noise_px",
     "weight",
 )
-"""Arrays of the trajectory method that are kept in single precision, which is finer than their accuracy."""
+"""Arrays of the trajectory method that are rounded to single precision, which is finer than their accuracy."""
 OUTLIER_SIGMAS = 3.0
-"""Distance of a detection from its joint's reprojection, in standard deviations, above which it is an outlier."""
+"""Distance of a detection from the reprojection, in standard deviations, above which the detection is an outlier."""
 
 
 @dataclass(frozen=True)
 class Ground:
-    """A ground plane z = height_m + slope . (x, y), with slopes (2,), and its height's standard deviation.
+    """Ground plane z = height_m + slope . (x, y), with slopes (2,) and the height's standard deviation, m.
 
-    The standard deviation is that under the animal.
+    The standard deviation applies to the ground below the animal.
     """
 
     height_m: float
@@ -145,50 +148,52 @@ class Ground:
     """Whether the ground was assumed to be near z = 0; None if no file states it."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
-        """Return the ground in the world after a scene is scaled by a size and moved to an origin (3,), m."""
+        """Return the ground in the world, from a scene that is scaled by a size and moved to an origin (3,), m."""
         height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
 
 @dataclass(frozen=True)
 class SecondCamera:
-    """Test of the second of two cameras: the evidence that it is misplaced or late."""
+    """Evidence that the second of two cameras was turned or moved, or that its clock is off."""
 
     misplaced: float
-    """Log-likelihood gain if the camera was turned or moved."""
+    """Gain in log-likelihood if the camera was turned or moved."""
     late: float
-    """Log-likelihood gain if the camera's clock is off."""
+    """Gain in log-likelihood if the camera's clock is off."""
     late_frames: float
     """Estimated delay in frames if the clock is off."""
 
     @property
     def is_misplaced(self) -> bool:
-        """Return whether the camera has probably been turned or moved, and is not clearly more likely to be late."""
+        """Return whether the camera was probably turned or moved, unless a wrong clock is clearly more likely."""
         return self.misplaced > max(0.0, self.late - 1.0)
 
 
 @dataclass(frozen=True, repr=False)
 class MotionSegment(Brief):
-    """A part of the clip that was solved separately, because of long gaps without detections around it.
+    """Part of a clip that was solved separately, between long gaps without detections.
 
-    Segments are in order and do not overlap.
+    The segments of a clip are in order and do not overlap.
     """
 
     rows: slice
     """Rows of the clip that the segment covers."""
     ground: Ground | None
-    """The ground under the feet; None if no foot stood."""
+    """Ground under the feet, in the world; None if no foot stood."""
     prior_misfit: float | None = None
-    """Misfit of the motion under the prior, about 1 if it fits; None without a prior."""
+    """Misfit of the motion under the prior, about 1 if the motion fits; None without a prior."""
     prior_weight: float = 1.0
-    """Fraction of its weight that the prior kept; 1 if the motion fits.
+    """Factor on the prior's weight, 0 to 1; 1 if the motion fits the prior.
 
-    A prior without correlations between the angles has the rest of the weight.
+    The rest of the weight is given to a prior without correlations between the angles.
     """
     unlike_prior: bool = False
     """Whether the motion is unlike all motions of the prior."""
     second_camera: SecondCamera | None = None
-    """Test of the second camera; None if there are not two cameras, or the second camera's pose was not fixed."""
+    """Test of the second of two cameras; None for another number of cameras, or if the second camera's pose was
+    refined.
+    """
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,22 +201,22 @@ class SolvedShape(Brief):
     """Lengths and keypoint offsets that a fit of several cameras estimated."""
 
     names: tuple[str, ...]
-    """Names (L,) of the segments and markers whose distances from their carrying segments were estimated.
+    """Names (L,) of the segments and markers whose distance from the origin of their parent segment was estimated.
 
     Lengths on the right equal those on the left.
     """
     lengths_m: Array
-    """(L,): estimated lengths of an animal of the estimated size."""
+    """Estimated lengths, with the estimated size, m, shape (L,)."""
     lengths_sigma_m: Array
-    """(L,): standard deviations of the lengths."""
+    """Standard deviations of the lengths, m, shape (L,)."""
     expected_lengths_m: Array
-    """(L,): lengths that the skeleton or the subject's file states."""
+    """Lengths in the skeleton or in the subject's file, m, shape (L,)."""
     offsets_m: Array
-    """(J, 3): keypoints minus markers, in the frames of the markers' segments, size included."""
+    """Keypoints minus markers in the frames of the markers' segments, with the estimated size, m, shape (J, 3)."""
     offsets_sigma_m: Array
-    """(J, 3): standard deviations of the offsets."""
+    """Standard deviations of the offsets, m, shape (J, 3)."""
     expected_offsets_m: Array
-    """(J, 3): offsets that were measured for the detector; 0 if none were."""
+    """Offsets that were measured for the detector, m, shape (J, 3); 0 if no offset was measured."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,15 +224,15 @@ class ReferencePath(Brief):
     """Path of the reference joint in the world, estimated from all T frames of a clip."""
 
     position_m: Array
-    """Positions of the reference joint, shape (T, 3)."""
+    """Positions of the reference joint in the world, shape (T, 3)."""
     velocity_m_s: Array
     """Velocities of the reference joint, shape (T, 3)."""
     acceleration_m_s2: Array
     """Accelerations of the reference joint, shape (T, 3)."""
     covariance: Array
-    """Covariances of position, velocity and acceleration, shape (T, 9, 9), without the uncertainty of the size."""
+    """Covariances of position, velocity and acceleration, m and s, shape (T, 9, 9), at a fixed size."""
     centre_m: Array
-    """Position of the camera, shape (T, 3) or (3,): the size changes the distance from it."""
+    """Position of the camera, from which the size scales the path, shape (T, 3) or (3,)."""
     size_sigma: float
     """Relative standard deviation of the size."""
 
@@ -251,36 +256,39 @@ class Solution(Brief):
     views: tuple[View, ...]
     """The fitted views, with the estimated time offsets."""
     states: Array
-    """(T, D): unknowns of each frame, for the body's lengths times `size`; the root's position is in the world."""
+    """Unknowns of each frame, for lengths times `size` and a root position in the world, shape (T, D)."""
     size: float
     """Factor on the skeleton's lengths; the median over frames if a method estimates one for each."""
     joints_m: Array
-    """(T, J, 3): the joints in the world, NaN without a pose."""
+    """Joints in the world, shape (T, J, 3); NaN without a pose."""
     covariance_m2: Array
-    """(T, J, 3, 3): covariances of the joints, position and size included."""
+    """Covariances of the joints, position and size included, shape (T, J, 3, 3)."""
     relative_covariance_m2: Array
-    """(T, J, 3, 3): covariances of the joints relative to the mean of all joints."""
+    """Covariances of the joints relative to the mean of all joints, shape (T, J, 3, 3)."""
     angle_sigma_rad: Array
-    """(T, D - 3): standard deviations of the root's rotation and the joints' angles, `states[:, 3:]`."""
+    """Standard deviations of the root's rotation and the joints' angles, `states[:, 3:]`, rad, shape (T, D - 3)."""
     angle_data_share: Array
-    """(T, D - 3): information fraction of the angles, the part of their precision from the pixels, 0 to 1."""
+    """Information fraction of the angles, the part of their precision from the pixels, 0 to 1, shape (T, D - 3)."""
     noise_px: Array
-    """(V, T, J): standard deviation assigned to each detection in each view."""
+    """Standard deviation that the fit assigned to each detection, px, shape (V, T, J)."""
     weight: Array
-    """(V, T, J): weight of each detection, 0 to 1, NaN if missing."""
+    """Weight of each detection, 0 to 1, shape (V, T, J); NaN if missing."""
     flags: tuple[tuple[str, ...], ...]
-    """(T,): flags of each frame; in a frame without a pose, a flag gives the reason."""
+    """Flags of each frame, shape (T,); in a frame without a pose, a flag gives the reason."""
     alternative_m: Array
-    """(T,): mean distance between the joints of the two best solutions, both centred; NaN without a second one."""
+    """Mean distance between the joints of the two best solutions, both centred, m, shape (T,).
+
+    The distance is NaN in frames without a second solution.
+    """
     contact: Array
     """Contact of the feet with the ground, shape (T, F), 0 to 1; 0 if the method does not estimate contacts."""
     segments: tuple[MotionSegment, ...]
     """Parts of the clip that have a pose, each with its own ground."""
     stage_s: dict[str, float]
-    """Seconds of the stages by name, with the whole solution as "all"; empty if the method does not measure them."""
+    """Seconds that each stage took, by name, and in total under "all"; empty if the method measures no times."""
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the findings that only this method can make in its own solution."""
+        """Return the findings that only the solution's own method can make."""
         return ()
 
     def report_sections(self) -> tuple[object, ...] | None:
@@ -289,22 +297,22 @@ class Solution(Brief):
 
     @property
     def constant_velocity_m_s(self) -> Array | None:
-        """Return the speed of the constant-velocity starts of the search, (T,), m/s, if the method keeps it."""
+        """Return the speed (T,), m/s, of the search's start at constant velocity; None if it is not kept."""
         return None
 
     @property
     def position_error_time_s(self) -> float | None:
-        """Return the correlation time of the position's error, s, if the method estimates the path separately."""
+        """Return the correlation time of the position's error, s; None unless the path is estimated separately."""
         return None
 
     @property
     def reference_path(self) -> ReferencePath | None:
-        """Return the path of the reference joint, if the method estimates the path separately."""
+        """Return the path of the reference joint; None unless the path is estimated separately."""
         return None
 
     @property
     def posterior_factor(self) -> float:
-        """Return the factor on the stated standard deviations of poses that makes them match the poses' errors."""
+        """Return the factor that scales the stated standard deviations of poses to the poses' usual errors."""
         return 1.0
 
     @property
@@ -314,12 +322,12 @@ class Solution(Brief):
 
     @cached_property
     def joints_camera_m(self) -> Array:
-        """Return the joints in the first camera's frame, (T, J, 3)."""
+        """Return the joints in the first camera's frame, (T, J, 3), metres."""
         return self.views[0].to_camera(self.joints_m)
 
     @cached_property
     def markers_m(self) -> Array:
-        """Return the positions at which the detector sees the joints, (T, J, 3)."""
+        """Return the positions at which the detector sees the joints, (T, J, 3), in the world, metres."""
         if not self.body.keypoint_offset_m:
             return self.joints_m
         return self.joints_m + (
@@ -330,16 +338,19 @@ class Solution(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrajectorySolution(Solution):
-    """Solution of the trajectory method, which flags "no data", "diverged", "data poor" and "ambiguous depth"."""
+    """Solution of the trajectory method.
+
+    The flags of a frame are "no data", "diverged", "data poor" and "ambiguous depth".
+    """
 
     size_sigma: float
     """Posterior standard deviation of the animal's size."""
     size_prior_sigma: float
-    """Prior standard deviation of the size around 1."""
+    """Prior standard deviation of the animal's size about 1."""
     size_from: tuple[str, ...]
     """Sources of the size: "prior", and "views" and "ground" if they determine it."""
     data_share: Array
-    """(J,): information fraction of the joints, the part of their precision from the pixels, 0 to 1."""
+    """Information fraction of the joints, the part of their precision from the pixels, 0 to 1, shape (J,)."""
     alternative_cost: float
     """Cost of the second-best solution minus that of the best solution."""
     prior: str
@@ -350,29 +361,29 @@ class TrajectorySolution(Solution):
     starts: int
     """Number of starts of the search that were tried."""
     time_offset_frames: Array
-    """(V,): delay of each camera's pictures beyond the stated offset; 0 if not estimated."""
+    """Delay of each camera's pictures beyond the stated offset, frames, shape (V,); 0 if not estimated."""
     time_offset_sigma_frames: Array
-    """(V,): standard deviations of the time offsets."""
+    """Standard deviations of the time offsets, frames, shape (V,)."""
     extrinsic_correction: Array
-    """(V, 6): correction of each camera's pose, as in `View.corrected`; 0 if not estimated."""
+    """Correction of each camera's pose, rad and m, as in `View.corrected`, shape (V, 6); 0 if not estimated."""
     extrinsic_correction_sigma: Array
-    """(V, 6): standard deviations of the extrinsic corrections."""
+    """Standard deviations of the pose corrections, rad and m, shape (V, 6)."""
     focal: Array
-    """(V,): logarithm of the factor on each camera's focal lengths; 0 if not estimated."""
+    """Logarithm of the factor on each camera's focal lengths, shape (V,); 0 if not estimated."""
     focal_sigma: Array
-    """(V,): standard deviations of `focal`."""
+    """Standard deviations of `focal`, shape (V,)."""
     sideslip_rad: float
-    """Constant angle, to the left, between the trunk and the direction of travel; 0 if not estimated."""
+    """Constant angle from the trunk to the direction of travel, rad, positive to the left; 0 if not estimated."""
     sideslip_sigma_rad: float
     shape: SolvedShape | None = None
-    """Lengths and keypoint offsets; None if they were not estimated."""
+    """Estimated lengths and keypoint offsets; None if they were not estimated."""
 
     method: ClassVar = "trajectory"
     record_tag: ClassVar = "trajectory"
 
     @property
     def longest_segment(self) -> MotionSegment | None:
-        """Return the longest segment all of whose frames have states, or None."""
+        """Return the longest segment in which every frame has a pose; None if there is no such segment."""
         segments = [segment for segment in self.segments if np.isfinite(self.states[segment.rows, 0]).all()]
         return max(segments, key=lambda segment: segment.rows.stop - segment.rows.start, default=None)
 

@@ -26,11 +26,11 @@ class SegmentFit:
     estimate: Estimate
     problem: LeastSquares
     noise: Array
-    """(V, J): variances of the detections of each joint in each view, relative to the expected variances."""
+    """Variances of the detections of each joint in each view, relative to the expected variances, shape (V, J)."""
     noise_px: Array
-    """(V, n, J): the noise of the detections, px."""
+    """The noise of the detections, px, shape (V, n, J)."""
     contact: Array
-    """(n, F): contact of the feet with the ground, 0 to 1."""
+    """Contact of the feet with the ground, 0 to 1, shape (n, F)."""
     ground: Ground | None
     """Ground plane under the body of nominal size, relative to `ClipProblem.origin_m`; None if no foot stood."""
     prior_misfit: PriorMisfit | None = None

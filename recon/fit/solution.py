@@ -37,25 +37,33 @@ from recon.fit.terms import (
 from recon.geometry.kinematics import ROOT, YAW
 
 _FRAMES_AT_ONCE = 4096
-"""Number of frames that are rounded to single precision at once, to limit memory."""
+"""Number of frames that are rounded to single precision at once, to limit the memory."""
 POOR_SHARE = 1 / 3
-"""Smallest fraction of all joints that must be trusted in a frame that is not "data poor"."""
+"""Minimum weight of a frame's detections, as a fraction of the number of joints, without the flag "data poor"."""
 POORER_SHARE = 0.8
-"""Smallest number of trusted joints in a frame that is not "data poor", relative to that of good frames."""
+"""Minimum weight of a frame's detections, relative to a good frame's, without the flag "data poor".
+
+The weight of a good frame is the 90th percentile over the frames.
+"""
 END_ON_RAD = np.radians(25)
 """Angle between the line of sight and the trunk, rad, below which a frame gets the flag "ambiguous depth".
 
-Only perspective then shows the depth of the trunk. In 32 real views, the median error of the frames is 137 mm below 15
-degrees, 75 mm from 15 to 25 degrees, and 52 mm from 45 degrees on.
+Only perspective then shows the depth of the trunk, and errors grow as the angle decreases.
 """
 TESTED_S = 5.0
-"""Seconds of a clip used to test the second camera."""
+"""Length, in seconds, of the part of a clip in which the second camera is tested.
+
+Errors of the model persist, and over a longer time would look like evidence against the camera.
+"""
 ALTERNATIVE_M = 0.1
 """Mean distance between the joints of two solutions, m, above which a frame gets the flag "ambiguous depth"."""
 
 
 def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:
-    """Return the solution of all segments together; `expected` is the body before its shape is estimated."""
+    """Return the solution of a whole clip from its solved segments.
+
+    `expected` is the body before its shape was estimated, and `began` the time at which the fit began, in seconds.
+    """
     unshaped = clip
     clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [_posterior_of(unshaped, clip.body, segment) for segment in segments]
@@ -106,9 +114,9 @@ def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Bod
 def _shared_fields(
     clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
 ) -> dict[str, Any]:
-    """Return the solution's fields for the shared unknowns other than the size; 0 if they are not estimated.
+    """Return the solution's values of the shared unknowns other than the size, by field; 0 if not estimated.
 
-    Segments are weighted by the number of their frames that several cameras saw.
+    The values are means over the segments, weighted by the number of frames that several cameras saw.
     """
     V = range(len(clip.views))
     several_see = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
@@ -116,7 +124,7 @@ def _shared_fields(
     shares = (frames / max(frames.sum(), 1))[:, None, None]
 
     def of_views(name: Callable[[int], str], count: int = 1) -> tuple[Array, Array]:
-        """Return the values of each of the V views and their standard deviations, (V, count) each."""
+        """Return the mean values of the views' unknowns and their standard deviations, (V, count) each."""
         values = [[fit.shared_values(name(i), count) for i in V] for fit in segments]
         sigmas = [[segment.shared_sigma.get(name(i), np.zeros(count)) for i in V] for segment in posteriors]
         values, sigmas = (shares * np.reshape(parts, (len(segments), len(V), count)) for parts in (values, sigmas))
@@ -139,7 +147,7 @@ def _shared_fields(
 
 
 def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Posterior:
-    """Return the posterior of a segment for the solved body; `unshaped` is the problem with the expected body."""
+    """Return the posterior of a segment for the estimated body; `unshaped` is the problem with the expected body."""
     problem = _with_free_world(_with_expected_shape_spread(unshaped, segment.problem))
     return posterior_with_reestimated_noise(problem, body, segment.estimate, unshaped.correlation_frames)
 
@@ -154,16 +162,16 @@ class _ClipArrays:
         self.arrays: dict[str, Array] = {}
 
     def by_frame(self, name: str) -> Array:
-        """Return the array of a name with the frames on the first axis, without copying it."""
+        """Return a view of the named array with the frames on the first axis."""
         if name not in self.arrays:
             self.arrays[name] = np.full(self.shapes[name], np.nan)
         return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
 
     def fill(self, name: str, rows: slice, values: Array) -> None:
-        """Set the values of the segment whose frames are `rows`; the given array may be kept and rounded in place."""
+        """Set the named array's values in the frames `rows`; the array `values` may be kept and rounded in place."""
         if name in SINGLE:
             _round_to_single(values)
-        if values.shape == self.shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
+        if values.shape == self.shapes[name]:  # a copy of a whole clip would be large
             self.arrays[name] = values
         else:
             self.by_frame(name)[rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
@@ -187,7 +195,7 @@ def _cost_by_term(segments: Sequence[SegmentFit]) -> dict[str, float]:
 
 
 def _round_to_single(values: Array) -> None:
-    """Round values to single precision in place, which halves their files, and make matrices exactly symmetric."""
+    """Round values to single precision in place, to halve their files, and make matrices exactly symmetric."""
     for first in range(0, len(values), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         values[rows] = values[rows].astype(np.float32)
@@ -204,9 +212,9 @@ def _solved_shape(
     posteriors: Sequence[Posterior],
     size: float,
 ) -> SolvedShape | None:
-    """Return the lengths and offsets of the solved body, or None if they were not estimated.
+    """Return the estimated lengths and offsets of the body; None if they were not estimated.
 
-    The segments' estimates are weighted by their numbers of frames; their errors are independent.
+    Standard deviations are those of the mean over the segments, weighted by their numbers of frames.
     """
     if clip.shape is None or len(clip.views) == 1 or not segments:
         return None
@@ -234,7 +242,7 @@ def _solved_shape(
 
 
 def _lengths_m(body: Body, names: Sequence[str]) -> Array:
-    """Return the distances (L,), m, of segments and markers from the origins of the segments that carry them."""
+    """Return the distances (L,) of the named segments and markers from the origins of their parent segments, m."""
     items = {item.name: item for item in (*body.tree.markers, *body.tree.segments)}
     return np.array([np.linalg.norm(items[name].offset_m) for name in names], dtype=np.float64)
 
@@ -258,7 +266,7 @@ def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> Lea
 
 
 def _with_free_world(problem: LeastSquares) -> LeastSquares:
-    """Return the problem without the ground, if all cameras' poses are uncertain: a fixed plane would fix the world."""
+    """Return the problem without the ground if all cameras' poses are uncertain; a fixed plane would fix the world."""
     names = [unknown.name for unknown in (*problem.shared, *problem.nuisance)]
     if extrinsic_correction(0) not in names:
         return problem
@@ -277,7 +285,7 @@ def states_at_size(states: Array, by_size: Array, size: float, other_size: float
 def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
-    """Yield the arrays of a segment one by one, because those of a long clip are large."""
+    """Yield the name and values of each array of a segment, one after the other to limit the memory."""
     # for several cameras, the other shared unknowns stay as solved, so that the rays still meet
     state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
     states = states_at_size(segment.estimate.states, state_by_size, segment.size, size)
@@ -291,7 +299,7 @@ def _segment_arrays(
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(segment_posterior.covariance_m2, by_size, size, size_sigma)
-    # if there are several cameras, the other cameras determine the rotation of each
+    # with several cameras, the others determine the rotation of each one
     if len(views) == 1 and views[0].rotation_sigma_rad is not None:
         covariance_m2 += views[0].rotation_covariance_m2(joints_m)
     yield "states", in_world
@@ -311,10 +319,10 @@ def _segment_arrays(
 def _estimate_size(
     clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
 ) -> tuple[float, float, tuple[str, ...]]:
-    """Return the size, its standard deviation, and its sources.
+    """Return the animal's size, its standard deviation, and the names of its sources.
 
-    The sources are the prior, with a size of 1; several views; and the ground, if its distance below the camera is
-    known, with the size that puts the feet at this distance.
+    The sources are the prior, with a size of 1, the views, if there are several, and the ground, if its distance below
+    the camera is known. The ground gives the size that puts the feet at this distance.
     """
     prior_precision, bias_variance = clip.size_sigma**-2, _size_error_of_bias(clip) ** 2
     precision, pull, sources = prior_precision, prior_precision, ["prior"]
@@ -338,7 +346,7 @@ def _estimate_size(
 
 
 def _segment_in_world(clip: ClipProblem, segment: SegmentFit, size: float) -> MotionSegment:
-    """Return the result for one segment, with its ground in the world."""
+    """Return the result of one segment, with its ground in the world."""
     ground, misfit = segment.ground and segment.ground.about(clip.origin_m, size), segment.prior_misfit
     level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
     pair_fixed = len(clip.views) == 2 and clip.shows_size and not clip.options.refine_cameras
@@ -362,7 +370,7 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     by_others = np.linalg.solve(reduced[n:, n:-1], np.delete(reduced[n:], np.s_[n:-1], axis=1))
     remaining = np.delete(reduced[:n], np.s_[n:-1], axis=1) - reduced[:n, n:-1] @ by_others
     precision = remaining[:, :n]
-    # the gradient with all cameras at their stated poses
+    # gradient extrapolated from the estimated time offset to 0
     pull = remaining[:, n] - remaining[:, n - 1] * segment.shared_values(time_offset(1))
 
     def evidence(sigma: Array) -> tuple[float, Array]:
@@ -390,10 +398,9 @@ def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares, Array]:
     """Return the problem with a free second camera, and the usual standard deviations (7,) of this camera's errors.
 
-    The seven errors are the first of the shared unknowns.
-
-    The size stays near the expected one: if rays meet in spite of a wrong pose, the animal is too large or too small.
-    The ground is left out, because a fixed plane would fix the world's tilt.
+    The seven errors are the first of the shared unknowns. The size is kept near the expected size, because rays that
+    meet in spite of a wrong pose show an animal that is too large or too small. The ground is left out, because a fixed
+    plane would fix the world's tilt.
     """
     root_correlation, offset_name = clip.correlation_frames**0.5, time_offset(1)
     shared = {unknown.name: unknown for unknown in (*segment.problem.shared, *segment.problem.nuisance)}
@@ -412,7 +419,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
 
 
 def _size_error_of_bias(clip: ClipProblem) -> float:
-    """Return the standard deviation of the size's error if keypoints are displaced independently from their markers."""
+    """Return the relative standard deviation of the size due to keypoints that lie off their markers independently."""
     body = clip.body
     state = np.zeros((1, body.n_state))
     state[0, ANGLES] = clip.prior.mean
@@ -421,7 +428,7 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 
 
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
-    """Return the smallest extra cost of a second solution in any window of a segment.
+    """Return the minimum, over a segment's windows, of a second solution's extra cost; infinite if there is none.
 
     The mean distance between the joints of the two solutions, both centred, is written to `distance_m` (T,).
     """
@@ -439,7 +446,7 @@ def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, dista
 
 
 def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
-    """Return a mask of frames whose joints (T, J, 3) are too far away for any camera to see, (T,)."""
+    """Return a mask (T,) of the frames whose joints (T, J, 3) are too far away for any camera to see."""
     marker_index = clip.body.markers.index
     limbs = (joints_m[:, [marker_index(marker) for marker in limb]] for limb in clip.body.limbs.values())
     reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)

@@ -36,9 +36,9 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
     Parameters
     ----------
     joints_m
-        (..., J, 3): the shape, metres.
+        Points of the shape, (..., J, 3), metres.
     rays
-        (..., J, 3): unit vectors, NaN where missing; at least two of the J rays are known.
+        Unit vectors from the camera, (..., J, 3), NaN if missing; at least two of the J rays must be known.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
 
 
 def _median_of_known(values: Array) -> Array:
-    """Return the medians (...) of the values (..., N) that are not NaN; `numpy.nanmedian` is many times slower."""
+    """Return the medians (...) of the values (..., N) that are not NaN, much faster than `numpy.nanmedian`."""
     ordered, counts = np.sort(values, axis=-1), np.isfinite(values).sum(axis=-1)[..., None]  # NaN values come last
     middle = [np.take_along_axis(ordered, index, axis=-1) for index in ((counts - 1) // 2, counts // 2)]
     return (0.5 * (middle[0] + middle[1]))[..., 0]
@@ -79,11 +79,11 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
-    """Return the deviations of points (..., J, 3) from their rays.
+    """Return the deviations of points (..., J, 3) from their rays, as q / r, c and m.
 
-    Let q be the direction of a point (a unit vector), r its distance, and d its ray, 0 where missing. The results are q
-    / r (..., J, 3); the cosine c (..., J) between q and d; and the part of d perpendicular to q, m = d - c q (..., J,
-    3), whose length is the sine.
+    Let q be the direction of a point (a unit vector), r its distance, and d its ray, 0 if missing. The results are q /
+    r (..., J, 3), the cosine c (..., J) between q and d, and the part m = d - c q (..., J, 3) of d perpendicular to q,
+    whose length is the sine.
     """
     square, rays = _dot(points_m, points_m), np.nan_to_num(rays)
     cosine = _dot(points_m, rays) / np.sqrt(square)
@@ -105,7 +105,7 @@ def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[A
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """Return the derivatives (F, 3, 6) of positions at times (F,) with respect to `constant_velocity`'s unknowns."""
+    """Return the derivatives (F, 3, 6) of positions at times (F,), s, by the unknowns of `constant_velocity`."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -124,22 +124,22 @@ def constant_velocity(
     Parameters
     ----------
     headings
-        (H, 3): unit vectors.
+        Unit vectors, (H, 3).
     shapes
-        (H, J, 3): the shape turned to each heading, metres.
+        The shape turned to each heading, (H, J, 3), metres.
     up
-        (3,): the upward direction, along which a run may climb.
+        Upward direction, (3,), along which a run may climb.
     rays
-        (F, J, 3): unit vectors, NaN where missing.
+        Unit vectors, (F, J, 3), NaN if missing.
     time_s
-        (F,): times of the rays, of mean zero.
+        Times of the rays, (F,), seconds, with mean zero.
     centres_m
-        (F, 3): the origins of the rays; None for zero.
+        Origins of the rays, (F, 3), metres; None for zero.
 
     Returns
     -------
     misfits : (H,) array
-        Misfit of each heading, 0 to 1; 1 is added if the animal would run backwards.
+        Misfit of each heading, 0 to 1, plus 1 if the animal would run backwards.
     unknowns : (H, 6) array
         Position at time zero (m), speed and acceleration along the heading (m/s, m/s^2), and climb (m/s).
     """
@@ -149,7 +149,7 @@ def constant_velocity(
     scale = np.median(np.linalg.norm(positions, axis=2), axis=1)[:, None, None] / _MISFIT_M
     seen = np.isfinite(rays[..., 0])
     motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
-    # A wide prior bounds the unknowns that a short clip does not determine; the units are m, m/s, m/s^2 and m/s.
+    # A wide prior bounds the unknowns that a short clip does not determine.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
     x = np.zeros((H, 6))
     x[:, :3] = np.median(positions + centres, axis=1)
@@ -189,44 +189,44 @@ def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
 
 
 APPROACH_HZ = 30.0
-"""Frame rate of the approach, frames per second; higher rates are thinned to about this rate."""
+"""Frame rate of the approach, Hz; clips with a higher rate are thinned to about this rate."""
 _HEADINGS = 18
 """Number of headings that are tried; a fast fit tries half as many."""
 _APART_RAD = 0.5
-"""Difference between two headings, rad, below which their starts count as the same."""
+"""Angle between two headings, rad, below which only the better one is a start."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
 """Factors on the noise during the approach, in the order in which they are used."""
 _SAME_M = 0.05
-"""Mean distance between the markers of two starts, m, below which both lead to the same minimum."""
+"""Mean distance between the markers of two motions, m, below which they count as the same minimum."""
 ALTERNATIVE_COST = 20.0
-"""Largest extra cost at which a second solution is reported."""
+"""Maximum extra cost at which a second solution is reported."""
 _HOPELESS = 2.0
-"""Multiple of the largest cost of a reported second solution, above which a start is given up early.
+"""Factor on the cost up to which a second solution is reported; a start with a higher cost is given up early.
 
-In 99 windows of single cameras, pairs and all cameras of real runs, a start is given up in one, and no minimum would be
-lower without this limit (`python benchmarks/accuracy.py --only starts`).
+`python benchmarks/accuracy.py --only starts` counts the starts that are given up, and the minima that would be lower
+without the limit.
 """
 _INTERMEDIATE_TOLERANCE = 0.2
 """Relative decrease of the cost that ends the search with each noise factor between the first and the last."""
 _RAYS = 16
-"""Approximate number of frames, over all views, from whose rays the headings are chosen."""
+"""Approximate number of frames, over all views, whose rays determine the headings."""
 _MIN_RAYS = 2
-"""Smallest number of rays in a frame from which the position of a shape is computed."""
+"""Minimum number of rays in a frame that determine the position of a shape."""
 _WORSE = 0.2
-"""Excess over the smallest misfit from which a start is not tried, for several cameras.
+"""Maximum misfit of a start above the best start's misfit, for several cameras; worse starts are not tried.
 
-The heading is often ambiguous for one camera, but not for several. In 71 windows of pairs and of all cameras of real
-runs, 61 of which leave starts out, none of these leads to a lower minimum, or to a second one that would be reported
-(`python benchmarks/accuracy.py --only starts`).
+The heading is often ambiguous for one camera, but not for several. `python benchmarks/accuracy.py --only starts` counts
+the starts that are left out, and those of them that would lead to a lower minimum.
 """
 
 
 def approach(clip: ClipProblem) -> list[Estimate]:
     """Return the starts of one window after the approach with decreasing noise, best first.
 
-    Only the first two starts (one in a fast fit) are solved down to the smallest noise, and interpolated to all frames
-    of the window. The second one stops early if it reaches the minimum of the first or costs too much to be reported.
-    The likeliest start is solved first, and the search from any other is given up early if it costs far more.
+    Only the two best starts (one in a fast fit) are solved down to the smallest noise and interpolated to all frames of
+    the window. The search from the second one stops early if it reaches the minimum of the first, or if its cost is too
+    high to be reported. The likeliest start is solved first, and the search from any other is given up early if its
+    cost is far higher.
     """
     fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
@@ -259,7 +259,7 @@ def approach(clip: ClipProblem) -> list[Estimate]:
     for estimate in [] if fast else starts[1:2]:
         for (widen, tolerance), best in zip(narrower, minima[1:], strict=True):
             if estimate.cost > finished[0].cost + ALTERNATIVE_COST:
-                break  # its cost only increases when the noise decreases
+                break  # the cost only increases when the noise decreases
             estimate = minimum(estimate.states, widen, tolerance, 15)
             if _distance_m(thin, estimate, best) < _SAME_M:
                 estimate = finished[0]
@@ -293,7 +293,7 @@ def interpolate_states(states: Array, at: Index, T: int) -> Array:
 
 
 def _starts(clip: ClipProblem) -> list[Array]:
-    """Return the states (T, D) of the best straight runs and, for one camera, of the best one mirrored in depth."""
+    """Return the states (T, D) of the best straight runs and, for one camera, of the best run mirrored in depth."""
     misfit, headings_rad, states = _runs(clip)
     best = int(np.argmin(misfit))
     minima = [
@@ -313,7 +313,7 @@ def _starts(clip: ClipProblem) -> list[Array]:
 
 
 def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Return misfits (H,), headings (H,) in radians, and states (H, T, D) of the mean pose at constant velocity."""
+    """Return misfits (H,), headings (H,), rad, and states (H, T, D) of the mean pose that runs straight."""
     T, count = len(clip), _HEADINGS // 2 if clip.options.fast else _HEADINGS
     rays, centres, frames = _rays(clip)
     time_s, middle = np.arange(T) / clip.fps, frames.mean() / clip.fps
@@ -331,7 +331,7 @@ def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
 
 
 def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Return rays (F, J, 3) of all views, the cameras' centres (F, 3) relative to the origin, and the frames (F,)."""
+    """Return rays (F, J, 3) of all views, their origins (F, 3), m, relative to `origin_m`, and their frames (F,)."""
     rays, centres, frames = [], [], []
     counts = [view.present.sum(axis=1) for view in clip.views]
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS

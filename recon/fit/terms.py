@@ -30,49 +30,47 @@ from recon.geometry.frames import euler_rotation_with_jacobian
 from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 SIZE = "size"
-"""Name of the shared unknown: a factor on all lengths, 1 if it is not an unknown."""
+"""Name of the shared unknown that is a factor on all lengths; the factor is 1 if it is not an unknown."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""Name of the shared unknowns (3J,): the keypoint bias common to all cameras, in the frame of the marker's segment.
+"""Name of the shared unknowns (3J,) of the keypoint bias common to all cameras, m, in the frames of the markers'
+segments.
 
-The bias is solved for if the body's shape is unknown, and otherwise only adds to the uncertainty.
+If the body's shape is unknown, the fit estimates the bias; if not, the bias only adds to the uncertainty.
 """
 LENGTHS = "segment lengths"
-"""Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers.
-
-The factors are the same on both sides.
-"""
+"""Name of the shared unknowns (L,) that are logarithms of factors on lengths, the same on both sides."""
 SIDESLIP = "sideslip"
-"""Name of the shared unknown: the angle, to the left, between the animal's trunk and its direction of travel, rad."""
+"""Name of the shared unknown angle from the animal's trunk to its direction of travel, rad, positive to the left."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
 def time_offset(view: int) -> str:
-    """Return the name of a shared unknown: the delay of a camera's pictures relative to its view, in frames."""
+    """Return the name of the shared unknown for a camera's time offset, frames: the delay of its pictures."""
     return f"time offset {view}"
 
 
 def offset_values(offsets_frames: Array) -> dict[str, Array]:
-    """Return the values of the cameras' time offsets (V,), by name."""
+    """Return the cameras' time offsets (V,), frames, as values of shared unknowns by name."""
     return {time_offset(i): np.array([frames]) for i, frames in enumerate(offsets_frames)}
 
 
 def keypoint_bias(view: int) -> str:
-    """Return the name of shared unknowns (2J,): keypoints minus markers in a view, metres to the right and down."""
+    """Return the name of the shared unknowns (2J,) for a view's keypoint bias, metres to the right and down."""
     return f"keypoint bias {view}"
 
 
 def extrinsic_correction(view: int) -> str:
-    """Return the name of shared unknowns (6,): the correction of a camera's pose, as in `View.corrected`."""
+    """Return the name of the shared unknowns (6,) that correct a camera's pose, rad and m, as in `View.corrected`."""
     return f"extrinsic correction {view}"
 
 
 def focal_scale(view: int) -> str:
-    """Return the name of a shared unknown: the logarithm of the factor on a camera's focal lengths."""
+    """Return the name of the shared unknown that is the logarithm of the factor on a camera's focal lengths."""
     return f"focal {view}"
 
 
 def size_of(shared: Mapping[str, Array]) -> float:
-    """Return the size among the values of shared unknowns, or 1 if it is not among them."""
+    """Return the animal's size from the values of the shared unknowns, or 1 if the size is not unknown."""
     return float(shared.get(SIZE, _ONE)[0])
 
 
@@ -88,9 +86,9 @@ def with_step(states: Array, step: Array, size: float, next_size: float) -> Arra
 
 
 REFERENCE_HZ = 90.0
-"""Frame rate, frames per second, for which the weights of the priors hold."""
+"""Frame rate, Hz, at which the weights of the priors are 1 for each frame."""
 OUT_OF_SIGHT = 50.0
-"""Loss, in units of c^2 / 2, of a detected joint that the camera cannot project."""
+"""Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
 POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
 PRIOR_TERMS = POSE, MOTION
 """Names of the terms that come from a prior."""
@@ -100,19 +98,19 @@ ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
 
 @dataclass(frozen=True)
 class Span:
-    """Frames first, first + 1, ... of a clip, with posed markers and the shared unknowns by name.
+    """Consecutive frames of a clip, from frame `first` on, with their markers and the shared unknowns.
 
     Unless `is_last` is true, the last frame is included only for stencils that reach it.
     """
 
     first: int
     states: Array
-    """(n, D): unknowns of each frame."""
+    """Unknowns of each frame, shape (n, D)."""
     pose: TreePose
     is_last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
     rotations: Array | None = None
-    """Rotations of the markers' segments, shape (n, J, 3, 3), if `COMMON_KEYPOINT_BIAS` is an unknown."""
+    """Rotations of the markers' segments, shape (n, J, 3, 3); None unless `COMMON_KEYPOINT_BIAS` is an unknown."""
 
     @property
     def own_rows(self) -> slice:
@@ -122,7 +120,10 @@ class Span:
 
 @dataclass(frozen=True)
 class TermRows:
-    """Cost, residual and derivatives of a term; without a Jacobian, all but the cost are empty."""
+    """Cost, residual and derivatives of a term in N frames.
+
+    If no Jacobian was requested, all but the cost are empty.
+    """
 
     cost: Array
     residual: Array = field(default_factory=lambda: _ZERO[:0])
@@ -132,20 +133,20 @@ class TermRows:
 
 @dataclass(frozen=True)
 class PointRows:
-    """Residuals of one camera's detections and their derivatives with respect to the markers instead of the states."""
+    """Residuals of one camera's detections, with derivatives with respect to the markers instead of the states."""
 
     cost: Array
-    """(N,): cost of the detections in each frame."""
+    """Cost of the detections in each frame, shape (N,)."""
     residual: Array
-    """(N, J, 2): weighted residuals of the detections."""
+    """Weighted residuals of the detections, shape (N, J, 2)."""
     by_point: Array
-    """(N, J, 2, 3): derivatives with respect to the markers at nominal size."""
+    """Derivatives with respect to the markers at nominal size, shape (N, J, 2, 3)."""
     by_shared: dict[str, Array]
     """Derivatives (N, 2J, P) with respect to the size and the camera's unknowns except its keypoint bias, by name."""
     number: int = 0
     """Index of the view among the clip's views."""
     by_bias: Array | None = None
-    """(N, J): derivatives of each coordinate with respect to the same coordinate of the joint's keypoint bias.
+    """Derivatives of each coordinate with respect to the same coordinate of the joint's keypoint bias, shape (N, J).
 
     The derivatives are None if the bias is fixed.
     """
@@ -155,23 +156,23 @@ class ReprojectionErrors(NamedTuple):
     """Errors of the detections of J markers in N frames of one camera."""
 
     cost: Array
-    """(N,): cost of each frame."""
+    """Cost of each frame, shape (N,)."""
     in_sigmas: Array
-    """(N, J, 2): errors in standard deviations, 0 for markers that are not seen."""
+    """Errors in standard deviations, 0 for markers that are not seen, shape (N, J, 2)."""
     squares: Array
-    """(N, J): squared errors in units of the loss."""
+    """Squared errors divided by the squared width c of the robust loss, shape (N, J)."""
     seen: Bools
-    """(N, J): mask of the markers that are detected, and in front of the camera."""
+    """Mask of the markers that are detected and can be projected, shape (N, J)."""
     confidence: Array
-    """(N, J): confidence of the detections, 0 for missing ones."""
+    """Confidence of the detections, 0 for missing ones, shape (N, J)."""
     unbiased_px: Array
-    """(N, J, 2): projected markers without keypoint bias."""
+    """Projected markers without keypoint bias, px, shape (N, J, 2)."""
     by_point: Array
-    """(N, J, 2, 3): derivatives of `unbiased_px` with respect to the markers in the world; empty unless requested."""
+    """Derivatives of `unbiased_px` with respect to the markers, px/m, shape (N, J, 2, 3); empty unless requested."""
 
 
 class Term(Protocol):
-    """A term of the problem, as the module's docstring describes."""
+    """Term of the least-squares problem, as the module's docstring describes."""
 
     @property
     def name(self) -> str:
@@ -190,7 +191,7 @@ class Term(Protocol):
 
 @dataclass(frozen=True)
 class Linear:
-    """A Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
+    """Gaussian term with a constant Jacobian and the residual r = sum_s slots[s] x(frame + stencil[s]) - target.
 
     The term applies to every frame whose stencil is within the clip. `slots` (S, M, D) and `target` (M,) are divided by
     standard deviations.
@@ -217,7 +218,7 @@ class Linear:
 
 
 def _rate(fps: float, weight: float) -> float:
-    """Return the factor on residuals that makes a weight per second independent of the frame rate."""
+    """Return the factor on residuals that keeps the weight of a term per second at every frame rate."""
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 
@@ -229,7 +230,7 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term of the angles' accelerations, which the prior expects to be linear in angles and their rates."""
+    """Return the term that keeps the angles' accelerations near the prior's linear function of angles and rates."""
     A = len(prior.mean)
     white = prior.acceleration_whitener * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
@@ -241,7 +242,7 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
-    """Return the term of the root's acceleration (x, y horizontal, z) and its yaw acceleration: Gaussian about zero."""
+    """Return the term that keeps the root's acceleration (x and y horizontal, z up) and yaw acceleration near zero."""
     rows = np.zeros((4, n_state))
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
@@ -258,10 +259,10 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 
 @dataclass(frozen=True)
 class PoseMixture:
-    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
+    """Term that keeps the pose likely under a mixture of Gaussians, -log sum_k w_k N(z; mean_k, cov_k).
 
-    The rows are those of a Gaussian with the mixture's gradient. Its precision is the mean of the components'
-    precisions, weighted by their posterior probabilities.
+    A temperature of 1 or more flattens the mixture. The rows are those of a Gaussian with the mixture's gradient. Its
+    precision is the mean of the components' precisions, weighted by their posterior probabilities.
     """
 
     prior: MotionPrior
@@ -322,30 +323,30 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class Scene:
-    """Scene of a camera in N frames of a span, with the shared unknowns applied."""
+    """Markers and camera of a view in N frames of a span, with the shared unknowns applied."""
 
     frames: slice
     """Frames of the clip to which the pictures belong."""
     parts: list[tuple[slice, float]]
     """Frames of the span between which each picture was taken, and their interpolation weights."""
     points_m: Array
-    """Markers at the times of the pictures, shape (N, J, 3), at nominal size about the origin."""
+    """Markers of a body of nominal size at the times of the pictures, relative to the origin, m, shape (N, J, 3)."""
     size: float
     world_m: Array
-    """(N, J, 3): the markers in the world."""
+    """Markers in the world, m, shape (N, J, 3)."""
     given_view: View
     """The view before its camera is corrected."""
     view: View
     sigma_px: Array
-    """(N, J): standard deviation of the detections."""
+    """Standard deviation of the detections, shape (N, J)."""
 
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Projected minus detected position of each marker, with one robust loss per point.
+    """Term that keeps projected markers near their detections, with one robust loss for each detection.
 
-    The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. `sigma_px` (T, J) is held
-    fixed during a search: if it followed the depth, it would influence the distance.
+    The loss of an error e is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. `sigma_px` (T,
+    J) is held fixed during a search, because a noise that followed the depth would influence the distance.
     """
 
     view: View
@@ -353,11 +354,11 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """Index of the view, used in the names of its own unknowns."""
+    """Index of the view, which the names of the view's own unknowns contain."""
     drift_m: Array | None = None
-    """(T, J, 3): movement of the markers per frame, m, at nominal size, held fixed; None without a time offset."""
+    """Fixed movement of the markers per frame, m, at nominal size, shape (T, J, 3); None without a time offset."""
     px_per_m: Array | None = None
-    """(T,): pixels per metre at the animal's distance, held fixed; None without a `keypoint_bias`."""
+    """Fixed image scale at the animal's distance, pixels per metre, shape (T,); None without a `keypoint_bias`."""
     name: str = "reprojection"
 
     def on_own_markers(self, count: int) -> tuple[Integers, Reprojection]:
@@ -398,7 +399,7 @@ class Reprojection:
         return self._rows_of(span, scene, self._errors(scene, span, jacobian=True))
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
-        """Return the residuals and derivatives of the detections from errors that include derivatives."""
+        """Return the residuals of the detections and their derivatives, from errors that include derivatives."""
         view, weight = scene.view, self.weights_of(scene, errors)
         by_point = errors.by_point * weight[..., None, None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
@@ -419,7 +420,7 @@ class Reprojection:
         return PointRows(errors.cost, residual, by_point * scene.size, by_shared, self.number, by_bias)
 
     def _errors(self, scene: Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
-        """Return the errors of the detections; with `jacobian`, also the derivatives of the projections."""
+        """Return the reprojection errors, and with `jacobian` also the derivatives of the projections."""
         view = scene.view
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(scene.world_m)
@@ -438,11 +439,11 @@ class Reprojection:
         return ReprojectionErrors(cost, e, q, seen, confidence, unbiased_px, by_point)
 
     def weights_of(self, scene: Scene, errors: ReprojectionErrors) -> Array:
-        """Return the factors (N, J) from errors in pixels to residuals, 0 for markers not seen."""
+        """Return the factors (N, J) that turn errors in pixels into residuals, 0 for markers that are not seen."""
         return np.sqrt(np.where(errors.seen, errors.confidence / (1.0 + errors.squares), 0.0)) / scene.sigma_px
 
     def _scene(self, span: Span) -> Scene:
-        """Return the markers at the times at which the pictures were taken, and the camera with its corrections."""
+        """Return the markers at the times of the view's pictures, and the view with its camera corrected."""
         parts = self._parts(span)
         points_m = reduce(np.add, (share * span.pose.points_m[part] for part, share in parts))
         frames = slice(span.first, span.first + len(points_m))
@@ -478,7 +479,7 @@ class Reprojection:
         return [(slice(0, count - 1), 1.0 - share), (slice(1, count), share)] if share else [(span.own_rows, 1.0)]
 
     def weights(self, points_m: Array) -> Array:
-        """Return the weights (T, J) of detections, 0 to 1, NaN if missing, for markers (T, J, 3) in the world."""
+        """Return the robust weights (T, J) of detections, 0 to 1, for markers (T, J, 3), m; NaN if missing."""
         projected, valid = self.view.project(points_m)
         q = np.sum((projected - self.view.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
         return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
@@ -486,7 +487,10 @@ class Reprojection:
 
 @dataclass(frozen=True, eq=False)
 class KnownAngles:
-    """Term that keeps heading and angles at given states (T, D) in frames that have them; the position is free."""
+    """Term that keeps the heading and the angles at given states (T, D), and leaves the position free.
+
+    Frames without given states are NaN, and free.
+    """
 
     states: Array
     sigma_rad: float = 1e-4
@@ -555,10 +559,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """Term that keeps nearly still feet (F,) at rest: velocities have the Geman-McClure loss, at most c^2 / 2.
+    """Term that keeps nearly still feet (F,) at rest, by the Geman-McClure loss of their velocities, at most c^2 / 2.
 
-    The velocities are those in the world. Velocities of the body of nominal size would vanish if the animal were large
-    enough, for example in front of a camera that follows it.
+    The velocities are measured in the world. Velocities of the body of nominal size would vanish if the animal were
+    large enough, for example in front of a camera that follows it.
 
     `by_size` (n, F, 3) is the derivative of velocities with respect to the size about `at`, m/s, with fixed states. It
     is held fixed during a search. By default, velocities are proportional to the size. In the picture of one moving
@@ -580,7 +584,11 @@ class StanceVelocity:
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
-        """Return the velocity (n, F, 3), loss (n, F) and its slope (n, F) between frames of markers (n + 1, J, 3)."""
+        """Return the feet's velocity (n, F, 3), m/s, its loss (n, F) and the loss's slope (n, F).
+
+        The velocity is the change from each frame of markers (n + 1, J, 3) to the next. A slope of 1 means that the
+        foot stands, and 0 that it swings.
+        """
         v = np.diff(points_m[:, self.feet], axis=0) * self.fps * size
         return v, *self._loss(v)
 
@@ -612,10 +620,12 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Term that keeps feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
+    """Term that keeps standing feet on a plane.
 
-    The coordinates x and z of the feet are multiplied by the size relative to `at`. The arrays are feet (F,); contact
-    (T - 1, F), held fixed; plane (3,): height, slope x, slope y; and middle (2,).
+    The residual of a foot is r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
+
+    The coordinates x and z of the feet are multiplied by the size relative to `at`. `contact` (T - 1, F) holds fixed
+    weights, `plane` (3,) the height at `middle` (2,), m, and the slopes along x and y.
     """
 
     feet: Index
@@ -625,10 +635,7 @@ class OnGround:
     fps: float
     sigma_m: float
     at: float | None = None
-    """Size at which the plane was fitted, if it is fixed in the world.
-
-    The size is None if the plane scales with the animal's size.
-    """
+    """Size at which a plane that is fixed in the world was fitted; None if the plane scales with the animal's size."""
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
@@ -658,8 +665,8 @@ class OnGround:
 
 
 MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
-"""The terms that read the markers (`span.pose`), each with a method `on_own_markers`.
+"""Terms that read the markers (`span.pose`), each with a method `on_own_markers`.
 
-Every such term must be listed here. Otherwise a problem without another such term has no markers at all, and fits that
-solve for lengths and offsets lack the term's derivatives.
+A new term that reads markers must be listed here. Otherwise a problem without another such term has no markers at all,
+and fits that solve for lengths and offsets lack the term's derivatives.
 """

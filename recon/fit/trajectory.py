@@ -51,21 +51,21 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, SIZE, extrinsic_corre
 MARGIN_S = 0.25
 """Time by which a segment extends beyond its first and last detections, s."""
 WINDOW_S = 1.0
-"""Approximate length of the windows that each get starts of their own, s."""
+"""Approximate length, s, of the windows for which starts are found separately."""
 STARTS_END = 0.2
 """Fraction of the solver's time after which the starts are done, for the progress bar."""
 ROUNDS_END = 0.8
-"""Fraction of the solver's time after which the rounds are done; the posterior takes the rest."""
+"""Fraction of the solver's time after which the rounds are done, for the progress bar; the posterior takes the rest."""
 FLATTENED_SHARE = 0.1
-"""Fraction of the time between starts and posterior that is spent on flattened mixtures of poses."""
+"""Fraction of the time between starts and posterior that step 3 takes, for the progress bar."""
 _TEMPERATURES = (8.0, 3.0)
-"""Temperatures that flatten the mixture of poses, in the order in which they are used."""
+"""Temperatures that flatten the mixture of poses in step 3, in the order in which they are used."""
 _FLATTENED_TOLERANCE = 5e-3
 """Relative decrease of the cost below which the search at one temperature of the mixture ends."""
 _FLATTENED_ITERATIONS = 8
-"""Largest number of iterations of the search at one temperature of the mixture."""
+"""Maximum number of iterations of the search at one temperature of the mixture."""
 _MORE_ROUNDS = 3
-"""Number of further rounds if the motion is unlike those of the prior, in which noise and contacts settle again."""
+"""Number of further rounds if the motion is unlike the prior's motions, so that noise and contacts can settle again."""
 
 
 def solve_trajectory(
@@ -80,9 +80,9 @@ def solve_trajectory(
 ) -> TrajectorySolution:
     """Return the motion of a body from detections of its markers by one or more cameras.
 
-    The solution is deterministic and uses one core: the matrices are small, and threads of the numerical library would
-    wait for each other. Frames too far from any detection have NaN states and the flag "no data"; frames whose pose is
-    too far away to be visible have the flag "diverged". Detections outside the camera's picture are left out
+    The solution is deterministic. It uses one core, because the matrices are small and threads of the numerical library
+    would wait for each other. Frames too far from any detection have NaN states and the flag "no data"; frames whose
+    pose is too far away to be visible have the flag "diverged". Detections outside the camera's picture are left out
     (`Camera.sees`). A search that does not converge is reported by the solution's `status`, not as an exception.
 
     Parameters
@@ -92,18 +92,18 @@ def solve_trajectory(
     body
         The body, with J markers.
     prior
-        The prior of its motion.
+        The prior of the body's poses and motion.
     fps
         Frames per second.
     options
-        Options that users choose; None for the defaults.
+        Options of the fit; None for the defaults.
     progress
-        Called with the name of the stage and the fraction that is done.
+        Function that is called with the name of the stage and the fraction that is done.
     ground_near_zero
-        Whether the ground is known to be near z = 0; None means that it is if the camera files state which way is up.
+        Whether the ground is known to be near z = 0; None for whether the camera files state which way is up.
     start
-        A solution for nearly the same detections of the same frames, from which the search begins. No other start is
-        tried, which is several times faster, and correct only if the solution is near. None means a full search.
+        Solution for nearly the same detections of the same frames, from which the search begins; None for a full
+        search. No other start is tried, which is several times faster, but correct only if the solution is near.
 
     Returns
     -------
@@ -143,9 +143,9 @@ def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Segme
 
 
 def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[SegmentFit]:
-    """Solve every segment starting from a solution, with the noise and prior weights of that solution.
+    """Solve every segment from an earlier solution, with the noise and prior weights of the earlier solution.
 
-    A segment without a pose in the solution is solved from the beginning.
+    A segment without a pose in the earlier solution is solved from the beginning.
     """
     states = clip.nominal(start.states, start.size)
     shared = {SIZE: np.array([start.size])} if clip.shows_size else {}
@@ -176,7 +176,7 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
 
 
 def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Solve a segment from its fit again, with the noise of that fit and the contacts that follow from it."""
+    """Solve a segment again from its fit, with the fit's noise and the contacts that follow from the fit."""
     points, size = clip.markers(segment.estimate.states), segment.size
     contact, ground, contact_terms = segment.contact, None, ()
     if clip.finds_ground:
@@ -189,13 +189,13 @@ def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 
 
 def _with_likely_poses(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem whose minimum has the camera poses that are expected over all hypotheses about two cameras."""
+    """Return the problem with prior means of two cameras' poses that lead to the poses expected over all hypotheses."""
     weighed = pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames)
     return clip if weighed is None else replace(clip, pose_means=weighed.prior_mean.reshape(2, 6))
 
 
 def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> TrajectorySolution:
-    """Return a solution with the prior misfit of an earlier solution, unless the misfit was measured again."""
+    """Return a solution with the prior misfits of an earlier solution, for segments that have none."""
     known = {(part.rows.start, part.rows.stop): part for part in start.segments}
     segments = []
     for segment in solution.segments:
@@ -207,7 +207,7 @@ def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> 
 
 
 def _with_one_shape(clip: ClipProblem, segments: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
-    """Return the problem and the segments with one common shape, the mean of the shapes of the segments."""
+    """Return the problem and the segments, solved again with the mean of the segments' body shapes."""
     shaped = [segment for segment in segments if LENGTHS in segment.estimate.shared]
     if clip.shape is None or len(shaped) < 2:
         return clip, segments
@@ -233,10 +233,10 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
 
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
-    """Solve one segment: starts, approach, mixture of poses, rounds."""
+    """Solve one segment from the beginning, in steps 1 to 4 of the module."""
     options, T = clip.options, len(clip)
     rounds = constants.NOISE_ROUNDS
-    if options.fast:  # the first round estimates the noise about the expected shape
+    if options.fast:  # if the shape is estimated, a first round is needed to estimate the noise
         rounds = 1 if clip.shape is None or not clip.solves_shape else 2
     windows = _windows(clip, progress)
     iterations = sum(start.iterations for _, starts in windows for start in starts)
@@ -298,7 +298,7 @@ def _solve_flattened(clip: ClipProblem, segment: SegmentFit, temperatures: Seque
 
 
 def _with_likely_accelerations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with the accelerations that the detections make likeliest, if its prior has no motions."""
+    """Return the problem with the likeliest spread of accelerations, if several cameras and no prior determine it."""
     if len(clip.views) == 1 or clip.prior.name != NONE or clip.known_states is not None:
         return clip
     scale = clip.acceleration_scale if clip.acceleration_scale is not None else np.ones(clip.body.n_state)
@@ -307,7 +307,7 @@ def _with_likely_accelerations(clip: ClipProblem, segment: SegmentFit) -> ClipPr
 
 
 def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Estimate]]]:
-    """Return the starts of every window of about one second that has detections."""
+    """Return the frames and the starts of every window that has detections."""
     windows, is_present, T = [], clip.present(), len(clip)
     windows_of_frames = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
     for i, window_frames in enumerate(windows_of_frames):

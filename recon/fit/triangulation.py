@@ -34,29 +34,29 @@ from recon.base.arrays import Array, Bools, Brief, Index
 from recon.clip import View
 
 OUTLIER = 3.5
-"""Number of standard deviations from the point's reprojection at which a detection is an outlier."""
+"""Distance of a detection from the point's reprojection, in standard deviations, above which it is an outlier."""
 SIGMAS_PX = (0.3, 12.0)
-"""Smallest and largest standard deviation that the noise of a keypoint may get, pixels."""
+"""Minimum and maximum of the estimated noise of a keypoint, as a standard deviation in pixels."""
 LEAST_CROSSING_RAD = np.radians(1.0)
-"""Angle between two rays, rad, below which they do not determine a point."""
+"""Minimum angle between two rays, rad, that determine a point."""
 BRIDGED_S = 0.2
-"""Longest gap that a spline fills, s."""
+"""Maximum length of a gap that a spline fills, s."""
 _CAUCHY_ROUNDS = 4
-"""Number of steps with Cauchy's weights, with which outliers hardly count."""
+"""Number of Gauss-Newton steps with Cauchy's weights, with which outliers hardly count."""
 _FINAL_ROUNDS = 3
-"""Number of steps with full weights, without outliers."""
+"""Number of Gauss-Newton steps with full weights, without outliers."""
 _NOISE_ROUNDS = 2
-"""Number of rounds that estimate the noise."""
+"""Number of rounds that estimate the detector's noise."""
 _SPLINE_ROUNDS = 3
-"""Number of rounds that adapt the weights of a spline."""
+"""Number of rounds that adapt the weights of a spline's points."""
 _MEDIAN_OF_CHI_SQUARE = 1.3863
-"""Median of a detection's squared error over its variance for several rays: chi square with two degrees of freedom."""
+"""Median of chi square with two degrees of freedom: a detection's squared error over its variance, for several rays."""
 _MEDIAN_OF_TWO_RAYS = 0.9099
-"""Median of a detection's squared error over its variance for two rays, whose errors have one degree of freedom."""
+"""Median of a detection's squared error over its variance if only two rays meet, which leave one degree of freedom."""
 _LEAST_OF_KEYPOINT = 20
-"""Smallest number of detections from which a keypoint's own noise is estimated."""
+"""Minimum number of detections required to estimate a keypoint's own noise."""
 _LEAST_KNOTS = 6
-"""Smallest number of consecutive points to which a spline is fitted."""
+"""Minimum number of points required to fit a spline."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,19 +64,19 @@ class Triangulation(Brief):
     """Points of T frames and J keypoints, triangulated from V cameras."""
 
     points_m: Array
-    """(T, J, 3): the points in the world, metres, NaN if unknown."""
+    """Points in the world, metres, shape (T, J, 3); NaN if unknown."""
     covariance_m2: Array
-    """(T, J, 3, 3): covariances of the points along the world's axes."""
+    """Covariances of the points along the world's axes, m^2, shape (T, J, 3, 3)."""
     is_used: Bools
-    """(V, T, J): whether a camera's detection contributed to the point."""
+    """Mask of the detections that contributed to the points, shape (V, T, J)."""
     error_px: Array
-    """(V, T, J): distance of each detection from the point's reprojection, NaN if either is missing."""
+    """Distance of each detection from the point's reprojection, px, shape (V, T, J); NaN if either is missing."""
     sigma_px: Array
-    """(J,): noise of each keypoint's detections, one standard deviation."""
+    """Standard deviation of the noise of each keypoint's detections, px, shape (J,)."""
 
     @property
     def sigma_m(self) -> Array:
-        """Return the standard deviations of the points along the axes, (T, J, 3)."""
+        """Return the standard deviations of the points along the world's axes, m, (T, J, 3)."""
         return np.sqrt(np.diagonal(self.covariance_m2, axis1=2, axis2=3))
 
 
@@ -122,7 +122,7 @@ def _at_frame_times(view: View) -> View:
 
 
 def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
-    """Triangulate the keypoints of several views, given their noise (J,) in pixels, and leave out outliers."""
+    """Triangulate the keypoints of several views without outliers, for a noise `sigma` (J,) in pixels."""
     present = np.array([view.present for view in views])
     points = _best_of_pairs(views, present, sigma)
     for _ in range(_CAUCHY_ROUNDS):
@@ -148,7 +148,7 @@ def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
 
 
 def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array:
-    """Return for each frame and keypoint the point (T, J, 3), from one pair of cameras, that fits all cameras best."""
+    """Return the points (T, J, 3) of those pairs of cameras whose points fit all cameras best."""
     rays = [view.rays() for view in views]
     centres = [view.centre_m[:, None] for view in views]
     best_points, best_cost = np.full((*present.shape[1:], 3), np.nan), np.full(present.shape[1:], np.inf)
@@ -166,7 +166,7 @@ def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array
 
 
 def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) -> Array:
-    """Return the middles (T, J, 3) of the shortest lines between rays; NaN if nearly parallel, or behind a camera."""
+    """Return the middles (T, J, 3) of the shortest lines between rays; NaN if parallel or behind a camera."""
     line = centre_b - centre_a
     cosine = np.sum(ray_a * ray_b, axis=-1)
     along_a, along_b = np.sum(ray_a * line, axis=-1), np.sum(ray_b * line, axis=-1)
@@ -180,9 +180,10 @@ def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) 
 
 
 def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: bool = True) -> tuple[Array, Array, Bools]:
-    """Return errors in standard deviations, their derivatives for the points, and which points can be projected.
+    """Return reprojection errors in standard deviations, their derivatives, and a mask of the points in view.
 
-    The shapes are (V, T, J, 2), (V, T, J, 2, 3) and (V, T, J). Missing detections have an error of 0.
+    The shapes are (V, T, J, 2), (V, T, J, 2, 3) and (V, T, J). Derivatives are with respect to the points. Missing
+    detections have an error of 0.
     """
     errors, by_points, valids = [], [], []
     known = np.asarray(np.isfinite(points).all(axis=-1))
@@ -212,7 +213,7 @@ def _gauss_newton_step(error: Array, by_point: Array, weight: Array) -> Array:
 
 
 def _rays_cross(views: Sequence[View], points: Array, is_used: Bools) -> Bools:
-    """Return whether two of the used rays cross at an angle that determines the point, (T, J)."""
+    """Return a mask (T, J) of the points for which two used rays cross at `LEAST_CROSSING_RAD` or more."""
     to_points = [points - view.centre_m[:, None] for view in views]
     with np.errstate(invalid="ignore", divide="ignore"):
         rays = [arm / np.linalg.norm(arm, axis=-1, keepdims=True) for arm in to_points]
@@ -224,7 +225,7 @@ def _rays_cross(views: Sequence[View], points: Array, is_used: Bools) -> Bools:
 
 
 def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
-    """Return the covariances (T, J, 3, 3), widened if the detections disagree more than their noise explains."""
+    """Return the points' covariances (T, J, 3, 3), m^2, increased if errors are larger than the noise explains."""
     weighted = by_point * is_used[..., None, None]
     normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
     scale = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-12)[..., None, None]
@@ -235,7 +236,7 @@ def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
 
 
 def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> Array:
-    """Return the noise (J,) of the detections from the medians of the remaining errors."""
+    """Return the noise (J,), px, of each keypoint's detections, from the median of the used detections' errors."""
     count = result.is_used.sum(axis=0)
     freedom = np.where(count >= 2, (2 * count - 3) / np.maximum(2 * count, 1), np.nan)
     median = np.where(count > 2, _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS)
