@@ -62,61 +62,62 @@ _FIXED = 1e8
 _NEARLY_FREE = 1e-3
 """Precision of an almost unknown position and heading (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE = 256
-"""Number of frames whose covariances are computed at once if the lengths are known; it bounds the memory."""
+"""Number of frames whose covariances are computed at once if the lengths are known, to limit the memory."""
 _FRAMES_OF_SHAPE = 32
-"""Number of frames whose covariances are computed at once if lengths and offsets are unknown.
+"""Number of frames whose covariances are computed at once if lengths and offsets are unknown, to limit the memory.
 
-These unknowns need many more derivatives.
+The number is smaller, because lengths and offsets add many derivatives to each frame.
 """
 _BIAS_ROUNDS = 10
 """Number of rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
-"""Weight of the expected variance of the keypoint bias, as a number of unknowns."""
+"""Number of unknowns that the expected variance of the keypoint bias counts as in its estimate."""
 _NOISE_ROUNDS = 2
-"""Largest number of rounds that estimate the noise of detections about their keypoint bias."""
+"""Maximum number of rounds that estimate the noise of detections about their keypoint bias."""
 _EXPLAINED = 0.05
-"""Fraction of the detections, or of their squared residuals, below which the noise is estimated only once.
+"""Fraction of the squared residuals that the shared unknowns explain, below which one round estimates the noise.
 
-The fraction is the part that the shared unknowns explain. A second round corrects only this
-part, for the noise that the first round estimates, and therefore hardly changes a small one.
+The limit also applies to the fraction of the detections that determine these unknowns. A second round corrects only the
+explained part, and hardly changes the noise if this part is small.
 """
 _NOISE_FACTOR = (0.05, 4.0)
-"""Smallest and largest factor on the variance of the noise in one round."""
+"""Minimum and maximum factor on the variance of the noise in one round."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Covariance of T frames with J joints and D unknowns each.
+    """Posterior covariances of T frames with J joints and D unknowns each, at a given size of the animal.
 
-    Joints are those of an animal of the skeleton's size, relative to the origin from which the size scales them;
-    `with_size` applies the size.
+    The joints belong to an animal of the skeleton's size, relative to the origin about which the size scales them.
+    `with_size` applies the size and its uncertainty.
     """
 
     covariance_m2: Array
-    """Covariances of the joints, shape (T, J, 3, 3), for a given size."""
+    """Covariances of the joints, m^2, shape (T, J, 3, 3), for a given size."""
     relative_covariance_m2: Array
-    """Covariances of the joints relative to their mean, shape (T, J, 3, 3), for a given size."""
+    """Covariances of the joints relative to their mean, m^2, shape (T, J, 3, 3), for a given size."""
     data_share: Array
     """Information fraction of each joint, 0 to 1, shape (J,)."""
     angle_variance: Array
-    """Variances of the root's rotation and the joints' angles for a given size, shape (2, T, D - 3).
+    """Variances of the root's rotation and the joints' angles for a given size, rad^2, shape (2, T, D - 3).
 
     The first index is 0 for variances with the pixels, and 1 for variances without them.
     """
     state_by_size: Array
-    """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns at their minimum
-    for this size.
+    """Derivatives of the states with respect to the size, shape (T, D).
+
+    The other shared unknowns follow the size to their minimum.
     """
     state_by_size_alone: Array
-    """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns as solved."""
+    """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns fixed."""
     joint_by_size_m: Array
     """Derivatives q of the joints with respect to the size (see the module), shape (T, J, 3)."""
     size_precision: float
     """Precision of the size due to the pixels; 0 if they do not determine it."""
     shared_sigma: dict[str, Array]
-    """Standard deviations (P,) of the shared unknowns that were solved for, and of lengths and offsets, by name.
+    """Standard deviations (P,) of the estimated shared unknowns, and of lengths and offsets, by name.
 
-    The standard deviations of lengths include that of the size.
+    The uncertainty of the lengths includes the uncertainty of the size.
     """
 
     @property
@@ -130,19 +131,19 @@ class Posterior:
 class Curvature:
     """Curvature of a problem at its solution, with P shared unknowns other than the size.
 
-    The size comes first among all shared unknowns, 1 + P of them; if the size is fixed, there are only P.
+    The size, if it is free, is the first of the 1 + P shared unknowns.
     """
 
     normals: Callable[[], Iterable[Normal]]
     """Function that returns the normal equations, in pieces."""
     eliminated: Callable[[], Iterable[Window]]
-    """Function that returns the windows of the normal equations."""
+    """Function that returns the windows of the normal equations (`recon.fit.banded.Window`)."""
     shared_precision: Array
     """Precision S of all shared unknowns, with the states eliminated, shape (1 + P, 1 + P)."""
     shared_gradient: Array
     """Gradient with respect to the shared unknowns, with the states at their minimum, shape (1 + P,)."""
     expected_precision: Array
-    """Part of each shared unknown's precision that its own expected spread contributes, shape (1 + P,)."""
+    """Contribution of each shared unknown's prior to its precision, shape (1 + P,)."""
     covariance_root: Array
     """Cholesky factor of the covariance of the unknowns other than the size, for a given size, shape (P, P)."""
     others_by_size: Array
@@ -150,9 +151,10 @@ class Curvature:
     size_precision: float
     """Precision of the size due to the pixels, before the variance factor; 0 if the size is fixed."""
     excess_bias_m2: Array | float
-    """Variance of the common keypoint bias minus its expected variance, shape (J,), if the bias was not solved for."""
+    """Variance of the common keypoint bias minus its expected variance, m^2, shape (J,); 0 if the bias was estimated.
+    """
     lengths: slice | None = None
-    """Indices of the lengths among the P unknowns, if lengths are unknown."""
+    """Indices of the lengths among the P unknowns; None if lengths are known."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
         """Yield the windows with the derivatives of their n frames with respect to the shared unknowns.
@@ -171,16 +173,16 @@ class Curvature:
 
 
 class _SharedCurvature(NamedTuple):
-    """Curvature of the shared unknowns and the nuisance unknowns, P in all, with the states eliminated."""
+    """Curvature of the P shared unknowns, including the nuisance unknowns, with the states eliminated."""
 
     normals: Callable[[], Iterable[Normal]]
     windows: Callable[[], Iterable[Window]]
     precision: Array
-    """Precision of the unknowns, shape (P, P), for the variance of the common bias that the detections show."""
+    """Precision of the unknowns, shape (P, P), for the estimated variance of the common keypoint bias."""
     gradient: Array
     """Gradient of the cost with respect to these unknowns, shape (P,)."""
     expected_precision: Array
-    """Part of the precision that the expected spreads contribute, shape (P,)."""
+    """Contribution of each unknown's prior to its precision, shape (P,)."""
     excess_bias_m2: Array | float
     """Variance of the common keypoint bias minus its expected variance, as in `Curvature`."""
 
@@ -190,10 +192,10 @@ def curvature(
 ) -> Curvature:
     """Return the curvature of a problem at its solution, with the nuisance unknowns free.
 
-    The common keypoint bias has the variance that the detections show. Either of two cameras may have been turned or
-    moved, which makes their poses more uncertain (`recon.fit.pair_poses`); `expected_precision` does not include this
-    uncertainty. `normal` holds the problem's normal equations with the nuisance unknowns, if they have been computed
-    already.
+    The variance of the common keypoint bias is estimated from the detections. Either of two cameras may have been
+    turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`); `expected_precision` does not
+    include this uncertainty. `normal` holds the problem's normal equations with the nuisance unknowns, if they have
+    been computed already.
     """
     problem = _with_free_nuisance(problem)
     shared_curvature = _shared_curvature(problem, estimate, variance_factor, normal)
@@ -245,10 +247,10 @@ def _shared_curvature(
 def _with_likely_bias(
     problem: LeastSquares, estimate: Estimate, reduced: Array, variance_factor: float
 ) -> tuple[Array, Array, Array | float]:
-    """Return the precision of the shared unknowns for the common keypoint bias that the detections show.
+    """Return the precision of the shared unknowns with the variance of the common keypoint bias estimated.
 
-    `reduced` holds the precision and the gradient for the expected variance of the bias. The second result is the part
-    of the precision that the expected spreads contribute, and the third is `Curvature.excess_bias_m2`.
+    `reduced` holds the precision and the gradient for the expected variance. The second result is the contribution of
+    the priors to the precision, and the third is `Curvature.excess_bias_m2`.
     """
     S, gradient = reduced[:, :-1].copy(), reduced[:, -1]
     expected_precision = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
@@ -260,12 +262,12 @@ def _with_likely_bias(
     scale = _bias_scale(S, gradient_at_no_bias, bias, variance_m2, variance_factor)
     S[bias, bias] += np.diag((1.0 / scale - 1.0) / variance_m2)
     expected_precision[bias] /= scale
-    # a bias that was solved for is already in the joints
+    # the joints' covariances already include a bias that was estimated
     return S, expected_precision, (scale - 1.0) * variance_m2[::3] if solved_bias is None else 0.0
 
 
 def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> WeighedPair | None:
-    """Return the hypotheses about the poses of two cameras at a minimum, or None unless both poses are unknowns."""
+    """Return the hypotheses about the poses of two cameras at a minimum; None unless both poses are unknowns."""
     problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     problem = _with_free_nuisance(problem)
     shared = problem.expected() | dict(estimate.shared)
@@ -280,7 +282,7 @@ def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
 
 
 def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
-    """Return the most likely factor on the expected variances of some shared unknowns, at least 1.
+    """Return the most likely factor, at least 1, on the expected variances of the shared unknowns in `columns`.
 
     The factor is found by expectation-maximisation: the expected squares of the unknowns under their posterior give the
     factor, which in turn gives their posterior.
@@ -352,12 +354,12 @@ def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
 
 @dataclass(frozen=True)
 class _EquationsByNoise:
-    """Normal equations of a short clip, from which those for any other noise of the detections follow."""
+    """Normal equations of a short clip, which can be rescaled to another noise of the detections."""
 
     whole: Normal | None
-    """Normal equations of all terms; None for a long clip, whose normal equations are too large."""
+    """Normal equations of all terms; None for a long clip, for which they would be too large."""
     undetected: Normal | None
-    """Normal equations of all terms except the detections."""
+    """Normal equations of all terms except the detections; None for a long clip."""
 
     @classmethod
     def of_problem(cls, problem: LeastSquares, estimate: Estimate) -> _EquationsByNoise:
@@ -370,10 +372,7 @@ class _EquationsByNoise:
         return cls(problem.normal(estimate.states, shared), undetected.normal(estimate.states, shared))
 
     def normal(self, factor: float) -> Normal | None:
-        """Return the normal equations with the variance of all detections multiplied by a factor.
-
-        None stands for those of a long clip.
-        """
+        """Return the normal equations with the variance of all detections times a factor; None for a long clip."""
         whole, undetected = self.whole, self.undetected
         if whole is None or undetected is None:
             return None
@@ -401,13 +400,13 @@ def posterior(
     Parameters
     ----------
     problem
-        The problem, with its nuisance unknowns.
+        The problem; its nuisance unknowns are freed.
     body
         The body, with J joints and D unknowns per frame.
     estimate
         The minimum.
     variance_factor
-        Factor on all variances: the correlation length of errors, in frames, which the cost ignores.
+        Factor on all variances, the correlation time of the errors in frames, which the cost ignores.
     normal
         The normal equations with the nuisance unknowns, if they have been computed already.
     """
@@ -416,7 +415,7 @@ def posterior(
     at_minimum = curvature(problem, estimate, variance_factor, normal)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, by_size_alone, angle_variance = np.empty((T, D)), np.empty((T, D)), np.empty((2, T, D - YAW))
-    for window, by_others, window_by_size in at_minimum.windows():  # one at a time, because a window is large
+    for window, by_others, window_by_size in at_minimum.windows():  # one after the other, because a window is large
         rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
         if at_minimum.lengths is None:
             _add_shared(state_covariance, by_others, at_minimum.covariance_root)
@@ -463,10 +462,10 @@ def _add_shape(
     by_others: Array,
     size: float,
 ) -> None:
-    """Add the uncertainty of the shared unknowns other than the size to the joints, if lengths are among them.
+    """Add the uncertainty of shared unknowns that include lengths, but not of the size, to the joints, in place.
 
     `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives (n, J, 3) with respect to the
-    size. These and the covariance of the states change in place. Let X (3, D + L) be the derivatives of a joint with
+    size. The covariance of the states also changes in place. Let X (3, D + L) be the derivatives of a joint with
     respect to states and lengths, and V (D + L, D + L) the covariance of both. The joint's covariance is X V X'.
     """
     absolute, relative, by_size = joints
@@ -492,8 +491,8 @@ def _without_pixels(
     """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
 
     `normals` gives the normal equations with the pixels, which are used again if the clip is short. Priors do not
-    determine a frame's position and heading. For the information fraction, which compares joints within the body with
-    and without pixels, position and heading are fixed; for the angles they are nearly free.
+    determine a frame's position and heading. Position and heading are therefore fixed for the information fraction,
+    which compares joints within the body, and nearly free for the angles.
     """
     states, (T, D) = estimate.states, estimate.states.shape
     frames = replace(problem, shared=(), nuisance=())
@@ -518,8 +517,9 @@ def _shared_sigma(
 ) -> dict[str, Array]:
     """Return the standard deviations (P,) of the shared unknowns, by name, as in `Posterior.shared_sigma`.
 
-    `is_measured` is true if the animal's lengths were measured. If not, the expected spread of lengths is at least
-    `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the fit assumed.
+    `is_measured` states whether the animal's lengths were measured. If they were not, the prior standard deviation of
+    lengths is at least `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the
+    fit assumed.
     """
     unknowns = {unknown.name: unknown for unknown in (*problem.shared, *problem.nuisance)}
     columns, precision = replace(problem, shared=[*unknowns.values()]).columns, at_minimum.shared_precision
@@ -541,10 +541,10 @@ def _shared_sigma(
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
-    """Return covariances of joints (T, J, 3, 3) at a size, with the size's uncertainty; they change in place.
+    """Scale covariances of joints (T, J, 3, 3), m^2, to a size in place, add the size's uncertainty, and return them.
 
-    `covariance_m2` is given for a skeleton of size 1, and `by_size_m` (T, J, 3) holds the derivatives with respect to
-    the size (part 2 of the module).
+    `covariance_m2` belongs to a skeleton of size 1, and `by_size_m` (T, J, 3) holds the derivatives of the joints with
+    respect to the size (part 2 of the module).
     """
     for first in range(0, len(covariance_m2), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
@@ -556,9 +556,9 @@ def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: f
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     """Return the information fraction of each joint, (J,), 0 to 1.
 
-    The fraction is the median over frames of 1 - variance / variance without pixels, (T, J), of the joint relative to
-    the mean of the joints, with position and heading given. The fraction is NaN for joints that cannot move relative to
-    the mean.
+    The fraction is the median over the frames of 1 - variance / variance without pixels. Both variances (T, J) are
+    those of a joint relative to the mean of the joints, at a given position and heading. The fraction is NaN for joints
+    that cannot move relative to the mean.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
@@ -568,7 +568,7 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
 def _joint_covariances(
     body: Body, states: Array, state_covariance: Array, size: float = 1.0, state_by_size: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return absolute and relative covariances of joints, (T, J, 3, 3), from the states' (T, D, D), and q (T, J, 3)."""
+    """Return absolute and relative covariances of joints (T, J, 3, 3), m^2, and q (T, J, 3), m, of the module."""
     T, J = len(states), len(body.markers)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):
@@ -585,7 +585,7 @@ def _joint_covariances(
 
 
 def _relative_variances(body: Body, states: Array, state_covariance: Array) -> Array:
-    """Return the traces (T, J) of the joints' covariances relative to their mean, from the states' (T, D, D)."""
+    """Return the traces (T, J), m^2, of the joints' covariances relative to the mean of the joints."""
     variances = np.empty((len(states), len(body.markers)))
     for first in range(0, len(states), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
@@ -596,14 +596,14 @@ def _relative_variances(body: Body, states: Array, state_covariance: Array) -> A
 
 
 def _times_root(by_others: Array, root: Array) -> Array:
-    """Return derivatives (n, D, P) with respect to shared unknowns times their covariance's Cholesky factor (P, P)."""
+    """Multiply derivatives (n, D, P) with respect to shared unknowns by the Cholesky factor (P, P) of a covariance."""
     n, D, P = by_others.shape
     transposed = np.array(by_others, order="C").reshape(n * D, P).T  # a copy, which is overwritten
     return dtrmm(1.0, root.T, transposed, overwrite_b=1).T.reshape(n, D, P)  # half the work of a full product
 
 
 def _times(by_states: Array, state_covariance: Array) -> Array:
-    """Return derivatives (T, J, 3, D) times covariances (T, D, D)."""
+    """Multiply derivatives (T, J, 3, D) by covariances (T, D, D)."""
     T, J, _, D = by_states.shape
     return (by_states.reshape(T, 3 * J, D) @ state_covariance).reshape(T, J, 3, D)
 
@@ -613,25 +613,25 @@ class PriorMisfit:
     """Deviation of a motion from its prior, compared with the deviation expected if the prior fits."""
 
     level: float
-    """Sum of the squared residuals relative to its expectation under a prior that fits; about 1 if the prior fits."""
+    """Sum of the prior's squared residuals, relative to the sum expected if the prior fits; then it is about 1."""
     freedom: float
     """Number of unknowns of the motion that the pixels determine."""
 
     @property
     def prior_weight(self) -> float:
-        """Return the fraction of its weight that the prior keeps: the inverse scale of its variances, at most 1."""
+        """Return the new factor on the prior's weight, at most 1: the inverse of the factor on its variances."""
         return 1.0 / max(self.level, 1.0)
 
     @property
     def unlike(self) -> bool:
-        """Return whether the motion is unlike all motions of the prior."""
+        """Return whether the misfit is too large for a motion like those of the prior."""
         variance = 2.0 / (9.0 * self.freedom)  # a chi square's cube root is nearly normal (Wilson and Hilferty)
         by_chance = (1.0 - variance + constants.MISFIT_SIGMAS * variance**0.5) ** 3
         return self.level >= max(constants.MISFIT_LEVEL, by_chance)
 
 
 def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
-    """Return the misfit of the prior at the minimum of a problem, under its present weight."""
+    """Return the misfit of the prior at the minimum of a problem, under the prior's present weight."""
     prior, by_prior = problem.subset(PRIOR_TERMS), 0.0
     frames = replace(problem, shared=(), nuisance=())  # a frame's covariance is taken with the shared unknowns fixed
     windows = eliminated(frames.normals(estimate.states, estimate.shared)(), bounded=True, ahead=problem.ahead)
@@ -643,9 +643,9 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 
 
 DEGREES_OF_FREEDOM = 7.0
-"""Degrees of freedom nu that are most likely for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
+"""Degrees of freedom nu of Student's t, most likely for the errors of real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
-"""Variance, m^2, added to covariances because that of a pose relative to its own middle may be singular."""
+"""Variance, m^2, that is added to covariances, which are singular for a pose relative to its own middle."""
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
@@ -657,7 +657,7 @@ def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) ->
 
 
 def sigmas(error: Array, covariance: Array) -> Array:
-    """Return the Mahalanobis lengths (...) of errors (..., k) with covariances (..., k, k); NaN if unknown."""
+    """Return the Mahalanobis lengths (...) of errors (..., k) with covariances (..., k, k); NaN if one is unknown."""
     is_known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
     sizes = np.full(is_known.shape, np.nan)
     e, V = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])

@@ -35,13 +35,13 @@ from recon.fit.result import Solution, TrajectorySolution
 LEVEL = 0.9
 """Probability of the regions that are calibrated on the detections of the solution's own views."""
 DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0, 8.0
-"""Candidates for the standard deviation of deviations, relative to the detections' noise."""
+"""Candidates for the standard deviation of a keypoint's deviations, relative to the detections' noise."""
 LASTING_S = 0.03, 0.08, 0.25, 1.0, 4.0
-"""Candidates for the duration of deviations, in seconds, for each keypoint."""
+"""Candidates for the duration of a keypoint's deviations, s."""
 NOISE_SHARES = 0.35, 0.5, 0.7, 1.0
-"""Candidates for the variance of the detections' noise about deviations, relative to that of the fit."""
+"""Candidates for the variance of the detections' noise about the deviations, relative to the fit's variance."""
 OTHERS = 1.0
-"""Weight of all keypoints' mean evidence, relative to a keypoint's own, when a candidate is chosen for a keypoint."""
+"""Weight of the mean evidence of all keypoints in the choice for one keypoint, relative to its own evidence."""
 
 
 def predicted_keypoints(solution: Solution, view: View, fps: float | None = None) -> tuple[Array, Array]:
@@ -52,17 +52,17 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
     solution
         The motion of T frames with J keypoints.
     view
-        A camera on the same frames. Its detections are not read.
+        A camera on the same frames, whose detections are not read.
     fps
-        Frames per second. None predicts keypoints at the body's markers, without deviations.
+        Frames per second; None to leave out deviations of keypoints from the body's markers.
 
     Returns
     -------
     xy_px : (T, J, 2) array
         Pixels, NaN without a pose.
     covariance_px2 : (T, J, 2, 2) array
-        Covariances of detections about these positions: those of the keypoints in 3D, and the noise of detections in
-        the solution's views, scaled to the distance from this view.
+        Covariances of detections about `xy_px`, px^2. They include the uncertainty of the keypoints in 3D, and the
+        noise of detections in the solution's views, scaled to the distance from this view.
     """
     markers_m, covariance_m2 = solution.markers_m, solution.covariance_m2
     if fps is None or len(solution.views) == 1 or not solution.posed.any():
@@ -76,14 +76,14 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
 
 
 def _time_offset_frames(solution: Solution) -> float:
-    """Return the root mean square error of the clocks of a solution's views, in frames; 0 if it was not estimated."""
+    """Return the root mean square time offset of the views, uncertainty included, in frames; 0 if not estimated."""
     if not isinstance(solution, TrajectorySolution):
         return 0.0
     return float(np.sqrt(np.mean(solution.time_offset_frames**2 + solution.time_offset_sigma_frames**2)))
 
 
 def _change_per_frame(xy_px: Array) -> Array:
-    """Return the change of positions (T, J, 2) from frame to frame, pixels, 0 if unknown."""
+    """Return the change of positions (T, J, 2) per frame, pixels; 0 if unknown."""
     return np.nan_to_num(np.gradient(xy_px, axis=0)) if len(xy_px) > 1 else np.zeros_like(xy_px)
 
 
@@ -98,7 +98,7 @@ def _predicted(solution: Solution, view: View, points_m: Array, points_m2: Array
 def _tail_factor(solution: Solution) -> float:
     """Return the factor on the noise's variance with which 90 % regions contain 90 % of the views' detections.
 
-    The noise of the fit belongs to its robust loss, which ignores the tails of the detector's errors.
+    The fit's own noise ignores the tails of the detector's errors, because of the robust loss.
     """
     squares = []
     for view in solution.views:
@@ -124,7 +124,7 @@ def _px_per_m(view: View, markers_m: Array) -> Array:
 
 
 def _noise_m(solution: Solution) -> Array:
-    """Return the noise of detections at the distance of the keypoints, (T, J), metres: the median over the views."""
+    """Return the noise of detections, (T, J), m, at the keypoints' distance, as the median over the views."""
     noise_m = [
         noise_px / _px_per_m(view, solution.markers_m)
         for view, noise_px in zip(solution.views, solution.noise_px, strict=True)
@@ -184,7 +184,7 @@ class _Residuals:
 
 
 def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> tuple[Array, Array, float]:
-    """Return the deviations (T, J, 3), their covariances (T, J, 3, 3), and the factor on predicted covariances."""
+    """Return the deviations (T, J, 3), m, their covariances (T, J, 3, 3), and the factor on predicted covariances."""
     information = np.array([residual.information for residual in residuals])
     pull = np.array([residual.pull for residual in residuals])
     total, total_pull = information.sum(axis=0), pull.sum(axis=0)
@@ -208,7 +208,7 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
 def _likeliest_process(
     solution: Solution, residuals: list[_Residuals], information: Array, pull: Array, fps: float
 ) -> tuple[Array, Array, Array]:
-    """Return the size of deviations, m, their duration in frames, and the factor on the noise's variance, (J,) each."""
+    """Return the deviations' standard deviation (J,), m, their duration (J,), frames, and the noise's factor (J,)."""
     with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
         noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     shares, lasting_s = np.array([(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]).T
@@ -228,17 +228,17 @@ def _likeliest_process(
 
 
 def log_evidence(information: Array, pull: Array, square: Array, sigma_m: Array, lasting_frames: Array) -> Array:
-    """Return the log-likelihood (..., J) of the detections under given sizes and durations of the deviations.
+    """Return the log-likelihood (..., J) of the detections, given the size and duration of the deviations.
 
-    Terms that do not depend on size and duration are left out.
+    Terms that depend on neither the size nor the duration are left out.
 
     Parameters
     ----------
     information, pull, square
-        (T, J, 3, 3), (T, J, 3), (T, J): precision of the deviations, the precision times the deviations, and the
-        squared errors without deviations.
+        Precision of the deviations (T, J, 3, 3), 1/m^2, the precision times the deviations (T, J, 3), 1/m, and the
+        squared errors without deviations (T, J).
     sigma_m, lasting_frames
-        (..., J), as for `smoothed_deviations`.
+        Standard deviation, m, and duration, frames, of the deviations, (..., J) each.
     """
     total = np.zeros(np.shape(sigma_m))
     for t, (mean, covariance, _, _) in enumerate(_filtered(information, pull, sigma_m, lasting_frames)):
@@ -259,13 +259,13 @@ def smoothed_deviations(
     Parameters
     ----------
     information, pull
-        (T, J, 3, 3), (T, J, 3): precision of the deviations due to the detections of each frame, and this precision
-        times the deviations.
+        Precision of the deviations due to the detections of each frame, (T, J, 3, 3), 1/m^2, and this precision times
+        the deviations, (T, J, 3), 1/m.
     sigma_m
-        (J,): expected standard deviation along each axis.
+        Expected standard deviation of the deviations along each axis, (J,), m.
     lasting_frames
-        (J,), or a number for all keypoints: duration of deviations. The correlation of two frames that are t durations
-        apart is (1 + t) exp(-t).
+        Duration of the deviations in frames, (J,), or one number for all keypoints. The correlation of two frames that
+        are t durations apart is (1 + t) exp(-t).
     """
     transition = _transition(np.broadcast_to(lasting_frames, pull.shape[1:2]))
     steps = [*_filtered(information, pull, sigma_m, lasting_frames)]
@@ -285,7 +285,7 @@ def _filtered(
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield the mean (..., J, 6) and covariance of every frame, before and after the frame's detections.
 
-    The six unknowns are the deviation, and its velocity times the duration.
+    The six unknowns are the deviation, m, and its velocity times the duration.
     """
     transition = _transition(np.broadcast_to(lasting_frames, np.shape(sigma_m)))
     stationary = np.maximum(sigma_m, 1e-9)[..., None, None] ** 2 * np.eye(6)

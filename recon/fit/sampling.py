@@ -26,11 +26,12 @@ from recon.geometry.kinematics import ROOT
 
 
 def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int = 0) -> list[TrajectorySolution]:
-    """Return draws from the posterior, with the problem set up again at the solution.
+    """Return motions drawn from the posterior, as solutions.
 
-    Each draw is a solution with its own states, joints and size; everything else, including the contacts, is copied
-    from the solution. A segment has no pose if it cannot be set up again because one of its frames diverged. Errors of
-    the track of a single moving camera are not drawn. The noise of each joint is the solution's mean over the segments.
+    Each draw has its own states, joints and size; everything else, including the contacts, is copied from the solution.
+    The problem is set up again at the solution, with each joint's mean noise over the segments. A segment has no pose
+    if one of its frames diverged, because it cannot be set up again. Errors of the track of a single moving camera are
+    not drawn.
 
     Parameters
     ----------

@@ -22,13 +22,13 @@ class SegmentFit:
     """A segment of n frames of a clip, with its fitted unknowns and noise."""
 
     rows: slice
-    """Rows of the clip that the segment covers."""
+    """Slice of the clip's frames that the segment covers."""
     estimate: Estimate
     problem: LeastSquares
     noise: Array
     """Variances of the detections of each joint in each view, relative to the expected variances, shape (V, J)."""
     noise_px: Array
-    """The noise of the detections, px, shape (V, n, J)."""
+    """Standard deviation of each detection, px, shape (V, n, J)."""
     contact: Array
     """Contact of the feet with the ground, 0 to 1, shape (n, F)."""
     ground: Ground | None
@@ -36,36 +36,36 @@ class SegmentFit:
     prior_misfit: PriorMisfit | None = None
     """Misfit of the motion under the prior, from the first round."""
     prior_weight: float = 1.0
-    """Weight of the prior as a fraction of its full weight."""
+    """Factor on the weight of the prior, 0 to 1."""
     windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
-    """Frames of each window, and the window's starts after the approach, best first."""
+    """Frames of each window, and the solutions of its starts after the approach, the best first."""
     iterations: int = 0
 
     @classmethod
     def unsolved(cls, clip: ClipProblem, rows: slice, estimate: Estimate) -> SegmentFit:
-        """Return a segment before its first round, with the expected noise."""
+        """Return a segment with the expected noise, to be solved in a first round."""
         noise, contact = np.ones((len(clip.views), len(clip.body.markers))), np.zeros((len(clip), len(clip.feet)))
         return cls(rows, estimate, LeastSquares(clip.body.detected, [], []), noise, np.zeros(0), contact, None)
 
     @property
     def size(self) -> float:
-        """Return the animal's size in this fit, a factor on the body's lengths."""
+        """Return the animal's estimated size, a factor on the body's lengths."""
         return size_of(self.estimate.shared)
 
     def shared_values(self, name: str, count: int = 1) -> Array:
-        """Return the solved values (count,) of the shared unknowns of a name, or 0 if they were not unknowns."""
+        """Return the estimated values (count,) of the named shared unknowns, or 0 if they were not estimated."""
         return self.estimate.shared.get(name, np.zeros(count))
 
 
 def with_solved_shape(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem with the body's lengths and keypoint offsets that a segment's fit found."""
+    """Return the problem with the body's lengths and keypoint offsets as estimated in a segment."""
     if clip.shape is None or LENGTHS not in segment.estimate.shared:
         return clip
     return replace(clip, body=clip.shape.applied(segment.estimate.shared))
 
 
 def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
-    """Return the problem whose views have the time offsets and corrected cameras that a segment's fit found."""
+    """Return the problem with the views' time offsets and cameras as estimated in a segment."""
     V = range(len(clip.views))
     offsets = [float(segment.shared_values(time_offset(i))[0]) for i in V]
     corrections = [segment.shared_values(extrinsic_correction(i), 6) for i in V]
@@ -76,7 +76,7 @@ def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
 def solved_views(
     views: Sequence[View], offsets: Iterable[float], corrections: Iterable[Array], focal_scales: Iterable[float]
 ) -> tuple[View, ...]:
-    """Return the views after adding time offsets, in frames, and correcting poses and focal lengths."""
+    """Return views with time offsets, frames, added, and with corrected poses and focal lengths."""
     return tuple(
         replace(view, offset_frames=view.offset_frames + frames).corrected(correction).with_focal_scale(factor)
         for view, frames, correction, factor in zip(views, offsets, corrections, focal_scales, strict=True)
@@ -84,12 +84,12 @@ def solved_views(
 
 
 def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Solve a segment in one more round from its fit, for a clip that may have changed slightly."""
+    """Solve a segment once more from its fit, for a problem that may have changed slightly."""
     return solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment)
 
 
 def solve_round(clip: ClipProblem, segment: SegmentFit, roughly: bool = False) -> SegmentFit:
-    """Estimate noise, contacts and ground from a segment's fit, and solve the segment again from that fit.
+    """Estimate noise, contacts and ground from a segment's fit, and solve the segment again from this fit.
 
     `roughly` ends the search early, because another round follows.
     """
@@ -109,12 +109,13 @@ def solve_round(clip: ClipProblem, segment: SegmentFit, roughly: bool = False) -
 
 
 def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
-    """Return the variance of each joint's detections relative to the expected one, (V, J), under the robust loss.
+    """Return the variance (V, J) of each joint's detections in each view, relative to the expected variance.
 
-    The factor is the mean of weight times squared residual per coordinate, in which the expected variance counts as
-    eight detections. The factor is limited to 1/4 to 6, so that no joint is followed blindly or ignored. If several
-    cameras estimate the body's shape and the detector was not measured, the residuals show the noise better than the
-    expectation, so the expected variance counts as `NOISE_COUNT` detections and the lower limit is `LEAST_NOISE`.
+    The variance is the weighted mean of squared residuals under the robust loss, in which the expected variance counts
+    as eight detections. It is limited to 1/4 to 6 times the expected variance, so that no joint is followed exactly or
+    ignored. If several cameras estimate the body's shape and the detector was not measured, the residuals show the
+    noise better than the expectation, so the expected variance counts as `NOISE_COUNT` detections and the lower limit
+    is `LEAST_NOISE`.
     """
     world = clip.in_world(points_m, size)
     is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1

@@ -27,21 +27,22 @@ from recon.fit.trajectory import solve_segments
 from recon.geometry.kinematics import TreePose
 
 MODEL_SIGMA = 0.04
-"""Relative standard deviation of a measured length due to everything that a rigid skeleton cannot follow.
+"""Relative standard deviation of a measured length due to movements that a rigid skeleton cannot follow.
 
-Examples are sliding shoulders, and keypoints that are not at their joints. With this value, 90 % intervals contain 88 %
-of the lengths (`benchmarks/parts/bone_lengths.py`).
+Examples are sliding shoulders, and keypoints that are not at their joints. `python benchmarks/parts/bone_lengths.py`
+measures how many lengths are within the 90 % intervals.
 """
 POSED_OFFSET_SIGMA_M = 0.02
-"""Standard deviation of a keypoint's offset, m, if the poses are known and cannot absorb a part of it."""
+"""Standard deviation of a keypoint's offset along each axis, m, if the poses are known and cannot absorb a part of it.
+"""
 FIXED_SIZE_SIGMA = 1e-4
-"""Relative standard deviation of the size, so small that the size is fixed; the lengths replace it."""
+"""Relative standard deviation of the animal's size, so small that the size is fixed and only lengths change."""
 _PRIOR_COUNT = 8
-"""Weight of the expected spread of a keypoint's bias in its estimate, as a number of views."""
+"""Number of views that the expected spread of a keypoint's bias counts as in its estimate."""
 ROUNDS = 8
-"""Largest number of rounds of solving the clips and changing the shape."""
+"""Maximum number of rounds of solving the clips and changing the shape."""
 CLOSE_ENOUGH = 0.05
-"""Step of the unknowns, in standard deviations, below which the rounds end."""
+"""Root mean square step of the unknowns, in standard deviations, below which the rounds end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +57,13 @@ class ShapeFit:
     converged: bool
     """Whether the last step of the unknowns was below `CLOSE_ENOUGH`."""
     keypoint_sigma_m: float
-    """Standard deviation of keypoints in a single frame about their fitted offsets, m, for all markers together."""
+    """Standard deviation of keypoints in a single frame about their fitted offsets, m, as one value for all markers."""
     noise_m: dict[str, float]
     """Standard deviation of a keypoint in a single frame, m, for each marker of the left side and the middle."""
     spread_m: dict[str, float]
     """Standard deviation of the keypoint bias along each axis, m, which is constant within one clip and camera.
 
-    The values are those of the markers of the left side and the middle.
+    The bias is given for each marker of the left side and the middle.
     """
 
     @cached_property
@@ -71,7 +72,7 @@ class ShapeFit:
         return np.sqrt(np.diagonal(self.covariance))
 
     def length_of(self, names: Sequence[str], prior_size_sigma: float) -> tuple[float, float, float]:
-        """Return the length of one or more segments end to end, its standard deviation, and its information fraction.
+        """Return the summed length of segments end to end, its standard deviation, and its information fraction.
 
         Parameters
         ----------
@@ -83,7 +84,7 @@ class ShapeFit:
         Returns
         -------
         length_m, sigma_m, data_share : float
-            The standard deviation includes `MODEL_SIGMA`. `data_share` is the fraction of the information, 0 to 1.
+            Length, m, its standard deviation, m, including `MODEL_SIGMA`, and the information fraction, 0 to 1.
         """
         body = self.shape.applied(self.shape.body, self.values)
         offset_m = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
@@ -96,7 +97,7 @@ class ShapeFit:
         return length_m, sigma_m, max(1.0 - variance / float(lengths_m @ expected @ lengths_m), 0.0)
 
     def seen(self, body: Body) -> Body:
-        """Return a body with this shape and the detector's noise and bias, which are the same on both sides."""
+        """Return a body with the fitted shape and the detector's fitted noise and bias, the same on both sides."""
         spread_m, noise_m = (
             {name: by_leader[self.shape.leader(name)] for name in body.markers}
             for by_leader in (self.spread_m, self.noise_m)
@@ -111,7 +112,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
     Parameters
     ----------
     shape
-        The unknown lengths and offsets.
+        Unknown lengths and keypoint offsets of the animal's body.
     clips
         Clips whose bodies have the segments and markers of `shape.body`, and may have other lengths. Their size is held
         fixed.
@@ -159,7 +160,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:
-    """Return the standard deviation of the keypoint bias by marker, m, from each marker's mean residual in every view.
+    """Return the standard deviation of each marker's keypoint bias, m, from the marker's mean residual in every view.
 
     The part common to all markers of a view is removed. The expected spread counts as `_PRIOR_COUNT` views, because a
     few views are not enough to estimate it.
@@ -191,7 +192,10 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
 
 
 def _reduced(shape: Shape, clip: ClipProblem, segment: SegmentFit) -> tuple[Array, Array]:
-    """Return the curvature (K, K) and gradient (K,) of a segment's cost for the shape, with the states eliminated."""
+    """Return the curvature (K, K) and gradient (K,) of a segment's cost with respect to the shape alone.
+
+    The states are eliminated.
+    """
     states, problem = segment.estimate.states, segment.problem
     normal = problem.normal(states, segment.estimate.shared)
     K = len(shape)

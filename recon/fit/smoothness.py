@@ -28,21 +28,21 @@ from recon.fit.terms import ACCELERATION_TERMS
 from recon.geometry.kinematics import ROOT
 
 SCALES = 0.01, 3.0
-"""Smallest and largest factor on an expected standard deviation."""
+"""Minimum and maximum factor on an expected standard deviation of accelerations."""
 _DIFFERENCE = (1.0, -2.0, 1.0)
-"""Coefficients of three frames in their second difference."""
+"""Coefficients of three consecutive frames in their second difference."""
 _ROUNDS = 20
-"""Largest number of rounds in which the factors are estimated."""
+"""Maximum number of rounds in which the factors are estimated."""
 _CLOSE = 0.03
-"""Largest relative change of a factor at which the rounds end."""
+"""Relative change of all factors in a round below which the rounds end."""
 _LEAST_FRAMES = 10
-"""Number of frames below which all standard deviations stay as expected."""
+"""Minimum number of frames required to estimate the standard deviations."""
 _LEAST_DETERMINED = 1.0
-"""Number of determined accelerations below which a standard deviation stays as expected."""
+"""Minimum number of accelerations that the detections must determine to estimate a standard deviation."""
 
 
 def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Array], scale: Array) -> Array:
-    """Return the likeliest factors on the expected standard deviations of the states' accelerations, (D,).
+    """Return the likeliest factors (D,) on the expected standard deviations of the states' accelerations.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
     states
         The solution, (T, D).
     shared
-        Values of its shared unknowns, by name.
+        Values of the solution's shared unknowns, by name.
     scale
         Factors that the problem uses, (D,).
 
     Returns
     -------
     Array
-        Factors, (D,); both horizontal directions have the same.
+        Factors, (D,), equal for both horizontal directions.
     """
     if len(states) < _LEAST_FRAMES:
         return scale
@@ -91,7 +91,7 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
 
 
 def _second_difference(states: Array) -> Array:
-    """Return x(t - 1) - 2 x(t) + x(t + 1), (T - 2, D)."""
+    """Return the second differences x(t - 1) - 2 x(t) + x(t + 1) of states (T, D), (T - 2, D)."""
     return states[:-2] - 2 * states[1:-1] + states[2:]
 
 
