@@ -1,1 +1,1 @@
-"""Functions for Python users and for the commands; none of them prints."""
+"""Functions for Python users and for the commands, none of which prints."""

@@ -55,7 +55,7 @@ class AnalyseSettings(Settings):
     """Folder for tables and figures. (default: analysis in DIR)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     body_mass_kg: Positive | None = None
-    """Body mass of the animal, kg; with it, forces are also given in newtons."""
+    """Body mass of the animal in kg, from which forces are also given in newtons."""
     belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
     """Speed of the treadmill's belt in m/s, such as 1.4, if the fit did not use it."""
     figures: bool = True
@@ -262,7 +262,7 @@ def quantity_fields(quantity: GaitQuantity) -> dict[str, Any]:
 
 
 DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
-"""Figures that a paper usually prints; all others are drawn by name (`recon figure`) or with --all-figures."""
+"""Figures that are drawn without --all-figures, which a paper usually prints."""
 
 
 def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:
@@ -283,7 +283,7 @@ def _stride_title(stride: Stride | None) -> str:
 
 
 def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
-    """Return the functions that draw the figures, by file name."""
+    """Return the functions that draw the figures, keyed by file name without suffix."""
     from recon.show.plots.configurations import body_fixed, composites, in_body, observability
     from recon.show.plots.flexion import joint_flexion
     from recon.show.plots.over_time import clearest_portraits, footfall, forces, phase_portraits, speeds, vector_fields

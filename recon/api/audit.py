@@ -174,7 +174,10 @@ def audited_points(
 
 
 def likely_unit(stored: StoredPoints) -> str:
-    """Return the unit that gives the animal a plausible size, preferably metres or millimetres; metres if none does."""
+    """Return a unit in which the animal has a plausible size, or metres if there is none.
+
+    If several units are plausible, metres take precedence, then millimetres.
+    """
     extent = AuditedPoints(stored.names, stored.values, stored.frames).extent
     low_m, high_m = EXTENT_M
     fitting = [name for name in ("m", "mm", "cm") if low_m <= extent / PER_METRE[name] <= high_m]

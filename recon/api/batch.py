@@ -1,7 +1,7 @@
-"""Fit many clips with `find_clips`, `plan_batch` and `run_batch`, each of which takes the result of the one before.
+"""Fit many clips with `find_clips`, `plan_batch` and `run_batch`, each of which takes the result of the previous one.
 
 The batch's folder holds three files: `batch.jsonl` records the inputs that each clip's results were made from,
-`summary.csv` has one row per clip and is rewritten as clips finish, and `summary.html` is made from it.
+`summary.csv` has one row per clip and is rewritten as clips finish, and `summary.html` is made from `summary.csv`.
 """
 
 from __future__ import annotations
@@ -270,9 +270,9 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     Returns
     -------
     dict
-        The clip's cells of the summary; `files`, the digest of its manifest; and `identity` and `inputs_hash`, which
-        identify the inputs at the time of the fit, because they may have changed since the batch was planned. If the
-        worker has another version of recon, only the status "failed" and the error.
+        The clip's cells of the summary, with three further entries: `files` has the digest of the clip's manifest, and
+        `identity` and `inputs_hash` identify the inputs at the time of the fit, which may have changed since the batch
+        was planned. If the worker has another version of recon, only `status` ("failed") and `error`.
     """
     own_version, planned_version = version(), planned.identity["version"]
     if own_version != planned_version:
@@ -337,7 +337,7 @@ class Summary:
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
     def write_if_due(self) -> None:
-        """Write summary.csv unless it was just written; retry later if another program holds it open."""
+        """Write summary.csv, unless it was written in the last `WRITE_EVERY_S` or another program holds it open."""
         if time.monotonic() - self._written_s >= WRITE_EVERY_S:
             with suppress(PermissionError):
                 self.write()

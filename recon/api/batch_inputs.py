@@ -201,7 +201,6 @@ def _draft_of(file: Path) -> _Draft:
 
 
 def _matching_files(path: Path) -> list[Path]:
-    """Return the file, or all files that match the pattern."""
     if "\0" in str(path):  # no file has a NUL in its name, and resolving such a path fails
         return []
     if os.path.exists(path) or not glob.has_magic(str(path)):
@@ -361,7 +360,7 @@ def is_manifest(path: Path) -> bool:
     try:
         header = _header(path) if path.suffix.lower() == ".csv" and os.path.isfile(path) else ()
         return "keypoints" in header or ("camera" in header and recognised(path) is None)
-    except (InputError, OSError):  # not a text table, or a failing disk: the clip's own fit reports it
+    except (InputError, OSError):  # the fit of the clip reports a file that is not a table, or a failing disk
         return False
 
 
@@ -489,7 +488,6 @@ def _draft_of_clip(files: Sequence[_FileOfClip], any_joined: bool) -> _Draft:
 
 
 def _joining_note(clips: Sequence[Sequence[_FileOfClip]]) -> str:
-    """Return a note that states how many files were joined to clips, and by which rule."""
     rules = dict.fromkeys(file.with_camera.rule for files in clips for file in files)
     rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
     alternative = f" ({OPTION} {NONE} fits each file separately)" if OPTION not in rules else ""
@@ -609,7 +607,7 @@ def _with_settings(draft: _Draft, common: Mapping[str, Any], config: Path | None
 
 
 def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
-    """Return the settings of a draft: its row overrides the common options, which override config."""
+    """Return the settings of a draft, whose row overrides the common options, which override config.toml."""
     row = draft.row
     options = {name: value for name, value in common.items() if value is not None and name not in row}
     if "camera" in row and options.pop("hfov_deg", None) is not None:

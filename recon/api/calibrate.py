@@ -66,8 +66,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     """
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     inputs = input_paths(settings)
-    # If there is a picture but no camera file, an earlier calibration was refused: replacing its picture needs no
-    # --overwrite.
+    # A picture without a camera file comes from a refused calibration, and may be replaced without --overwrite.
     overwrite = settings.overwrite or not settings.out.exists()
     output = output_file(settings.out, "calibrate", overwrite, inputs)
     known = [name for name, lens in LENS_MODELS.items() if lens.opencv]

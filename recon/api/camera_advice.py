@@ -151,7 +151,7 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
-    """Return the table of camera positions; the precision is NaN at positions that do not show the animal."""
+    """Return a table of camera positions, in which the precision is NaN where the camera does not see the animal."""
     elevation, azimuth = (grid.ravel() for grid in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()

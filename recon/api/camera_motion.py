@@ -37,7 +37,7 @@ MIN_LIKELIHOOD = 0.3
 MAX_LOST = 0.5
 """Largest accepted fraction of frames whose background is too small to follow."""
 MAX_FOCAL_OFF = 0.1
-"""Largest accepted relative error of the focal length; the rotations are wrong by the same fraction."""
+"""Largest accepted relative error of the focal length, which causes the same relative error of the rotations."""
 NOTES = (
     "the camera is assumed to turn about its centre: it is at the world's origin in every frame",
     "a rolling shutter is not modelled: in a fast turn, the rows of a picture were exposed at different times",
@@ -51,7 +51,7 @@ class CameraMotionSettings(Settings):
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video of a turning camera, such as clip.mp4."""
     camera: Path
-    """The camera's calibration, such as camera.toml; its pose is not used."""
+    """The camera's calibration, such as camera.toml. A pose in the file is not used."""
     out: Path
     """The track to write, such as track.csv, for --camera-track."""
     camera_name: str | None = None
@@ -64,9 +64,9 @@ class CameraMotionSettings(Settings):
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Angle in degrees by which the camera looks down in the first frame. (default: level on average)"""
     level_marks: Path | None = None
-    """Instead of a tilt: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, such as level.csv."""
+    """Table of horizons and verticals (kind,frame,x1,y1,x2,y2), such as level.csv, instead of a tilt."""
     zoom: bool = False
-    """The camera zooms; the camera file gives the focal length of the first frame."""
+    """The camera zooms. The camera file gives the focal length of the first frame."""
     overwrite: bool = False
     """Replace the track."""
 

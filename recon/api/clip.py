@@ -103,9 +103,9 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
     """Fit a clip again, starting from an earlier fit, after a few detections have changed.
 
-    The search begins at the earlier motion, and the findings on the input files are those of the earlier fit, so the
-    result only previews that of `fit_clip`. If unknowns other than the motion have to be estimated again, `fit_clip`
-    is called instead.
+    The search begins at the earlier motion, and the findings on the input files are taken from the earlier fit, so the
+    result is only a preview of what `fit_clip` returns. If unknowns other than the motion have to be estimated again,
+    `fit_clip` is called instead.
 
     Parameters
     ----------
@@ -150,8 +150,9 @@ def _solve(
 ) -> TrajectorySolution:
     """Solve for the motion from the sources.
 
-    On a belt the motion is solved twice, because only the second solve knows the belt's path. It begins at the poses of
-    the first solve, because a search from scratch for a body that passes moving cameras often ends at another pose.
+    On a belt the motion is solved twice, because only the second solve knows the belt's path. The second solve begins
+    at the poses of the first, because a search from scratch for a body that passes moving cameras often ends at
+    another pose.
     """
     views = views_of(sources)
     solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)

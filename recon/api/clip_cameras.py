@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 ClipCamera = tuple[Camera, "CameraTrack | None"]
-"""Camera of a keypoint file, and its track if it moves; a camera with a track has no pose of its own."""
+"""Camera of a keypoint file, and its track if the camera moves. A camera with a track has no pose of its own."""
 Cameras = tuple[ClipCamera, ...]
 
 
@@ -57,7 +57,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
 
 
 def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
-    """Return the cameras of the camera file except the clip's own; none without a camera file."""
+    """Return the cameras of the camera file except the clip's own, or none without a camera file."""
     if settings.camera is None:
         return ()
     cameras = read_cameras(settings.camera, settings.image_size_px)
@@ -189,7 +189,7 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tu
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     """Return the camera names that a file name contains, with their matches.
 
-    cam1 matches run_cam1DLC but not run_cam10; A matches run-A but not run-Alex; cam1 matches run_cam01 unless there is
+    cam1 matches run_cam1DLC but not run_cam10. A matches run-A but not run-Alex. cam1 matches run_cam01 unless there is
     a camera cam01. If a file name contains camA or cam-1, the cameras A and 1 are matched only there.
     """
     # cam1 may be written cam_01 or Camera1; Pose2Sim writes int_cam01_img, DANNCE hires_cam1_params

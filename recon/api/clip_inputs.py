@@ -155,7 +155,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
 def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
     """Raise InputError if the size of the triangulated animal shows that the calibration has another unit.
 
-    A fit cannot find the unit: it keeps the animal's size and moves the animal to one of the cameras.
+    A fit cannot find the unit, because it keeps the animal's size and moves the animal to one of the cameras.
     """
     views = views_of(inputs.sources)
     if len(views) < 2 or not all(view.camera.has_extrinsics for view in views):
@@ -282,7 +282,7 @@ def _scaled_to_height(body: Body, height_m: float) -> Body:
 def _cleaned(
     body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
 ) -> Source:
-    """Return the source of a file as `cleaned_source` does; raise InputError also if it has no keypoint of the body."""
+    """Return the source of a file as `cleaned_source` does, if the file has enough keypoints of the body."""
     _require_keypoints_of(body, file)
     return cleaned_source(settings, fps, file, clip_camera, late_frames)
 

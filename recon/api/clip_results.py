@@ -79,8 +79,8 @@ def output_files(settings: FitSettings, out: Path) -> list[str]:
 def output_of(settings: FitSettings, out: Path, overwrite: bool) -> Output:
     """Return the output through which a fit may write into its folder.
 
-    The config.toml that the settings come from does not count as an input: it may be replaced by one with the same
-    settings.
+    The config.toml that the settings come from does not count as an input, because the fit may replace it with one that
+    has the same settings.
     """
     inputs = tuple(input_files(settings).values())
     return Output(out, FIT, overwrite, inputs, has_manifest=True, mark=MOTION)
@@ -237,7 +237,7 @@ def identity(settings: FitSettings) -> dict[str, Any]:
 
 
 def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the identity of results that were made from these files, by role, with these settings."""
+    """Return the identity of results: digests of the given files, keyed by role, the settings, and the version."""
     inputs = {role: file_sha256(path) for role, path in files.items()}
     return {"inputs": inputs, "settings": dict(settings), "version": version()}
 
@@ -351,7 +351,7 @@ _REPLACED_BY = {
     "hfov_deg": ("camera", "camera_name", "camera_unit"),
     "camera_track": ("tilt_deg",),
 }
-"""Settings of config.toml that a given setting replaces, such as those of another camera."""
+"""Settings of config.toml that are ignored if another camera or track is given, keyed by the setting that gives it."""
 
 
 def read_settings(config: Path | None, options: Mapping[str, Any] | None = None) -> FitSettings:
@@ -360,10 +360,10 @@ def read_settings(config: Path | None, options: Mapping[str, Any] | None = None)
     Parameters
     ----------
     config
-        The file; paths in it are relative to its folder.
+        TOML file, in which paths are relative to the folder of the file.
     options
-        Settings by name; None means not given. Another camera or method replaces that of the file together with all
-        settings that belong to it.
+        Settings by name; None means not given. If another camera or method is given, the file's settings that belong
+        to its own camera or method do not apply.
 
     Raises
     ------
@@ -440,7 +440,6 @@ def config_schema() -> dict[str, Any]:
 
 
 def _with_json_limits(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema whose limits have JSON schema's names."""
     items = ((key, value) for key, value in schema.items() if key not in ("title", "default"))
     return {
         LIMITS.get(key, key): _with_json_limits(value) if isinstance(value, dict) else value for key, value in items

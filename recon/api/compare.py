@@ -55,7 +55,7 @@ from recon.show.plots.style import COLOURS, SMALL, drawing, png_of
 
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
 DIGITS = 6
-"""Significant digits of numbers in the CSV tables; the Parquet tables have all digits."""
+"""Significant digits of numbers in the CSV tables. The Parquet tables have all digits."""
 QUANTITIES = {
     "speed_m_s": ("speed (m/s)", True),
     "stride_length_m": ("stride length (m)", True),
@@ -65,7 +65,7 @@ QUANTITIES = {
 """Title of each compared quantity, and whether the quantity is proportional to the animal's size, by column."""
 WITH_SIZE = {name: with_size for name, (_, with_size) in QUANTITIES.items()}
 SPEED_NAMES = "speed", SPEED
-"""Names of the covariate that is the speed of the run itself."""
+"""Names under which the speed of the run can be given as a covariate."""
 _EXPERIMENT = "An experiment"
 _OUT = "a folder for the tables, the figure and the page"
 
@@ -223,7 +223,7 @@ def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
 
 
 def _design(settings: CompareSettings, names: Sequence[str]) -> pd.DataFrame | None:
-    """Return the camera, run, animal, group and covariates of each clip; None without a design."""
+    """Return the camera, run, animal, group and covariates of each clip, or None without a design."""
     if settings.design is not None:
         columns = [name for name in settings.covariate if name not in SPEED_NAMES]
         return design_of_table(settings.design, names, settings.by or "group", columns)
@@ -297,8 +297,8 @@ def _page(
 ) -> str:
     """Return the page of a comparison, with links to the existing pages of its clips.
 
-    If there is a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means are
-    those of the mixed models.
+    If there is a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means come
+    from the mixed models.
     """
     by_row = {name: name for name in results.motions}
     if experiment is not None:

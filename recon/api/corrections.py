@@ -52,7 +52,7 @@ class CorrectionSession:
     version: int = 0
     """Number of fits so far."""
     is_whole: bool = True
-    """Whether the latest fit equals that of `recon fit --corrections`."""
+    """Whether the latest fit began from the start, as `recon fit --corrections` does."""
     problem: str = ""
     """Reason why the latest corrections could not be fitted; "" if they were fitted."""
 

@@ -1,11 +1,11 @@
 """Group the clips of an experiment by camera, run, animal and group, and model the variation between them.
 
-The results of all cameras of a run become one clip, by the joint posterior of its quantities: the errors of the
-pictures are independent, those of the lens and of the expected size are shared, and the expectation of the size, which
-is part of every result, counts once. The cameras also share the error of a period that is estimated from less than a
-stride. If the cameras disagree by more than their stated errors, the independent errors are scaled up (Birge 1932).
-Strides are those of the camera that measures the quantity best, shifted to the mean: several cameras see the same
-strides, which count once.
+The results of all cameras of a run become one clip, by the joint posterior of its quantities. The errors of the
+pictures are independent. The errors of the lens and of the expected size are shared, and the expectation of the size,
+which is part of every result, counts once. The cameras also share the error of a period that is estimated from less
+than a stride. If the cameras disagree by more than their stated errors, the independent errors are scaled up (Birge
+1932). Several cameras see the same strides, which count once: the strides of the camera that measures the quantity best
+are used, shifted to the mean.
 
 Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
 standard deviation of a run's measurement is the one that the fits state, without the scatter of the strides.
@@ -38,9 +38,9 @@ MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _SLOPE_NAMES = {SPEED: "per m/s of speed"}
 """Names of covariates' slopes in the table, if they are not made from the covariate's name."""
 _LEAST_SHARE = 0.01
-"""Smallest standard deviation of a camera's independent error, relative to that of all its errors."""
+"""Minimum standard deviation of a camera's independent error, as a fraction of the sigma of its total error."""
 _LEAST_SIGMA = 1e-9
-"""Smallest standard deviation, and smallest magnitude of a value, that is used as a divisor."""
+"""Minimum standard deviation, and minimum magnitude of a value, by which another number is divided."""
 _FIELD = re.compile(r"\{(\w*)\}")
 
 
@@ -86,7 +86,6 @@ def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Seque
 
 
 def _clip_name(row: Mapping[str, str]) -> str:
-    """Return the clip's name in a row of a design, or of a manifest."""
     return row.get("clip") or row.get("out") or Path(row.get("keypoints", "")).stem
 
 
@@ -206,7 +205,6 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
 
 
 def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object]:
-    """Return a quantity of a run, joined over its cameras."""
     known = clips[np.isfinite(clips[name]) & np.isfinite(clips[f"{name}_measurement_sigma"])]
     if known.empty:
         unknown: dict[str, object] = {f"{name}_source": "", f"{name}_strides_of": ""}
@@ -296,12 +294,12 @@ class QuantityModel:
     name: str
     model: MixedModel
     groups: tuple[str, ...]
-    """Groups in their order; the first one is the reference."""
+    """Names of the groups, the reference first."""
     covariates: tuple[str, ...]
     shared: float
     """Relative standard deviation of the error that all clips share."""
     run_table: pd.DataFrame
-    """Group, animal, clips and strides of each run."""
+    """Group, animal, and numbers of clips and strides of each run."""
 
     @property
     def strides_of_run(self) -> float:
@@ -359,7 +357,7 @@ def fit_experiment(
     quantities : mapping
         Whether each quantity is proportional to the animal's size.
     covariates : sequence of str
-        Columns of `runs`; their means are subtracted.
+        Columns of `runs`, from which the means are subtracted.
 
     Returns
     -------
@@ -410,7 +408,7 @@ def _fit(
     groups: tuple[str, ...],
     covariates: list[str],
 ) -> QuantityModel | None:
-    """Return the model of a quantity; None if the design matrix does not have full rank."""
+    """Return the model of a quantity, or None if the design matrix does not have full rank."""
     size = runs[f"{name}_shared_sigma"].to_numpy(float)
     shared = float(size.min())
     unshared = (size**2 - shared**2) * runs[name].to_numpy(float) ** 2

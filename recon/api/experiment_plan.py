@@ -31,13 +31,13 @@ _USUAL: Mapping[str, tuple[int, ...]] = {"runs": (1, 2), "strides": (3, 10), "ca
 
 @dataclass(frozen=True)
 class Plan:
-    """An effect to detect, and the numbers of animals, runs, strides and cameras that are known or to be tried."""
+    """Effect to detect, with the numbers of animals, runs, strides and cameras that are known or to be tried."""
 
     effect: float
     """Difference between two groups, in the unit of the quantity or relative to the mean."""
     is_relative: bool
     variances: Mapping[str, float]
-    """Given standard deviations by level: animal, run, stride and measurement."""
+    """Given standard deviations, keyed by "animal", "run", "stride" and "measurement"."""
     mean: float | None = None
     quantity: str = SPEED
     power: float = 0.8
@@ -142,7 +142,7 @@ def plan_experiment(plan: Plan, variances: pd.DataFrame | None = None) -> PlanTa
     plan : Plan
         The effect to detect, and the numbers that are known or to be tried.
     variances : DataFrame, optional
-        Variances of a comparison, one row for each quantity; those that the plan gives replace them.
+        Variances of an earlier comparison, one row for each quantity. Variances in the plan take precedence.
 
     Raises
     ------

@@ -27,14 +27,17 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
 
 DISAGREEMENT = 16.0
-"""Squared deviation of a camera's 6 pose parameters above which it probably moved; 1 in 70 exceeds it by chance."""
+"""Squared deviation of a camera's 6 pose parameters, over their variances, above which the camera probably moved.
+
+By chance, 1 camera in 70 exceeds this limit (chi-squared with 6 degrees of freedom).
+"""
 MAX_TURN_SIGMA_DEG = 10.0
 """Standard deviation of a camera's rotation, degrees, above which the clips do not determine its pose.
 
 The limit is measured by benchmarks/cameras.py.
 """
 LEAST_MOVED = 0.5
-"""Shortest accepted path of the animal in a picture, in body lengths; an animal that stands and sways moves less."""
+"""Minimum path of the animal in a picture, in body lengths. An animal that stands and sways moves less."""
 
 
 def clips_of(
@@ -135,7 +138,7 @@ def run_extrinsics(
 
 
 def _with_stated_poses(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Array]]:
-    """Return the cameras with the poses in the camera file; raise InputError if one has none."""
+    """Return the cameras and their poses from the camera file, or raise InputError if a camera has no pose."""
     if unposed := [camera.name for camera in cameras if not camera.has_extrinsics]:
         expected = "a camera file with the poses of all cameras"
         raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
@@ -143,7 +146,7 @@ def _with_stated_poses(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Ar
 
 
 def _in_own_worlds(cameras: Sequence[Camera], tilt_deg: float | None) -> tuple[list[Camera], list[Array]]:
-    """Return the cameras, each in a world of its own and level or tilted as given, and their poses in these worlds."""
+    """Return cameras that are level or tilted as given, each at the origin of a separate world, and their poses."""
     tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
     cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
     return cameras, [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
@@ -212,7 +215,7 @@ def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
 
 
 def _lengths_moved(xy_px: Array) -> float:
-    """Return the distance that keypoints (T, K, 2) move through the picture, in body lengths; 0 if unknown."""
+    """Return the distance that keypoints (T, K, 2) move through the picture, in body lengths, or 0 if unknown."""
     known = np.isfinite(xy_px[..., 0])
     xy_px = xy_px[known.any(axis=1)][:, known.any(axis=0)]
     if not xy_px.size:

@@ -42,7 +42,7 @@ CAPTIONS: Mapping[str, str] = {
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
-"""Captions by figure; figures whose names begin with body_fixed or vector_field have their own captions below."""
+"""Captions of all figures except those whose names begin with body_fixed or vector_field."""
 _STRIDE_FIGURE = "joint_flexion"
 BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
 """Figures that use the colours of the left and right sides."""
@@ -132,7 +132,7 @@ def _stacked(draws: Sequence[Callable[[], Figure]], width_mm: float) -> Figure:
 
 
 def without_titles(figure: Figure) -> Figure:
-    """Return a figure without its title; the titles of panels stay."""
+    """Return a figure without its title, but with the titles of its panels."""
     if figure.get_suptitle():
         figure.suptitle("")
     return figure

@@ -15,7 +15,7 @@ from recon.geometry.camera import Camera
 PADDED = 0.05
 """Fraction of the picture's size by which keypoints may lie outside, because detectors pad the picture."""
 INSIDE = 0.9
-"""Fraction of a clip's keypoints that have to lie inside; the rest may be outliers."""
+"""Minimum fraction of a clip's keypoints that have to lie inside. The others may be outliers."""
 
 
 def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:

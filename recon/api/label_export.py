@@ -201,7 +201,6 @@ def write_labels(labels: LabelledFrames, video: Path, number_of_first: int, outp
 
 
 def _pictures(labels: LabelledFrames, video: Path, number_of_first: int) -> Iterator[tuple[int, Image]]:
-    """Yield the pictures of the labels' frames, one at a time."""
     wanted = {int(frame) - number_of_first for frame in labels.frames}
     first = max(min(wanted), 0)
     for index, picture in read_frames(video, first, max(wanted) + 1):

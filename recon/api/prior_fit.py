@@ -52,7 +52,7 @@ class PriorFitSettings(Settings):
     estimate_size: bool = False
     """Scale the skeleton to the animal in each file."""
     components: Count = 16
-    """Number of Gaussians in the mixture of poses; each needs 20 frames."""
+    """Number of Gaussians in the mixture of poses, each of which needs 20 frames."""
     min_speed_m_s: NotNegative = 0.0
     """Leave out segments that are slower than this speed in m/s, such as 8.5."""
     apart: tuple[str, ...] = ()
@@ -107,7 +107,9 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     result_segments = [(names[path.absolute()], _sound_states(motion), motion.fps) for path, motion in results.items()]
     file_segments, misfits_mm, sizes = _solved_segments(body, files, names, rates, settings.estimate_size)
     segments = [*result_segments, *file_segments]
-    frames = sum(_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s)
+    frames = sum(
+        _pose_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s
+    )
     components = min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1))
     name_and_source = (settings.name or settings.out.stem, settings.source)
     options = picked(settings, "min_speed_m_s", "apart")
@@ -129,8 +131,7 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     }
 
 
-def _count(states: Array) -> int:
-    """Return the number of frames with a pose."""
+def _pose_count(states: Array) -> int:
     return int(np.isfinite(states).all(axis=1).sum())
 
 
@@ -184,7 +185,7 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> di
     priors; it is None if no segment can be left out.
     """
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
-    frames = [_count(states) for _, states, _ in used]
+    frames = [_pose_count(states) for _, states, _ in used]
     scores, weights, fewest = [], [], len(prior.weights)
     for i, (_, states, _) in enumerate(used):
         components = min(len(prior.weights), (sum(frames) - frames[i]) // FRAMES_PER_COMPONENT)
@@ -230,7 +231,7 @@ def _motion(folder: Path, anyway: bool) -> Motion:
 
 
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
-    """Return the frame rates in Hz, given as one number or a JSON file; none if there are no pose files."""
+    """Return the frame rates in Hz, given as one number or a JSON file, or none if there are no pose files."""
     expected = 'frames per second above 0, such as 120, or a JSON file with {"fps": [120, 90]}'
     if (fps is None) != (not tables):
         no_rates = expected if tables else "nothing: results have their own frame rate"

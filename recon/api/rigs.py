@@ -184,8 +184,8 @@ def sources_with_z_up(
 def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:
     """Return a camera with its pose in a world with z up.
 
-    `up` is the unit vector (3,) that points up in the present world; `origin_m` is the point (3,) in it that becomes
-    the origin.
+    `up` is the unit vector (3,) that points up in the present world. `origin_m` is the point (3,) of the present world
+    that becomes the origin.
     """
     R_camera = np.asarray(camera.rotation)
     translation_m = np.asarray(camera.translation_m) + R_camera @ np.broadcast_to(origin_m, 3)

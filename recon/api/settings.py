@@ -38,7 +38,7 @@ NUMBER = r"[0-9]+(?:\.[0-9]*)?"
 
 
 def _size(value: object) -> object:
-    """Return (width, height) from text such as "1920x1080"; return numbers unchanged."""
+    """Return (width, height) from text such as "1920x1080", or any other value unchanged."""
     match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", value) if isinstance(value, str) else None
     return match.groups() if match else value
 
@@ -354,7 +354,7 @@ class FitSettings(Settings):
 SETTINGS = FitSettings.infos()
 """Settings by name, in the order of `FitSettings`."""
 OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corrections"))
-"""Settings that several clips can share."""
+"""Names of the settings that several clips can share."""
 
 
 def setting_with_relative_paths(folder: Path, name: str, value: T) -> T:

@@ -89,7 +89,7 @@ _ROUGHLY = {"croup": "tail_base", "rump": "tail_base", "sacrum": "tail_base"}
 
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
 _REAR_WORDS = re.compile("tail|rump|croup|sacrum|hip|pelvis", re.IGNORECASE)
-"""Names of keypoints at the rear; with `_FRONT_WORDS`, they show which way an animal that stays in place faces."""
+"""Names of keypoints at the rear. With `_FRONT_WORDS`, they show the direction of an animal that stays in place."""
 _FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
 _NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)
 """Names of keypoints that may be near the ground although they are not feet."""
@@ -98,8 +98,7 @@ _HIND_WORDS = re.compile("back|hind|rear|pelvic", re.IGNORECASE)
 _LEG_WORDS = re.compile("knee|ankle|elbow|wrist|stifle|hock|carp|tars|paw|foot|hand|hoof|toe", re.IGNORECASE)
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
-"""The quadruped's markers by the keypoints that are placed on them; the keypoints that are not placed; and the text of
-a skeleton file, to be completed."""
+"""Marker of the quadruped for each keypoint that has one, keypoints without a marker, and text of the skeleton file."""
 
 
 class SkeletonDraftSettings(Settings):
@@ -247,7 +246,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
-    """Return the marker of each keypoint: of the same name, from the best built-in map, or of a similar name."""
+    """Return the marker of each keypoint, found by the best built-in map of names, the same name, or a similar name."""
     maps = fitting_maps(names, markers)
     marker_by_name = load_names(maps[0]) if maps else {}
     known: dict[str, str] = {}
@@ -404,7 +403,7 @@ def _rigid_bodies(distances: _Distances) -> list[list[int]]:
 
 
 def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[str], distances: _Distances) -> int:
-    """Return the body nearest to all points, preferably one of three or more points that is not part of a leg."""
+    """Return the index of the rigid body nearest to all points, preferably with three points and not in a leg."""
     height_m = np.nanmedian(points_m[..., 2], axis=0)
     low_m = height_m.min() + LOW * (height_m.max() - height_m.min())
 
@@ -434,7 +433,7 @@ def _named_ends(labels: Sequence[str], root: Sequence[int], distances: _Distance
 def _feet(
     points_m: Array, turned_m: Array, labels: Sequence[str], ends: tuple[int, int], length_m: float
 ) -> dict[str, str]:
-    """Return the lowest points at the four corners of the trunk, by their position, or nothing if one is missing.
+    """Return the labels of the lowest points at the four corners of the trunk, or {} if a corner has none.
 
     Words for feet, for a side, and for fore or hind in the names take precedence over the position.
     """
@@ -461,7 +460,7 @@ def _feet(
 def _directions_ahead(
     labels: Sequence[str], points_m: Array, centre_m: Array, length_m: float, body_count: int, source: Path
 ) -> Array:
-    """Return level vectors (T, 2) that point ahead: along the path, or from tail to head if the animal stays in place.
+    """Return horizontal vectors (T, 2) along the path, or from tail to head if the animal stays in place.
 
     Raises
     ------
@@ -503,7 +502,7 @@ def _in_body_frame(points_m: Array, origin: int, rear: int, front: int) -> Array
 def _expected_offsets_m(turned_m: Array, distances: _Distances) -> Array:
     """Return the vectors (K, K, 3) from each point to every other in the expected pose, scaled to their usual lengths.
 
-    The expected pose is that of the frame nearest to the median of all frames.
+    The expected pose is taken from the frame nearest to the median of all frames.
     """
     typical_m = np.nanmedian(turned_m, axis=0)
     deviations_m = np.where(np.isfinite(turned_m), turned_m - typical_m, distances.length_m)

@@ -78,7 +78,7 @@ class SubjectFitSettings(Settings):
     offsets: bool = False
     """Measure the offsets of the detector's keypoints from the markers."""
     poses: tuple[Path, ...] = ()
-    """3D poses from another method, one file per clip; offsets are measured relative to them."""
+    """3D poses from another method, one file per clip, relative to which offsets are measured."""
     title: str | None = None
     """Title of the animal. (default: made from the clips)"""
     overwrite: bool = False
@@ -95,7 +95,7 @@ class SubjectFitSettings(Settings):
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
-    """Measure an animal and its detector in clips, and write a subject file (without lengths: a detector file).
+    """Measure an animal and its detector in clips, and write a subject file, or a detector file without lengths.
 
     Returns
     -------

@@ -50,7 +50,7 @@ class TriangulatedClip(Brief):
 
     @property
     def points_m(self) -> Array:
-        """Return the points (T, J, 3), metres, z up; NaN in gaps."""
+        """Return the points (T, J, 3) in metres, with z up, and NaN in gaps."""
         return self.result.points_m
 
     @property
@@ -107,12 +107,12 @@ def triangulate(
     Parameters
     ----------
     keypoints
-        Keypoints of V >= 2 synchronised cameras, as read. All are assumed to have the frame rate of the first.
+        Keypoints of V >= 2 synchronised cameras, as read. All cameras are assumed to have the first one's frame rate.
     cameras
         The cameras in the same order, each with its pose.
     sigma_px
-        Expected noise of the detections in pixels, one standard deviation; the noise of each keypoint is estimated,
-        starting from this value.
+        Expected noise of the detections in pixels, one standard deviation. The estimate of each keypoint's noise starts
+        from this value.
     smooth
         Whether to smooth the points over time with splines, which also fill gaps of up to 0.2 s.
     likelihood_min

@@ -269,7 +269,7 @@ class _CalibrationCheck:
         return "warning" if self._beyond(self.warn) else "ok"
 
     def _beyond(self, bound: float) -> bool:
-        """Return whether the value is beyond a bound; False for a NaN bound, otherwise True for a NaN value."""
+        """Return whether the value is beyond a bound: False for a NaN bound, otherwise True for a NaN value."""
         return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
 
     def __str__(self) -> str:

@@ -29,7 +29,7 @@ UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_CORNERS = 8
 """Minimum number of corners that must be detected in a picture.
 
-A pose has six unknowns and needs four corners; with twice as many, the residuals can reveal a wrong pose.
+A pose has six unknowns and needs four corners. With twice as many corners, the residuals can reveal a wrong pose.
 """
 
 CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares in each direction; side of a square)"
@@ -217,7 +217,7 @@ class BoardViews:
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
-    """Return the picture files of paths, including those in folders, or a single video.
+    """Return the picture files that the paths name, and those in folders, or a single video.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
 
 
 def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:
-    """Yield evenly spaced frames of a video, in the form of `_images`."""
+    """Yield evenly spaced frames of a video, each with the fields that `_images` yields for a picture."""
     info = probe(path)
     count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
     step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))

@@ -56,7 +56,7 @@ class Advice:
     """"rad" for an angle, "m" for joints."""
     distance_m: float
     sigma: Array
-    """Median standard deviation over the frames, shape (E, A); infinite if the animal is outside the picture."""
+    """Median standard deviation over the frames, shape (E, A), in `unit`; infinite if the camera sees no marker."""
     share: Array
     """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
     first_place: tuple[float, float] | None = None

@@ -43,17 +43,17 @@ class Answer:
     """Answer of a command, for people and for other programs."""
 
     data: Any
-    """Content of --json; a string is printed unchanged."""
+    """Content of --json. A string is printed unchanged."""
     lines: Iterable[str | Text | Table] = ()
     """Lines that are printed unless --json is given."""
     errors: Sequence[str] = ()
-    """Failures, which are always printed; the exit code is then 1."""
+    """Failures, which are always printed and make the exit code 1."""
     code: int = 0
     """Exit code if there are no errors."""
     files: Sequence[Path] = ()
     """Files that were written, for the stages of `recon run`."""
     notes: Sequence[str] = ()
-    """Notes to read before using the result, printed after the lines; `recon run` prints each note once for all
+    """Notes to read before using the result, printed after the lines. `recon run` prints each note once for all
     stages.
     """
 
@@ -123,7 +123,7 @@ def say_table(console: Console, table: Table) -> None:
 
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
-    """Yield the lines of a verdict, which are printed first; none if the motion has no verdict."""
+    """Yield the lines of a verdict, which are printed first, or none if the motion has no verdict."""
     from recon.show.console import STYLES
 
     for line in verdict.lines if verdict else ():

@@ -300,7 +300,7 @@ COMMANDS = {
         "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
     },
 }
-"""Commands by heading and name: the function that imports the command, and its line in `recon --help`.
+"""Function that imports each command, and its line in `recon --help`, by heading and name of the command.
 
 Only the called command is imported.
 """
@@ -390,7 +390,7 @@ class _ListedSettings(Settings):
     command: Annotated[str, Option(argument="COMMAND")] = "fit"
     """The command, such as fit."""
     schema: bool = False
-    """Print the JSON schema of config.toml instead of the list; editors use it for completion and checks."""
+    """Print the JSON schema of config.toml instead of the list. Editors use it for completion and checks."""
 
 
 def list_settings(settings: _ListedSettings) -> Answer:
@@ -426,7 +426,7 @@ _NO_MEMORY = re.compile(
     r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
     r"|can't start new thread|failed to spawn|error return without exception"
 )
-"""Messages of libraries that ran out of memory; their exceptions have many types, and some come during an import."""
+"""Messages of libraries that ran out of memory, whose exceptions have many types. Some occur during an import."""
 
 
 def main() -> None:

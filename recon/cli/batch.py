@@ -39,19 +39,19 @@ from recon.show.page.own_page import SUMMARY_PAGE
 
 CANNOT = "cannot be fitted"
 SOLVING = 0.5
-"""Fraction of a clip's time in which its fit reports progress; checks and files take the rest."""
+"""Fraction of a clip's time in which its fit reports progress. Checks and files take the rest."""
 LISTED = 20
 """Largest number of clips in the table at the end."""
 NAMED = 3
-"""Largest number of clips with the same problem that are listed by name."""
+"""Maximum number of clips with the same problem that are listed by name."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
-"""Styles of the statuses; a clip that is done has the style of its verdict."""
+"""Styles of the statuses. A clip that is done has the style of its verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COMMON)]
 
 
 class _BatchSettings(Settings):
-    """Settings of `recon batch`, in addition to those of the fits."""
+    """Settings of `recon batch` in addition to the settings of a fit."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
     """Keypoint files, quoted patterns such as 'clips/*.csv', folders, projects of DeepLabCut and Anipose, or manifests:
@@ -60,7 +60,7 @@ class _BatchSettings(Settings):
     out: Path
     """Folder for the results: one folder per clip, and summary.csv."""
     config: Annotated[Path | None, Option(panel=_COMMON)] = None
-    """config.toml of an earlier fit; options given here override it."""
+    """config.toml of an earlier fit. Options given here override it."""
     cameras_by: Annotated[str, Option(metavar="auto|none|PATTERN", panel=_COMMON)] = "auto"
     """How to join the files of one clip from several cameras. auto: by file names that differ only in the camera's
     name; none: every file is a clip; or a regular expression for the camera's name, such as '-cam([A-Z])'.
@@ -229,7 +229,6 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
-    """Return the line that reports the end of one clip."""
     level = row["verdict"] or ""
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:

@@ -87,7 +87,7 @@ _OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
 
 
 class _ExtrinsicsSettings(Settings):
-    """Settings of `recon calibrate extrinsics` in addition to those of the clips."""
+    """Settings of `recon calibrate extrinsics` in addition to the settings of the clips."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
     """Keypoint files, quoted patterns, folders, or manifests, as for recon batch."""

@@ -49,7 +49,7 @@ class OptionsOf:
 
     settings: type[Settings]
     names: tuple[str, ...] = ()
-    """Names of the settings; empty means all."""
+    """Names of the settings, or () for all settings of the class."""
     panel: str | None = None
     """Heading under which the help lists the settings."""
     promoted: tuple[str, ...] = ()
@@ -71,7 +71,7 @@ class SettingsCommand(TyperCommand):
     """Command that reports all its missing and wrong settings at once."""
 
     infos: dict[str, SettingInfo]
-    """All settings by name, those of another class first."""
+    """All settings, keyed by name. Settings of another class come first."""
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
         """Parse arguments, or raise InputError that says how to give settings that are not options."""

@@ -86,7 +86,6 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
 
 
 def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
-    """Yield the effects and variances of the mixed models."""
     if not experiment.models:
         return
     for quantity, effects in experiment.effects.groupby("quantity", sort=False):
@@ -132,7 +131,6 @@ def _short(value: float) -> str:
 
 
 def _cells(mean: float, low: float, high: float, spread: float) -> tuple[str, ...]:
-    """Return a mean, its interval and the spread as texts."""
     if not math.isfinite(mean):
         return "-", "-", "-"
     text, ends = _value(mean, low, high)
@@ -140,7 +138,7 @@ def _cells(mean: float, low: float, high: float, spread: float) -> tuple[str, ..
 
 
 def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
-    """Return the variances of an earlier comparison if --plan is given with its folder only; otherwise None."""
+    """Return the variances of an earlier comparison, or None unless --plan is given with its folder alone."""
     if not settings.plan or len(settings.folders) != 1:
         return None
     (folder,) = settings.folders

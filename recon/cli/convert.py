@@ -51,7 +51,7 @@ class ConvertSettings(Settings):
     """Upward axis of 3D positions, if the file does not state it: y, z, or -y if y points down."""
     rename: Annotated[str | None, RENAME] = None
     body_mass_kg: Positive = 1.0
-    """Mass of the animal in an OpenSim model; with 1, forces are per kilogram."""
+    """Mass of the animal in an OpenSim model, in kg. With 1, forces are per kilogram."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace the file."""
@@ -111,7 +111,6 @@ def convert(settings: ConvertSettings) -> Answer:
 
 
 def _list_of_formats() -> Answer:
-    """Return the table of the formats that can be written."""
     every = (*CONVERTED, *_robot_formats())
     rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
     names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")

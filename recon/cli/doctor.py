@@ -39,7 +39,7 @@ MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "t
 """Module of each distribution that another distribution can replace, such as opencv-python or a custom build."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
-"""Largest accepted error of the sample, mm, twice the usual error; a larger error means that the solver is broken."""
+"""Error of the sample, mm, above which the solver is broken. The usual error is half as large."""
 SELF_TEST_S = 300.0
 _MODULE = "import sys; from recon.cli.app import main; sys.exit(main())"
 
@@ -50,7 +50,9 @@ class _Check:
 
     name: str
     status: Literal["ok", "absent", "note", "broken"]
-    """ok; absent: optional and not installed; note: works with a limit; broken: recon cannot work."""
+    """Whether the part works ("ok"), is optional and not installed ("absent"), works with a limit ("note"), or keeps
+    recon from working ("broken").
+    """
     state: str
     """State of the part, as text."""
     hint: str = ""
@@ -142,7 +144,7 @@ def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
         installed_version = metadata.version(name)
     except metadata.PackageNotFoundError:
         module = MODULES.get(name, name.replace("-", "_"))
-        # finding a module is quick; finding its distribution means reading the files of all distributions
+        # A module is found quickly, but finding its distribution means reading the files of all distributions.
         distributions = metadata.packages_distributions().get(module) if find_spec(module) else None
         if not distributions:
             return "not installed", ""

@@ -17,14 +17,14 @@ from recon.cli.commands import OptionsOf
 
 
 class FitRunSettings(Settings):
-    """Settings of `recon fit` and `recon frame` in addition to those of the fit itself."""
+    """Settings of `recon fit` and `recon frame` in addition to the settings of the fit itself."""
 
     out: Path | None = None
     """Folder for the results, such as results/clip1."""
     config: Path | None = None
-    """config.toml of an earlier run; options given here override it."""
+    """config.toml of an earlier run. Options given here override it."""
     overwrite: bool = False
-    """Replace results in the folder; an earlier page and analysis made from them are deleted."""
+    """Replace results in the folder. An earlier page and analysis made from them are deleted."""
 
 
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings)]

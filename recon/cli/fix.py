@@ -46,8 +46,8 @@ class FixSettings(ResultSettings):
     video: Path | None = None
     """Video of the keypoints, such as clip.mp4. (default: points on a plain background)"""
     out: Path | None = None
-    """Corrections file; new corrections are added to existing ones. (default: that of the fit, or corrections.csv in
-    the folder)
+    """Corrections file, to which new corrections are added. (default: the fit's corrections file, or corrections.csv
+    in the folder)
     """
     browser: Annotated[bool, Field()] = True
     """Open the page in the browser."""
@@ -110,7 +110,6 @@ def fix(settings: FixSettings, console: Console) -> Answer:
 
 
 def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> Answer:
-    """Export the corrections as labels, as a corrected table, or both, and return the answer."""
     folder, video, table = settings.export_labels, settings.video, settings.export_table
     labels_out, table_out = _outputs(settings, path)
     clip = CorrectedClip.read(settings.folder, path, number)

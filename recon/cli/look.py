@@ -51,7 +51,7 @@ MIN_WIDTH_PX = 640
 STILLS = 9
 """Largest number of stills on a page."""
 LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
-"""Files that a page links to, in addition to those of the fit, if they exist when the page is made."""
+"""Files that a page links to, in addition to the files of the fit, if they exist when the page is made."""
 
 
 def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
@@ -283,9 +283,10 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
 
 
 def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
-    """Return the links to the pages of a result's batch, or None if it is not part of a batch.
+    """Return the links to the pages of a result's batch, or None if the result is not part of a batch.
 
-    If `whole_batch` is true, all of these pages will exist; otherwise only existing pages are linked.
+    If `whole_batch` is true, all pages of the batch are linked, because they will exist. Otherwise only existing pages
+    are linked.
     """
     folder = folder.absolute()
     out = folder.parent

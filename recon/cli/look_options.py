@@ -36,7 +36,7 @@ class OverlaySettings(ResultSettings):
     """The new video, .mp4 (MPEG-4), .webm (VP8, for browsers) or .avi (Motion JPEG), such as overlay.mp4."""
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[Number, Field(gt=0, le=10)] | None = None
-    """Speed of the playback; 1 is real time. (default: 30 frames are shown per second)"""
+    """Speed of the playback, 1 for real time. (default: 30 frames are shown per second)"""
     overwrite: bool = False
     """Replace existing files."""
 
@@ -56,7 +56,7 @@ class ViewSettings(ResultSettings):
     out: Path | None = None
     """Write the playback to a recording, such as clip.rrd, and open no viewer."""
     web: bool = False
-    """Serve the viewer to a browser, for a machine without a display; Ctrl-C ends it."""
+    """Serve the viewer to a browser until Ctrl-C, for a machine without a display."""
     overwrite: bool = False
     """Replace an existing recording."""
 

@@ -21,7 +21,7 @@ from recon.base.settings import Option, Settings, input_paths
 from recon.cli.answers import Answer, table_of
 
 STEMS = ("skeleton", "angles")
-"""Names of the pictures (.png and .svg): the expected pose with names; every angle at both ends of its range."""
+"""Names of the pictures (.png, .svg) of the expected pose with names, and of each angle at both ends of its range."""
 
 
 class _SkeletonCheckSettings(Settings):

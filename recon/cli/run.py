@@ -71,7 +71,7 @@ _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Set
 
 
 class _RunSettings(Settings):
-    """Settings of `recon run` in addition to those of the fit."""
+    """Settings of `recon run` in addition to the settings of the fit."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, such as run.mp4, or a folder of videos."""
@@ -91,7 +91,7 @@ class _RunSettings(Settings):
     jobs: Count | None = None
     """Number of videos to run at the same time. (default: one per core)"""
     config: Path | None = None
-    """config.toml of an earlier fit; options given here override it."""
+    """config.toml of an earlier fit. Options given here override it."""
     overwrite: bool = False
     """Replace files that recon fit, analyse and others made in DIR; never your own files, or files changed by hand."""
 
@@ -120,7 +120,7 @@ class _Job:
 
     run: _RunSettings
     settings: FitSettings
-    """Settings of the fit; its keypoints are the given file, or the file that the network writes."""
+    """Settings of the fit, whose keypoints are the given file or the file that the network writes."""
     threads: int | None = None
     """Number of CPU threads of the network; None for as many as the process may use."""
 
@@ -324,7 +324,6 @@ def _check_inputs(job: _Job) -> None:
 
 
 def _stages(job: _Job) -> dict[str, _Stage]:
-    """Return the stages of a job by name."""
     run_settings, fit_settings, out = job.run, job.settings, job.run.out
     manifest_file = {"fit": out / MANIFEST}
     video_file = {"video": run_settings.video}
@@ -360,13 +359,11 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
 
 def _detection_stage(job: _Job, model: Path, output: Output) -> _Stage:
-    """Return the stage that finds the keypoints with a network."""
     made_from = partial(identity_of, {"video": job.run.video, "model": _model_file(model)}, {})
     return _Stage(partial(_detect, job, output), made_from, output, (job.settings.keypoints[0].name,))
 
 
 def _camera_motion_stage(job: _Job, camera: Path, output: Output) -> _Stage:
-    """Return the stage that follows the camera's motion in the video."""
     run_settings, fit_settings = job.run, job.settings
     first_frame = {"first_frame": run_settings.first_frame}
     does_zoom = run_settings.camera_motion == "zooms"
@@ -384,7 +381,6 @@ def _camera_motion_stage(job: _Job, camera: Path, output: Output) -> _Stage:
 
 
 def _detect(job: _Job, output: Output, progress: Progress) -> Answer:
-    """Find the keypoints in the video with the job's network, and write them to an output."""
     from recon.keypoint_net.network import run_prediction
 
     assert job.run.model is not None
@@ -453,10 +449,10 @@ def keypoints_of(video: Path, folder: Path) -> Path:
 def run_folder(
     jobs: Sequence[_Job], out: Path, processes: int | None = None, on_event: OnEvent = lambda *_: None
 ) -> Summary:
-    """Run `run_video` for all jobs, and write summary.csv and summary.html of them in `out`.
+    """Run all stages of several videos in parallel, and write summary.csv and summary.html into `out`.
 
-    A video that fails does not stop the others; KeyboardInterrupt is handled as in `run_batch`. `processes` is the
-    number of processes, each with one thread; the default is one per core.
+    A video that fails does not stop the others. A KeyboardInterrupt is handled as in `run_batch`. `processes` is the
+    number of processes, each with one thread, by default one per core.
     """
     with sole_writer(out):
         summary_output(out).require((SUMMARY, SUMMARY_PAGE))

@@ -21,7 +21,7 @@ MANY_LEFT_OUT = 0.2
 
 
 class _TriangulateSettings(Settings):
-    """Settings of `recon triangulate` in addition to those of the clip."""
+    """Settings of `recon triangulate` in addition to the settings of the clip."""
 
     out: Path
     """Folder for the results, such as results/clip1."""

@@ -54,8 +54,8 @@ def adjust(
     """Return the adjusted orientations of N frames, and the standard deviations of rotations and zooms.
 
     The first frame is fixed, and every other frame has at least one of the `links`. Standard deviations of rotations
-    (N,) are in rad per axis relative to the first frame, those of zooms (N,) are relative. `floor_rad` is
-    `PICTURE_FLOOR_PX` as an angle.
+    (N,) are in rad per axis, relative to the first frame. Standard deviations of zooms (N,) are relative to the zoom.
+    `floor_rad` is `PICTURE_FLOOR_PX` as an angle.
     """
     n, p = len(orientations), 4 if solve_zoom else 3
     rotation = np.stack([orientation.rotation for orientation in orientations])

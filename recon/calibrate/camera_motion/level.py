@@ -58,8 +58,8 @@ def up_by_marks(
     """Return the upward direction (3,) in the camera frame of the first picture, and its standard deviation, rad.
 
     Rays to the horizon are horizontal, and an upright object lies in the plane of the rays to its ends. The upward
-    direction is therefore perpendicular to the former rays and to the normals of these planes. `orientations` are by
-    frame number.
+    direction is therefore perpendicular to the former rays and to the normals of these planes. `orientations` is keyed
+    by frame number.
 
     Raises
     ------
@@ -82,8 +82,8 @@ def up_by_marks(
             level = rays if kind == "horizon" else np.cross(*rays)[None]
             rows.append(level @ orientation.rotation @ first.T)
     raise_problems(dict.fromkeys(problems))
-    # The error of a ray is that of a mark divided by the focal length. The error of a plane's normal is that of two
-    # marks divided by the distance between them, the length of the cross product.
+    # A ray has the error of a mark, divided by the focal length. The normal of a plane has the error of two marks,
+    # divided by the distance between them, which is the length of the cross product.
     A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX
     _, size, directions = np.linalg.svd(A, full_matrices=True)
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf

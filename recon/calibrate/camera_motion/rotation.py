@@ -25,7 +25,7 @@ CELLS = (16, 9)
 of the picture do not dominate.
 """
 POINTS_IN_CELL = 3
-"""Largest number of points that are taken from a cell."""
+"""Maximum number of points that are taken from a cell."""
 BLOCK_PX = 5
 """Side of the window over which a corner's strength is computed."""
 LEVELS = 3
@@ -86,7 +86,7 @@ class GreyPicture:
 def strongest_corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     """Return the strongest corners of every cell outside the mask, as pixels (N, 2) of the original picture.
 
-    `masked` has the shape (height, width) of the working picture; None masks nothing.
+    `masked` has the shape (height, width) of the working picture. None masks nothing.
     """
     grey = cv2.GaussianBlur(frame.grey, (0, 0), 1.0)
     strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
@@ -196,7 +196,7 @@ def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bo
 
 
 def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """Return the pixels (N, 2) of rays (N, 3), and a mask of valid pixels; the inverse of `rays_of`."""
+    """Return the pixels (N, 2) of rays (N, 3), and a mask of valid pixels, as the inverse of `rays_of`."""
     pixels, valid = camera.project(rays)
     return focus_px(camera) + zoom * (pixels - focus_px(camera)), valid
 

@@ -61,7 +61,7 @@ MIN_BACKGROUND = 0.4
 CLEAR_SIGMAS = 3.0
 """Deviation of the focal length from the camera file's, in standard deviations, above which it counts as different."""
 MIN_STILL = 0.4
-"""Smallest fraction of an old keyframe's background that is still in position if the camera only turned."""
+"""Minimum fraction of an old keyframe's background that is still in position if the camera only turned."""
 MAX_TORN = 1
 """Maximum number of old keyframes whose background may be below `MIN_STILL` if the camera only turned."""
 PICTURE_FLOOR_PX = 0.1
