@@ -64,9 +64,9 @@ from recon.testing.rigs import FPS, MISSING, SIGMA_PX, random_clip
 
 METHODS = "fit", "triangulated", "with splines", "aniposelib"
 RAT_FPS = 50.0
-"""Frame rate of the recorded rat."""
+"""Frame rate of the rat's recording, frames per second."""
 RAT_DRAFT = slice(0, 500)
-"""Frames of the rat's recording from which its skeleton is drafted."""
+"""Frames of the rat's recording from which the skeleton is drafted."""
 RAT_CLIP = slice(700, 800)
 """Frames of the rat's clip, none of which is used to draft the skeleton."""
 RAT_LENGTH_M = 0.2
@@ -90,7 +90,7 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Cameras of a clip to leave out, one at a time."""
+    """Cameras of a clip to leave out, one after the other."""
 
     clip: Clip
     cameras: str
@@ -120,7 +120,10 @@ def triangulated_prediction(result: Triangulation, view: View) -> Prediction:
 def predictions(
     clip: Clip, seen: Sequence[int], out: int, peer_m: np.ndarray | None, kept: Path | None
 ) -> tuple[dict[str, Prediction], float]:
-    """Return the predictions of each method, and the seconds that the fit took; peer_m has aniposelib's positions."""
+    """Predict a left-out camera's keypoints by each method, and return them with the duration of the fit, seconds.
+
+    `peer_m` has the positions (T, J, 3) from aniposelib, metres, or is None.
+    """
     views, view, made = [clip.views[c] for c in seen], clip.views[out], {}
     solution = solved(clip, views, kept)
     seconds = solution.stage_s["all"]
@@ -137,7 +140,7 @@ def predictions(
 
 
 def solved(clip: Clip, views: Sequence[View], kept: Path | None) -> TrajectorySolution:
-    """Return a fit, read from a file if an earlier run of this script kept it."""
+    """Fit the motion to some views, or read the fit from a file that an earlier run of this script wrote."""
     if kept is not None and kept.is_file():
         return pickle.loads(kept.read_bytes())  # files that this script wrote
     solution = solve_trajectory(views, clip.body, clip.prior, clip.fps, TrajectoryOptions(fast=clip.fast))
@@ -166,7 +169,7 @@ class Score:
     errors_px: dict[str, list[np.ndarray]] = field(default_factory=dict)
     """Errors (n,) of each method, pixels, over the points that all methods give."""
     is_inside: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    """Whether each detection is inside its 90 % region."""
+    """Whether each detection is inside the 90 % region that a method predicts."""
     seconds: list[float] = field(default_factory=list)
     """Durations of the fits, seconds."""
 
@@ -175,12 +178,12 @@ class Score:
         return float(np.median(np.concatenate(self.errors_px[method]))) if method in self.errors_px else np.nan
 
     def inside(self, method: str) -> float:
-        """Return the fraction of detections inside the regions of a method."""
+        """Return the fraction of detections inside the 90 % regions of a method."""
         return float(np.mean(np.concatenate(self.is_inside[method]))) if method in self.is_inside else np.nan
 
     @property
     def ratio(self) -> float:
-        """Return the ratio of the fit's median error to that of the best other method, NaN if there is none."""
+        """Return the fit's median error relative to the best other method, NaN if there is no other method."""
         others = [self.median_px(method) for method in METHODS[1:] if method in self.errors_px]
         return self.median_px("fit") / min(others) if others else np.nan
 
@@ -196,12 +199,12 @@ COLUMNS = (*(f"{method}, px" for method in METHODS), "fit / best other", "fit in
 
 
 def number_text(value: float, digits: int = 2) -> str:
-    """Return a number as text, empty if unknown."""
+    """Format a number with a fixed number of decimals, or as an empty text if it is unknown."""
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
 def scored(task: Task, solutions: Path | None) -> Score:
-    """Leave the cameras of a task out, one at a time, and return the errors."""
+    """Leave out the cameras of a task one after the other, and return the errors of all methods."""
     clip, cameras = task.clip, task.cameras
     score = Score()
     for out in task.outs:
@@ -232,7 +235,7 @@ def together(scores: Iterable[Score]) -> Score:
 
 
 def real_clips(folder: Path, detectors: Sequence[str], quick: bool) -> Iterator[Clip]:
-    """Yield the real runs, with each detector."""
+    """Yield a clip for each real run and each detector."""
     body, runs = load_skeleton(SKELETON), [run_of(path) for path in runs_of(folder.resolve())]
     for run in runs:
         for detector in detectors:
@@ -243,7 +246,7 @@ def real_clips(folder: Path, detectors: Sequence[str], quick: bool) -> Iterator[
 
 
 def simulated_clips(quick: bool) -> Iterator[Clip]:
-    """Yield simulated animals that differ from their skeletons."""
+    """Yield clips of simulated animals whose lengths differ from their skeletons'."""
     for name, skeleton in (("mouse", "mouse-top"), ("person", "human-25"), ("dog", "dog-27")):
         body = load_skeleton(skeleton)
         for seed in range(1 if quick else 2):
@@ -252,7 +255,7 @@ def simulated_clips(quick: bool) -> Iterator[Clip]:
 
 
 def rat_clips(quick: bool) -> Iterator[Clip]:
-    """Yield the recorded rat in simulated cameras."""
+    """Yield clips of the recorded rat, seen by simulated cameras."""
     table = pd.read_csv(recordings("rat-poses") / "rat23.csv", index_col="frame")
     names = [column.removesuffix("_x") for column in table.columns[::3]]
     points_m = table.to_numpy().reshape(len(table), -1, 3) / 1000
@@ -275,7 +278,7 @@ def rat_clips(quick: bool) -> Iterator[Clip]:
 
 
 def in_trunk(points_m: np.ndarray, names: Sequence[str], offsets_m: np.ndarray) -> np.ndarray:
-    """Turn offsets (J, 3) with the heading of the trunk, and return them as (T, J, 3)."""
+    """Turn keypoint offsets (J, 3), metres, with the heading of the trunk, and return them as (T, J, 3)."""
     ahead = points_m[:, names.index("SpineF")] - points_m[:, names.index("SpineL")]
     c, s = (ahead[:, :2] / np.linalg.norm(ahead[:, :2], axis=1, keepdims=True)).T[..., None]
     x, y, z = np.broadcast_to(offsets_m, points_m.shape).transpose(2, 0, 1)
@@ -283,7 +286,7 @@ def in_trunk(points_m: np.ndarray, names: Sequence[str], offsets_m: np.ndarray) 
 
 
 def seen_by(camera: Camera, points_m: np.ndarray, random: np.random.Generator) -> View:
-    """Return detections of points with noise and gaps, as for simulated animals."""
+    """Simulate a camera's detections of points (T, J, 3), metres, with noise and gaps."""
     xy_px, valid = camera.project(camera.world_to_camera(points_m))
     xy_px = xy_px + random.normal(0, SIGMA_PX, xy_px.shape)
     present = valid & (random.uniform(size=valid.shape) > MISSING)
@@ -318,7 +321,7 @@ def tasks_of(options: argparse.Namespace) -> list[Task]:
 
 
 def peer_clip(task: Task, out: int) -> PeerClip:
-    """Return the input of the other programs, which is a clip without one of its cameras."""
+    """Return a clip without one of its cameras, as the input of the other programs."""
     views = [task.clip.views[c].mask_outside_image() for c in choices(task.clip, out, task.cameras)]
     return PeerClip(views, task.clip.fps, task.clip.body)
 

@@ -52,19 +52,19 @@ from recon.io.deeplabcut import write_csv
 
 SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
 TEN = 10
-"""Number of frames that are exchanged in the middle of a clip."""
+"""Number of frames in the middle of a clip whose left and right keypoints are exchanged."""
 END = 12
 """Number of frames with gross outliers at an end of a clip."""
 FALSE = 0.02
-"""Largest fraction of the frames of unchanged clips that may be named wrongly."""
+"""Largest tolerable fraction of frames of unchanged clips with a false finding."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
 """Values of `recon.check.likelihood.MARGIN` to try."""
 WORSE = 1.02
-"""Largest factor by which a correction may increase the error of a clip."""
+"""Largest tolerable factor by which a correction increases the error of a clip."""
 SPARE = 1.2
-"""Factor by which the smallest sufficient margin is multiplied, because other runs may need a larger one."""
+"""Factor on the smallest sufficient margin, because other runs may need a larger margin."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
@@ -132,9 +132,9 @@ class Case:
     code: str | None = None
     """Code of the expected finding; None if none is expected."""
     told: Callable[[View], dict[str, Any]] = field(default=lambda view: {})
-    """Function that returns the wrong settings of the fit of a view."""
+    """Function that returns wrong settings for the fit of a view."""
     mends: bool = False
-    """Whether the clip is also fitted with --fix-swaps."""
+    """Whether to fit the clip with --fix-swaps as well."""
 
 
 def _other_camera(view: View) -> dict[str, Any]:
@@ -205,12 +205,12 @@ def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
 
 
 def findings_on_input(motion: Motion) -> list[Finding]:
-    """Return the findings on the keypoints that a motion was fitted to."""
+    """Return the findings of a fit that concern its keypoints."""
     return [one for one in motion.findings if one.code in {SWAP, *(case.code for case in CASES.values())}]
 
 
 def stretch_of(motion: Motion, one: Finding) -> _Stretch:
-    """Return the rows and the permutation of the keypoints of a swap."""
+    """Return the frames of a finding on a swap, and the permutation of the swapped keypoints."""
     places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
     places[to] = _opposites(motion.names, None)[to]
     first, stop = np.searchsorted(motion.frames, one.frames or ())
@@ -218,7 +218,10 @@ def stretch_of(motion: Motion, one: Finding) -> _Stretch:
 
 
 def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
-    """Return a mask (T,) of the frames in which a finding with this code names exactly these keypoints."""
+    """Return a mask (T,) of the frames of the findings with a code.
+
+    If `markers` is given, only findings on exactly these keypoints count.
+    """
     frames = np.zeros(len(motion.frames), dtype=bool)
     for one in findings_on_input(motion):
         if one.code == code and (markers is None or markers == stretch_of(motion, one).markers):
@@ -227,7 +230,7 @@ def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> 
 
 
 def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
-    """Return whether the reconstruction from all cameras agrees that the detector exchanged these keypoints."""
+    """Return whether the reconstruction from all cameras confirms that the detector exchanged the keypoints."""
     projected, _ = view.lens.project(view.truth_m)
     sigma_px = motion.solution.noise_px[0]
     q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.permutation])]
@@ -235,18 +238,20 @@ def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
 
 
 def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
-    """Return the keypoints that a case exchanges."""
+    """Return the indices of the keypoints that the case `name` exchanges."""
     places = _opposites(names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
     return tuple(int(j) for j in np.flatnonzero(places != np.arange(len(places))))
 
 
 def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
-    """Fit a view with the fault of a case, and return the row of results, which has these columns among others.
+    """Fit a view with the fault of a case, and return a row of results.
+
+    The row has these columns among others:
 
     - kind_right: a finding of the right kind names the right keypoints
     - frames_right: the frames of this finding overlap the changed frames by at least half
-    - other_flags: fraction of the other frames that have a finding about frames
-    - real_flags: fraction of the other frames that have a finding which the reconstruction confirms
+    - other_flags: fraction of the unchanged frames that have a finding about frames
+    - real_flags: fraction of the unchanged frames that have a finding which the reconstruction confirms
     """
     began = time.process_time()
     motion, changed = fitted(view, case, folder)
@@ -295,7 +300,7 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
 def print_tables(table: pd.DataFrame) -> None:
     """Print how many faults are found and how large the errors are before and after the correction.
 
-    "Worst" is the largest error of a view after the correction relative to that before.
+    "Worst" is the largest ratio of the error of a view after the correction to the error before.
     """
     head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of which real"]
     print_header([*head, "error / untouched", "corrected / untouched", "worst: corrected / not"])
@@ -350,10 +355,10 @@ def least_margin() -> Iterator[None]:
 
 
 def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:
-    """Return the results of a case for each of `MARGINS`.
+    """Fit a view with the fault of a case, and return the results with each of `MARGINS`.
 
     Each row states whether the planted exchange is found, the fraction of frames that are named wrongly, and the error
-    of the corrected clip relative to that of the uncorrected clip.
+    of the corrected clip relative to the error of the uncorrected clip.
     """
     motion, changed = fitted(view, case, folder)
     solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)
@@ -374,7 +379,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
         again, _ = fitted(mended, CASES["untouched"], folder)
         assert isinstance(solution, TrajectorySolution)
         assert isinstance(again.solution, TrajectorySolution)
-        if not swap_improves(again.solution, solution):  # such a swap is neither reported nor corrected
+        if not swap_improves(again.solution, solution):  # such a swap is not reported, nor corrected
             break
         wrong.append(wrongly)
         ratios.append(error_mm(view, again, everywhere) / mm)

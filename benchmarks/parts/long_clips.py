@@ -30,7 +30,7 @@ STRETCHES = 3
 
 
 def written(folder: Path, case: str) -> tuple[list[str], int]:
-    """Write the files of a case; return the arguments of `recon fit` for them, and how many frames are seen."""
+    """Write the input files of a case, and return the arguments of `recon fit` and the number of seen frames."""
     frames, _, cameras = case.partition("x")
     frames, _, count = frames.partition("/")
     T = int(frames)
@@ -55,7 +55,7 @@ def written(folder: Path, case: str) -> tuple[list[str], int]:
 
 
 def fitted(checkout: Path, arguments: list[str], out: Path) -> tuple[float, float, dict[str, float]]:
-    """Return the processor time of a fit in seconds, its peak memory in MB, and the sizes of its files in MB."""
+    """Run a fit, and return its processor time in seconds, its peak memory in MB, and the sizes of its files in MB."""
     command = [sys.executable, "-m", "recon", "fit", *arguments, "--out", str(out), "--overwrite", "--quiet"]
     with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(checkout)}, cwd=out.parent) as process:
         _, status, usage = os.wait4(process.pid, 0)

@@ -20,11 +20,11 @@ def print_header(header: Sequence[object]) -> None:
 
 
 def print_row(cells: Iterable[object]) -> None:
-    """Print one row, with a space between each number and its per cent sign."""
+    """Print one row of a table, with a space between each number and a following per cent sign."""
     texts = [re.sub(r"(?<=\d)%", " %", str(cell)) for cell in cells]
     print("| " + " | ".join(texts) + " |", flush=True)
 
 
 def percent(share: float, digits: int = 0) -> str:
-    """Return a fraction as a percentage in text, such as "12 %"."""
+    """Format a fraction as a percentage, such as "12 %"."""
     return f"{100 * share:.{digits}f} %"

@@ -45,7 +45,7 @@ from recon.gait.evaluation import aligned, joint_errors, score
 from recon.io.positions import read_pose_segments
 
 FAST_M_S = 8.5
-"""Smallest speed of the segments from which `running-cheetah` is made."""
+"""Smallest speed of the segments from which the prior `running-cheetah` was learned, m/s."""
 APART = ("tail_1", "tail_2")
 ASIDE_M, ABOVE_M = 8.0, 0.8
 Rows = list[dict]
@@ -53,7 +53,7 @@ Rows = list[dict]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A clip, and the truth (T, J, 3) in the world."""
+    """A clip of one camera, and the true joints (T, J, 3) in the world, metres."""
 
     name: str
     body: Body
@@ -74,7 +74,7 @@ def errors_mm(case: Case, solution: TrajectorySolution) -> tuple[float, float]:
 
 
 def row(case: Case, prior: MotionPrior, plain_mm: tuple[float, float]) -> dict:
-    """Return the row of a fit; `plain_mm` has MPJPE and MPE with independent angles."""
+    """Fit a clip with a prior, and compare the errors with `plain_mm`, MPJPE and MPE with independent angles."""
     solution = fitted(case, prior)
     mpjpe, mpe = errors_mm(case, solution)
     worst = max(solution.segments, key=lambda segment: segment.prior_misfit or 0.0)
@@ -181,7 +181,7 @@ def gallops(segments: Sequence[tuple[str, np.ndarray, float]]) -> None:
 
 
 def _from_the_side(segment: tuple[str, np.ndarray, float], body: Body) -> Case:
-    """Return a view of an animal that runs along x."""
+    """Simulate the detections of an animal that runs along x, seen from the side."""
     name, states, fps = segment
     points_m = body.tree.pose(states).points_m
     x, y, _ = points_m[-1].mean(axis=0) - points_m[0].mean(axis=0)

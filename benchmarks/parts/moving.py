@@ -1,4 +1,4 @@
-"""Test moving cameras: real views turned into those of a panning camera, and truths seen from a car.
+"""Test fits of moving cameras, which pan or are driven along the path of the animal.
 
     python benchmarks/parts/moving.py [FOLDER]
 
@@ -42,15 +42,15 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1
-"""Time over which the pan is smooth, because people do not follow an animal faster."""
+"""Standard deviation of the Gaussian that smooths the pan, s, because people do not follow an animal faster."""
 WHITE_DEG, DRIFT_DEG_S = 0.05, 0.05
 SPEED_M_S = 10.0
 FAR_M = 10.0
-"""Distance of the points on the rays, which has no effect for a camera that turns about its centre."""
+"""Distance of the points on the rays, m, which has no effect if a camera turns about its centre."""
 
 
 def panned(view: View, fps: float) -> tuple[View, View, int]:
-    """Return a view, the same view of a panning camera, and the number of points that were left out of both."""
+    """Convert a view to a panning camera, and return view, panning view and the number of points left out of both."""
     rays, R, centre = view.rays(), view.T_camera_world[:3, :3], view.centre_m[0]
     middle = fill_from_nearest(_median(rays))
     azimuth = np.unwrap(np.arctan2(middle[:, 0], middle[:, 1])) - np.arctan2(R[2, 0], R[2, 1])
@@ -174,7 +174,7 @@ def driven_rows(run: Run) -> Iterator[dict]:
 
 
 def size_rows(run: Run) -> Iterator[dict]:
-    """Yield a row on what determines the size in a driven camera: feet that may slip more or less, and priors."""
+    """Compare the size fitted in a driven camera's view for feet that may slip more or less, and for several priors."""
     body, prior = body_of(run.subject), prior_of(PRIOR)
 
     def size(sigma: float, slip_m_s: float, speed_m_s: float = SPEED_M_S) -> str:
@@ -197,7 +197,7 @@ def size_rows(run: Run) -> Iterator[dict]:
 
 
 def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
-    """Return the size at which the feet (T, F, 3) in a driven camera's picture move least, by the solver's weights."""
+    """Return the relative size at which the feet (T, F, 3), m, of a driven camera's view move least."""
     centres = driven(run)["driven"].centre_m[:, None]
     stance = StanceVelocity(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
     sizes = np.geomspace(0.5, 2.0, 201)

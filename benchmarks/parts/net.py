@@ -119,7 +119,7 @@ def labels(args: argparse.Namespace, out: Path) -> None:
 
 
 def large(args: argparse.Namespace, out: Path) -> None:
-    """Train on the large animal, and measure the processor time of the whole process, which includes the report."""
+    """Train on the large animal, and measure errors and the processor time of training and report."""
     write_large_film(out)
     print_header(("seed", "steps", "s", "processor, s", "median, px", "PCK@2.5/5/10px", "ECE"))
     for seed in args.seeds:
@@ -134,7 +134,7 @@ def large(args: argparse.Namespace, out: Path) -> None:
 
 
 def speed(args: argparse.Namespace, out: Path) -> None:
-    """Measure frames per second, decoding included, and the peak memory of a process for videos of two lengths.
+    """Measure frames per second of a prediction, including decoding, and its peak memory for videos of two lengths.
 
     The network has trained or random weights, which take the same time. Pictures are not scaled.
     """
@@ -157,7 +157,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
 
 
 def _settings(video: Path, threads: int | None) -> PredictSettings:
-    """Return the settings of a prediction that is not written to a file."""
+    """Return the settings of a prediction whose result is not written to a file."""
     return PredictSettings(video=video, model=Path(), out=Path(), threads=threads)
 
 
@@ -233,7 +233,7 @@ def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
 
 
 def _interpolated(learned: Path, held_out: Path) -> float:
-    """Return the median error (px) of linear interpolation between the learned labels, where both exist."""
+    """Return the median error of linear interpolation between the learned labels at the held-out labels, px."""
     known, other = read_label_file(learned)[0], read_label_file(held_out)[0]
     errors = []
     for k in range(len(known.names)):

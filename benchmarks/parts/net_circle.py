@@ -27,7 +27,7 @@ NOISE_PX = 2.0
 
 @dataclass(frozen=True)
 class Circle:
-    """Results of all stages, from the labels to the motion that is compared with the truth."""
+    """Results of all stages, from the training on labels to the comparison of the motion with the truth."""
 
     training: dict[str, Any]
     """Report of the training."""

@@ -25,11 +25,11 @@ SIZE_PX = (640, 480)
 LENS = 4.4
 """Focal length relative to the film's; the animal is 403 to 474 px long."""
 ABOVE_PX = 40
-"""Distance of the camera's axis above the middle of the picture, pixels."""
+"""Distance of the camera's optical axis above the middle of the picture, pixels."""
 
 
 def write_large_film(folder: Path) -> Keypoints:
-    """Write large.mp4 and labels of some of its frames; return the truth in all frames."""
+    """Write large.mp4 and labels of some of its frames, and return the true keypoints in all frames."""
     folder.mkdir(parents=True, exist_ok=True)
     clip, ground_m = film_clip()
     width, height = SIZE_PX
@@ -60,7 +60,7 @@ def write_large_film(folder: Path) -> Keypoints:
 def run_large(
     film: Path, out: Path, settings: TrainSettings, device: str, threads: int | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Train on the large film; return the training's report, and the scores in the frames without labels.
+    """Train on the large film, and return the training report and the scores in the frames without labels.
 
     `film` is a folder written by `write_large_film`.
     """

@@ -41,10 +41,10 @@ class Condition:
 
     name: str
     keypoints: tuple[str, ...] | None = None
-    """The keypoints that are detected; None for all."""
+    """Names of the detected keypoints; None for all."""
     noise_px: float = 3.0
     every: int = 1
-    """Number n, if every n-th frame is kept."""
+    """Keep one in this number of frames."""
     distance_m: float = 12.0
 
 
@@ -60,7 +60,7 @@ CONDITIONS = (
 
 
 def view_of_run(points_m: np.ndarray, condition: Condition) -> View:
-    """Return the view of a camera at the side of the middle of a run."""
+    """Simulate the detections of a camera at the side of the middle of a run."""
     markers = body_of().markers
     middle_m, path_m = points_m.mean(axis=(0, 1)), points_m.mean(axis=1)
     along = path_m[-1, :2] - path_m[0, :2]
@@ -77,7 +77,13 @@ def view_of_run(points_m: np.ndarray, condition: Condition) -> View:
 
 
 def errors(run: Path, condition: Condition) -> tuple[float, float, float, float]:
-    """Return MPJPE and PA-MPJPE in mm, the relative error of the distance, and the fraction of frames with a pose."""
+    """Fit a simulated clip, and return its errors.
+
+    Returns
+    -------
+    tuple
+        MPJPE and PA-MPJPE, mm; the relative error of the distance; and the fraction of frames with a pose.
+    """
     _, truth_m = truth_of(run)
     truth_m = truth_m[np.isfinite(truth_m).all(axis=(1, 2))][:: condition.every]
     view, fps = view_of_run(truth_m, condition), meta_of(run)["fps"] / condition.every
@@ -95,7 +101,7 @@ def errors(run: Path, condition: Condition) -> tuple[float, float, float, float]
 
 
 def main() -> None:
-    """Print the table of medians over the runs."""
+    """Print the median errors over the runs for each condition."""
     parser = parser_of(__doc__, kind="cheetah-runs")
     parser.add_argument("--only", default="", help="only conditions whose names contain this text")
     options = parser.parse_args()

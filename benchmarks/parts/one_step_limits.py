@@ -71,7 +71,7 @@ LIMIT_TEXTS = {
 
 
 def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
-    """Return the deviation that a check finds in a clip, or an empty list if the check does not run."""
+    """Fit a clip, and return the deviation that a check measures, or an empty list if the check does not run."""
     seen: list[float] = []
 
     def stretch(problem: ClipProblem, solution: TrajectorySolution) -> None:
@@ -104,7 +104,7 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
 
 
 def beyond_usual(deviations: Sequence[tuple[str, float]], untouched: Sequence[tuple[str, float]]) -> int:
-    """Return how many deviations are beyond the middle three quarters of those of other runs' untouched clips."""
+    """Count the deviations outside the middle three quarters of the untouched clips of other runs."""
     beyond = 0
     for run, value in deviations:
         usual = [usual_value for usual_run, usual_value in untouched if usual_run != run]

@@ -65,7 +65,7 @@ def without(source: Source, rows: np.ndarray) -> Source:
 
 
 def rows(run: Run) -> Iterator[dict]:
-    """Yield a row for each of `OFFSETS`."""
+    """Compare the estimated time offset of a camera with each of `OFFSETS`, in a row each."""
     body, prior, fps = body_of(run.subject), prior_of(PRIOR), run.fps
     cameras = [run.named, most_different(run)]
     first, second = (run.sources[camera] for camera in cameras)
@@ -75,7 +75,7 @@ def rows(run: Run) -> Iterator[dict]:
         return solve_trajectory(views_of(sources), body, prior, fps, options)
 
     def found(other: Source) -> tuple[float, float, float]:
-        """Return the estimated offset and its standard deviation, frames, and the MPJPE, mm."""
+        """Estimate the time offset, and return it with its standard deviation, frames, and the MPJPE, mm."""
         noise = (options.sigma_px, options.keypoint_noise_m(body))
         sources, solution = solve_time_offsets([first, other], [0.0, 0.0], solve, *noise)
         truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)

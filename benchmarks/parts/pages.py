@@ -72,9 +72,9 @@ SCRUB = """(seconds) => new Promise((done) => {
   };
   requestAnimationFrame(move);
 })"""
-"""JavaScript that moves the slider three times through the clip, and returns the refreshes per second."""
+"""JavaScript that moves the slider through the clip, and returns the screen refreshes per second."""
 SHOWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now()))))"
-"""JavaScript that returns the time from the request for the page until it is drawn, in ms."""
+"""JavaScript that returns the time from the request for the page until the page is drawn, ms."""
 
 
 def main() -> None:
@@ -91,12 +91,12 @@ def main() -> None:
 
 
 def recon(folder: Path, *arguments: object) -> tuple[float, float]:
-    """Return the wall-clock time and the processor time of a command, in seconds."""
+    """Run a command, and return its wall-clock time and processor time, seconds."""
     return seconds([sys.executable, "-m", "recon", *map(str, arguments)], str(folder))
 
 
 def browser(args: argparse.Namespace, folder: Path) -> None:
-    """Measure the size of pages, the time until they are open, and the refreshes while the slider moves."""
+    """Measure the size of pages, the time until they are drawn, and the screen refreshes while the slider moves."""
     from playwright.sync_api import sync_playwright
 
     if not CHROMIUM:
@@ -168,7 +168,7 @@ def costs(args: argparse.Namespace, folder: Path) -> None:
 
 
 def pages(args: argparse.Namespace, folder: Path) -> None:
-    """Measure the pages of the rendered film, of a sample, and of twenty samples in a row."""
+    """Measure the size and the processor time of pages of the rendered film, a sample, and twenty samples in a row."""
     points = (SAMPLES / "whole.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.partition(",")[2] for line in points[3:]]
     long = [f"{i},{row}" for i, row in enumerate((rows + rows[::-1]) * 10)]
@@ -190,7 +190,7 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
 
 
 def summary(args: argparse.Namespace, folder: Path) -> None:
-    """Measure the page of a batch in which one clip in fifty failed and the mean keypoint errors are random."""
+    """Measure the size and the processor time of the page of a batch in which one clip in fifty failed."""
     out = batch_of_copies(args.clips, folder).parent
     began = time.process_time()
     file = write_summary_page(out)
@@ -223,7 +223,7 @@ def batch_of_copies(clips: int, folder: Path) -> Path:
 
 
 def run(args: argparse.Namespace, folder: Path) -> None:
-    """Compare the time of `recon run` with that of one command for each stage, and of a second `recon run`."""
+    """Compare the times of `recon run`, of one command for each stage, and of a second `recon run`."""
     if args.model is None:
         raise SystemExit("--model: a network that `recon train` made on the rendered film")
     settings = (*FILM_FIT, "--set", "likelihood-min=0")  # accept all points, however good the network is
@@ -244,7 +244,7 @@ def run(args: argparse.Namespace, folder: Path) -> None:
 
 
 def errors(page: Path) -> str:
-    """Return the number of the browser's console messages on a desktop and a phone, in light and dark mode."""
+    """Open a page on a desktop and a phone, in light and dark mode, and count the browser's console messages."""
     if not CHROMIUM:
         return "no Chromium"
     count = 0

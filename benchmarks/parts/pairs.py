@@ -58,7 +58,7 @@ class Outcome:
     pose_mm: float
     position_mm: float
     inside: float
-    """Fraction of the coordinates inside their 90 % intervals."""
+    """Fraction of the joints' world coordinates inside their 90 % intervals."""
     level: str
     """Level of the verdict: use, check or do not use."""
     codes: tuple[str, ...]
@@ -67,13 +67,13 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One fit, with its cameras and the angle by which one of two is turned."""
+    """One fit, with its cameras and the angle by which one camera of a pair is turned."""
 
     label: str
     clip: Clip
     degrees: float = 0.0
     axis: int = 0
-    """Axis of the camera about which it is turned."""
+    """Index in `AXES` of the camera's axis of rotation."""
     turned: str = "second"
 
 
@@ -82,7 +82,7 @@ AXES = "tilt", "pan", "roll"
 
 
 def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]:
-    """Return a function that turns one camera of a pair, and gives the fit its settings."""
+    """Return a change that turns one camera of a pair and adds the settings of the fit."""
     turned_camera = task.clip.cameras[-1 if task.turned == "second" else 0]
 
     def change(clip: Clip, given: Given) -> Given:
@@ -96,7 +96,7 @@ def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]
 
 
 def tasks(options: argparse.Namespace) -> Iterator[Task]:
-    """Yield the fits selected by the options."""
+    """Yield the fits that the command line selects."""
     for run in runs_of(recordings("cheetah-runs")):
         names = cameras_of(run)
         others = sorted(names[1:], key=partial(detections, run), reverse=True)[: options.pairs]
@@ -112,12 +112,12 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
 
 
 def detections(run: Path, camera: str) -> int:
-    """Return the number of detections of a camera."""
+    """Count the detections of a camera in a run."""
     return int(np.isfinite(Clip(run, (camera,)).given(camera).xy_px[..., 0]).sum())
 
 
 def outcome(settings: dict[str, str], task: Task) -> Outcome | None:
-    """Fit a clip, and return the outcome, or None if the clip is refused or has no pose."""
+    """Fit a clip, and return errors, coverage and verdict, or None if the clip is refused or has no pose."""
     clip = task.clip
     with tempfile.TemporaryDirectory() as folder:
         try:

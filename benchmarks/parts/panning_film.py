@@ -28,7 +28,7 @@ from recon.testing.film import film_clip, panning_film, render_frames, write_fil
 
 
 def turn_errors_deg(track: Path, truth: np.ndarray) -> np.ndarray:
-    """Return errors (N,) of the estimated rotation since the first frame, in degrees."""
+    """Return the errors (N,), degrees, of an estimated camera track relative to the first frame."""
     found = read_camera_track(track)
     rotations, truth = found.T_camera_world[:, :3, :3], truth[found.frames]
     off = (rotations @ rotations[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)

@@ -40,7 +40,7 @@ OWN = (path.ACCELERATION_M_S2, path.ACCELERATION_LASTS_S, path.ERRORS_LAST_S)
 
 @dataclass(frozen=True)
 class SolvedView:
-    """One view, solved frame by frame."""
+    """Solution of one view, frame by frame, with the true peak speed."""
 
     run: str
     chain: UnknownsChain
@@ -50,7 +50,7 @@ class SolvedView:
     true_peak_m_s: float
 
     def peak(self, choice: tuple[float, float, float]) -> tuple[float, float]:
-        """Return the path's peak speed and its standard deviation for one choice of the parameters."""
+        """Return the path's peak speed and the standard deviation, m/s, for one choice of the parameters."""
         names = ("ACCELERATION_M_S2", "ACCELERATION_LASTS_S", "ERRORS_LAST_S")
         with mock.patch.multiple(path, **dict(zip(names, choice, strict=True))):
             smooth = path.path_of(self.chain, self.states, self.covariance, self.fps)
@@ -98,7 +98,13 @@ def solve(run: Path, camera: int, fps: float) -> SolvedView:
 
 
 def score(peaks: np.ndarray, true_m_s: np.ndarray) -> tuple[float, float, float]:
-    """Return the fraction near the truth, the coverage of the 90 % intervals, and the score, for peaks (V, 2)."""
+    """Compare peak speeds and standard deviations (V, 2) of V views with the truth (V,), m/s.
+
+    Returns
+    -------
+    tuple
+        Fraction of views near the truth, coverage of the 90 % intervals, and the score that combines both.
+    """
     peak, sigma = peaks.T
     near = float(np.mean(np.abs(peak / true_m_s - 1) <= WITHIN))
     covered = float(np.mean(np.abs(peak - true_m_s) <= radius(INTERVAL) * sigma))

@@ -25,11 +25,11 @@ FREE_M = 1000.0
 """Standard deviation of a tie so loose that it has no effect, metres."""
 TIES_M = (0.01, 0.1, 0.5, FREE_M)
 MORE_PX = 0.2
-"""Largest excess of the median error over that of frames without a tie, pixels."""
+"""Largest excess of the median error over the median error of frames without a tie, pixels."""
 
 
 class FirstSolutions:
-    """Solver that keeps the first solution of a view, from which the fits with all ties start."""
+    """Solver that keeps the first solution of a view, so that the fits with all ties start from it."""
 
     def __init__(self) -> None:
         self.solve_all, self.kept = solver._solve_all, None
@@ -45,7 +45,7 @@ class FirstSolutions:
 
 
 def summary(table: pd.DataFrame) -> list[str]:
-    """Return the cells of the table's row for one tie."""
+    """Summarise the errors of all views with one tie as the cells of a table row."""
     return [
         f"{table['error_px'].median():.2f}, {table['error_px'].mean():.2f}",
         f"{table[table['named']]['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.1f}",
@@ -55,7 +55,7 @@ def summary(table: pd.DataFrame) -> list[str]:
 
 
 def words(tie_m: float) -> str:
-    """Return a tie in metres as text."""
+    """Format a tie, metres, or return "none" if it has no effect."""
     return "none" if tie_m >= FREE_M else f"{tie_m:g}"
 
 
@@ -84,7 +84,7 @@ def main() -> None:
 
 
 def show(table: pd.DataFrame) -> None:
-    """Print the results by tie, and the choices with each run left out."""
+    """Print the errors with each tie, and the tie chosen with each run left out."""
     tables = {tie_m: table[table.tie_m == tie_m].reset_index(drop=True) for tie_m in sorted(set(table.tie_m.tolist()))}
     columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose inside 90 %"]
     print_table(["tie, m", *columns], [[words(tie), *summary(table)] for tie, table in tables.items()])

@@ -22,7 +22,7 @@ import pandas as pd
 
 
 def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
-    """Return positions from aniposelib's optimiser, given the detections that recon's triangulation uses.
+    """Triangulate by aniposelib's optimiser from the detections that recon's triangulation uses.
 
     aniposelib's own robust subsets try all subsets of cameras for each point, which takes minutes for half a second of
     six cameras.
@@ -38,7 +38,7 @@ def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def by_pose2sim(given: dict[str, np.ndarray]) -> np.ndarray:
-    """Return positions from Pose2Sim, which leaves out outlying cameras, fills gaps, and fits splines.
+    """Triangulate by Pose2Sim, which leaves out outlying cameras, fills gaps, and fits splines.
 
     The settings are those of Pose2Sim's demo, except that the filter is a spline that chooses its own smoothness. The
     demo's cut-off of 6 Hz suits a walking person.

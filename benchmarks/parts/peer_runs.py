@@ -38,11 +38,11 @@ PINNED = (
     "statsmodels==0.15.0",
 )
 PINNED_ALONE = ("pose2sim==0.10.49",)
-"""Program that is installed without the packages needed only for videos, detection and OpenSim."""
+"""Program to install without its dependencies that only videos, detection and OpenSim need."""
 PROGRAMS = "aniposelib", "pose2sim"
 
 Result = tuple[np.ndarray, float, str]
-"""Positions (T, J, 3), metres, processor time in seconds, and recon's verdict."""
+"""Positions (T, J, 3), metres, processor time, seconds, and recon's verdict (empty for the other programs)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class PeerClip:
 
 
 def peer_python() -> Path | None:
-    """Install the other programs if they are missing, and return their Python interpreter; None if that fails."""
+    """Install the other programs if they are missing, and return their Python interpreter, or None if that fails."""
     python = ENVIRONMENT / "bin" / "python"
     if works(python):
         return python
@@ -79,7 +79,7 @@ def works(python: Path) -> bool:
 
 
 def outside() -> dict[str, str]:
-    """Return the environment without the variables by which Python finds the project."""
+    """Return the environment variables except those by which Python finds the project."""
     return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 
 
@@ -99,9 +99,9 @@ def write_clip(path: Path, clip: PeerClip) -> None:
 
 
 def by_peers(python: Path, clips: Sequence[PeerClip], programs: Sequence[str] = PROGRAMS) -> list[dict[str, Result]]:
-    """Return the results of other programs for each clip, by program.
+    """Run the other programs on clips, and return for each clip the results of each program.
 
-    Raises SystemExit if the script of the other programs fails.
+    If the script of the other programs fails, this script ends.
     """
     script = Path(__file__).with_name("peer_programs.py")
     with tempfile.TemporaryDirectory() as folder:
@@ -119,6 +119,6 @@ def by_peers(python: Path, clips: Sequence[PeerClip], programs: Sequence[str] = 
 
 
 def bones(body: Body) -> np.ndarray:
-    """Return the pairs of keypoints with a constant distance, (N, 2)."""
+    """Return the index pairs (N, 2) of keypoints with a constant distance."""
     index = body.markers.index
     return np.array([(index(a), index(b)) for limb in body.limbs.values() for a, b in pairwise(limb)])

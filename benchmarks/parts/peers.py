@@ -52,7 +52,7 @@ MEASURES = (
     *("MPE, mm", "MPJPE, mm", "PA-MPJPE, mm", "without offsets, mm", "median, mm"),
     *("delivered, %", "verdict use", "ms per frame"),
 )
-"""Columns of numbers; in the last table, each cell has those of recon, aniposelib and Pose2Sim."""
+"""Columns of numbers; a cell of the last table has the numbers of recon, aniposelib and Pose2Sim."""
 
 Change = Callable[[Sequence[View]], list[View]]
 
@@ -129,7 +129,7 @@ CASES: dict[str, tuple[str, Change]] = {
 
 
 def by_recon(views: Sequence[View], fps: float) -> Result:
-    """Return the result of recon for files with these detections and cameras."""
+    """Write detections and cameras as files, fit them by recon, and return positions, time and verdict."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         names, files, cameras = [f"cam{i}" for i in range(len(views))], [], []
@@ -167,7 +167,7 @@ def without_offsets(errors_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 
 def scored(points_m: np.ndarray, truth_m: np.ndarray) -> list[float]:
-    """Return MPE, MPJPE, PA-MPJPE, MPJPE without offsets, the median, all in mm, and the fraction of joints given."""
+    """Return MPE, MPJPE, PA-MPJPE, MPJPE without offsets and median, mm, and the fraction of joints with a position."""
     is_true = np.isfinite(truth_m[..., 0])
     centred_m = aligned(points_m, truth_m)
     offsets_removed = without_offsets(centred_m - truth_m, truth_m)
@@ -183,7 +183,7 @@ def scored(points_m: np.ndarray, truth_m: np.ndarray) -> list[float]:
 
 
 def hidden_error_mm(points_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
-    """Return the centred error of the joints that the case hides, mm, and the fraction of them with a position."""
+    """Return the mean centred error of the joints that the case hides, mm, and the fraction that has a position."""
     rows, joints = hidden_part(len(truth_m))
     error_m = joint_errors(aligned(points_m, truth_m), truth_m)[rows, joints]
     return 1000 * float(np.nanmean(error_m)), float(np.isfinite(error_m).mean())
@@ -197,7 +197,7 @@ def chosen(run: Run, count: str) -> list[View]:
 
 
 def side_by_side(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return a row for each case, with the numbers of all programs in each cell, separated by semicolons."""
+    """Merge the rows of all programs into a row for each case, with the numbers in a cell separated by semicolons."""
     by_case: dict[tuple[str, str], list[Sequence[str]]] = {}
     for row in rows:
         by_case.setdefault((row[0], row[1]), []).append(row[3:])

@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def row(clip: SyntheticClip, seed: int) -> list[str]:
-    """Return the cells of a row: the numbers of faults and of listed faults, and the errors of the three fits, mm."""
+    """Plant faults, correct the listed ones, and return their numbers and the errors of the three fits, mm."""
     exact = clip.keypoints
     noisy, with_faults, faults = detections(clip, np.random.default_rng(seed))
     with tempfile.TemporaryDirectory() as folder:
@@ -64,7 +64,13 @@ def row(clip: SyntheticClip, seed: int) -> list[str]:
 
 
 def detections(clip: SyntheticClip, rng: np.random.Generator) -> tuple[Keypoints, Keypoints, set[tuple[int, int]]]:
-    """Return a clip's detections with noise, the same detections with faults, and the faults as (frame, keypoint)."""
+    """Add noise and faults to a clip's detections.
+
+    Returns
+    -------
+    tuple
+        The detections with noise, the detections with noise and faults, and the faults as (frame, keypoint).
+    """
     exact = clip.keypoints
     noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
     xy_px, faults = noisy.xy_px.copy(), dict(planted(noisy, rng))

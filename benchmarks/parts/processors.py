@@ -36,7 +36,7 @@ CASES = {
 
 
 def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
-    """Return the folder of a fit in a process with these variables, or None if the fit failed."""
+    """Fit the sample in a process with some environment variables, and return its folder, or None if the fit failed."""
     files = str(SAMPLES / "whole.csv"), "--camera", str(SAMPLES / "camera.toml"), "--fps", "60"
     corrections = folder.parent / "corrections.csv"
     corrections.write_text(CORRECTIONS, encoding="utf-8")
@@ -47,7 +47,7 @@ def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
 
 
 def row(name: str, folder: Path | None, first: Path) -> list[str]:
-    """Return the row that compares the tables of a fit with those of the first fit."""
+    """Compare the tables of a fit with the tables of the first fit, byte for byte, in a table row."""
     if folder is None:
         return [name, "no fit", "", ""]
     tables = sorted(first.glob("*.csv"))

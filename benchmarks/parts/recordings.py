@@ -1,4 +1,4 @@
-"""Find the recordings that are not part of the project."""
+"""Find the folders of recordings, which are not part of the project."""
 
 from __future__ import annotations
 

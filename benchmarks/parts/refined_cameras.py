@@ -40,7 +40,7 @@ TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
 
 
 def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
-    """Displace all cameras but the first."""
+    """Turn and move all cameras except the first."""
     found = [views[0]]
     for view in views[1:]:
         axis, direction = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
@@ -50,7 +50,7 @@ def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
 
 
 def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
-    """Return the differences (V - 1, 2), in degrees and metres, between the poses of all cameras but the first."""
+    """Return the pose differences (V - 1, 2), degrees and metres, of all cameras but the first."""
     found = []
     for a, b in zip(views[1:], others[1:], strict=True):
         turn = Rotation.from_matrix(a.T_camera_world[:3, :3] @ b.T_camera_world[:3, :3].T).magnitude()
@@ -59,7 +59,7 @@ def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
 
 
 def rows(run: Run) -> Iterator[dict]:
-    """Yield the results of a run from the original poses and from displaced poses."""
+    """Refine the cameras of a run from the original and from displaced poses, and yield a row of errors for each."""
     body, prior, options = body_of(run.subject), prior_of(PRIOR), TrajectoryOptions()
 
     def solved(views: Sequence[View], refine: bool) -> TrajectorySolution:
@@ -92,10 +92,10 @@ def rows(run: Run) -> Iterator[dict]:
 
 
 def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body]) -> dict:
-    """Refine a rig with all its clips, from the original and from displaced poses.
+    """Refine a rig with all its clips from the original and from displaced poses, and return the differences.
 
-    Returns the cells of a row: differences between poses in degrees and metres, as means over the draws, and the errors
-    of the displaced cameras in stated standard deviations.
+    The row has the differences between poses, degrees and metres, as means over the draws, and the errors of the
+    displaced cameras in stated standard deviations.
     """
     own = views[0]
 
@@ -119,7 +119,7 @@ def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequ
 
 
 def detected_row(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """Return the row of a rig refined with the detections of its clips."""
+    """Refine a rig with the detections of its clips, and return the errors of its cameras as a row."""
     cameras = cameras_of(clips[0])["all"]
     views = [[run.views[camera] for camera in cameras] for run in clips]
     row = together(clips, views, [as_seen(body_of(run.subject), run, runs) for run in clips])
@@ -127,7 +127,7 @@ def detected_row(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def simulated_rows(runs: Sequence[Run]) -> Iterator[dict]:
-    """Yield a row of means over the runs, each refined alone, for each kind of simulated detections."""
+    """Refine the cameras of each run alone with each kind of simulated detections, and yield the mean errors."""
     independent = {"ERROR_TIME_S": 0.0, "KEYPOINT_BIAS_SHARE": 0.0}
     for label, random, constants in (
         ("projections of the truth", 0, {}),

@@ -31,7 +31,7 @@ MOVED_PX = 40.0
 
 
 def settings_of(folder: Path, frames: int) -> FitSettings:
-    """Write the keypoints and the camera of a simulated run, and return the settings of its fit."""
+    """Write the keypoints and the camera of a simulated run as files, and return the settings of the fit."""
     written(folder, f"{frames}x1")
     return FitSettings(keypoints=(folder / "run_cam0.csv",), camera=(folder / "cameras.toml",), fps=FPS)
 
@@ -47,7 +47,7 @@ def corrected(settings: FitSettings, motion: Motion, folder: Path) -> FitSetting
 
 
 def row(frames: int) -> list[str]:
-    """Return the times and the difference for one length of clip."""
+    """Measure the times of a refit and a fit from scratch, and their difference, for one length of clip."""
     with tempfile.TemporaryDirectory() as name, threadpool_limits(1):
         folder = Path(name)
         settings = settings_of(folder, frames)

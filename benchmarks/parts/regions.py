@@ -35,11 +35,11 @@ from recon.fit.segment import SegmentFit
 from recon.fit.trajectory import solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
-"""Degrees of freedom to compare; the last value is practically a Gaussian."""
+"""Degrees of freedom of Student's t to try; the last value is practically a Gaussian."""
 KINDS, LEVELS = ("pose", "position"), (0.9, 0.5)
 DRAWS = 400
 WORST = 0.6
-"""Coverage of the 90 % regions below which views are counted."""
+"""Coverage of the 90 % regions below which a view counts as badly covered."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class Fit:
     run: Run
     cameras: str
     off: dict[str, np.ndarray]
-    """Errors in standard deviations, by each of `KINDS`."""
+    """Errors of pose and position (`KINDS`) in stated standard deviations."""
     mm: dict[str, float]
-    """Mean errors in mm, by each of `KINDS`."""
+    """Mean errors of pose and position (`KINDS`), mm."""
     named: bool
-    """Whether the only camera is the camera that the run's meta.json names."""
+    """Whether the fit has only the camera that the run's meta.json names."""
 
 
 def fits(runs: Sequence[Run]) -> list[Fit]:
@@ -89,12 +89,12 @@ def likelihood(off: np.ndarray) -> np.ndarray:
 
 
 def inside(some: Sequence[Fit], what: str, nu: float) -> str:
-    """Return as text the fractions of errors inside 90 % and 50 % regions, as means over the fits."""
+    """Format the fractions of errors inside the 90 % and 50 % regions, as means over the fits."""
     return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
 
 
 def heaviness(found: Sequence[Fit]) -> None:
-    """Print the degrees of freedom fitted with each run left out, and the coverage with them on that run."""
+    """Fit the degrees of freedom with each run left out, and print the coverage that they give on that run."""
     one = [fit for fit in found if fit.cameras == "one"]
     by_fit = {id(fit): {what: likelihood(off) for what, off in fit.off.items()} for fit in one}
 
@@ -126,7 +126,8 @@ def drawn(
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Draw the joints' errors from the stated covariances.
 
-    Returns errors (DRAWS, n) of pose and position in standard deviations, and mean errors (DRAWS,) in mm.
+    For pose and position, the result has the errors (DRAWS, n) in standard deviations, and the mean errors (DRAWS,),
+    mm.
     """
     problem, states = solved.problem, solved.estimate.states
     problem = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
@@ -190,7 +191,7 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
 
 
 def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
-    """Print the sizes of errors drawn as stated, (V, DRAWS) in mm, next to the real errors of the views."""
+    """Print the errors (V, DRAWS), mm, drawn from the stated covariances next to the real errors of the views."""
     named = [view.named for view in views]
     rows = []
     for what in KINDS:

@@ -52,7 +52,7 @@ COLUMNS = (
 
 
 def fits(folder: Path, work: Path) -> Iterator[tuple[str, Motion]]:
-    """Yield the name and the fit of the sample and of each run."""
+    """Fit the sample and each run, and yield their names and fits."""
     samples = ROOT / "data" / "samples"
     yield (
         "sample, whole animal",

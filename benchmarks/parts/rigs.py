@@ -43,7 +43,7 @@ WRONG = (0.0, 0.1, 0.2, 0.3)
 
 
 def scored(found: TrajectorySolution, true_m: np.ndarray) -> tuple[float, ...]:
-    """Return the fractions of positions and poses within the intervals, and MPJPE and MPE in metres."""
+    """Return the fractions of positions and poses within the 90 % intervals, and MPJPE and MPE, metres."""
     off, centred = found.joints_m - true_m, aligned(found.joints_m, true_m) - true_m
     errors = (float(np.linalg.norm(e, axis=2).mean()) for e in (centred, off))
     return (

@@ -24,7 +24,7 @@ DEFAULT = FrameOptions()
 
 
 def fit(clip: SyntheticClip, keypoints, options: FrameOptions, outliers: np.ndarray | None = None) -> list[str]:
-    """Fit a clip by the frame method, and return the table's cells, from converged frames to time per frame."""
+    """Fit a clip by the frame method, and return the cells of a table row, such as errors and time per frame."""
     columns = [keypoints.names.index(name) for name in SKELETON.body.keypoint_names(clip.side)]
     xy, confidence = keypoints.xy_px[:, columns], keypoints.confidence[:, columns]
     fps = clip.keypoints.fps or 30.0

@@ -40,12 +40,12 @@ for name in {}:
     except ImportError:  # optional modules that a library looks for
         pass
 """
-"""Program that imports modules as the command line does."""
+"""Python program that imports modules as the command line does."""
 WITHOUT_PLAYBACK = (*FIT_40, "--set", "playback=false")
 
 
 def used_s(command: list[str], folder: str, runs: int) -> float:
-    """Return the smallest processor time of a command, seconds, over some runs after a first that is not timed."""
+    """Run a command once untimed and then `runs` times, and return the shortest processor time, seconds."""
     return min([seconds(command, folder)[1] for _ in range(runs + 1)][1:])
 
 
@@ -62,7 +62,7 @@ def modules_of(command: list[str], folder: str) -> list[str]:
 
 
 def clip_s(clips: int) -> float:
-    """Return the processor time per clip, seconds, in a process that fits many clips."""
+    """Fit many clips in one process, and return the mean processor time per clip, seconds."""
     keep_freed_memory()
     collect_rarely()
     with tempfile.TemporaryDirectory() as temporary:

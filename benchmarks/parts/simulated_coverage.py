@@ -67,12 +67,12 @@ FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
 END_ON_DEG = 30.0
 STEP = 0.02
-"""Step of a numerical derivative with respect to the logarithm of the distance."""
+"""Step, in the logarithm of the distance, of a numerical derivative."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A simulated or recorded motion."""
+    """A simulated or recorded motion of n frames, with the body and the prior of its fit."""
 
     body: Body
     prior: MotionPrior
@@ -98,7 +98,7 @@ def model(skeleton: str) -> tuple[Body, MotionPrior]:
 
 
 def extent(body: Body) -> float:
-    """Return the size of a body relative to one whose joints are half a metre from its root."""
+    """Return the mean distance of a body's joints from the root at the zero pose, in units of half a metre."""
     return float(np.linalg.norm(body.tree.pose(np.zeros((1, body.n_state))).points_m[0], axis=1).mean()) / 0.5
 
 
@@ -124,7 +124,7 @@ def drawn(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
 
 @cache
 def recorded_motions(animal: str) -> list[Motion]:
-    """Return the recorded motions of an animal, without frames that lack a point."""
+    """Load the recorded motions of an animal, without frames that lack a point."""
     if animal == "dog":
         body, prior = model(dog.SKELETON)
         clips = ((clip.fps, clip.markers(body)) for clip in dog.read_clips(recordings("dog-mocap")))
@@ -139,7 +139,7 @@ def recorded_motions(animal: str) -> list[Motion]:
 
 
 def recorded(animal: str, rng: np.random.Generator) -> Motion:
-    """Return at most T frames of a random motion, turned about the vertical."""
+    """Draw at most T frames of a recorded motion, and turn them about the vertical at random."""
     motions = recorded_motions(animal)
     whole = motions[rng.integers(len(motions))]
     first = rng.integers(max(len(whole.points_m) - T, 0) + 1)
@@ -151,7 +151,7 @@ def recorded(animal: str, rng: np.random.Generator) -> Motion:
 
 
 def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) -> np.ndarray:
-    """Return noise (n, ...) of unit variance with a correlation time of `alike` frames."""
+    """Draw noise (n, ...) of unit variance with a correlation time of `alike` frames."""
     keep = (alike - 1.0) / (alike + 1.0)
     noise = rng.normal(size=shape)
     for t in range(1, len(noise)):

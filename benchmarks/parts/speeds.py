@@ -27,7 +27,7 @@ METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory":
 
 
 def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float, float, bool]:
-    """Return a view's errors and stated standard deviations.
+    """Compare velocity and net acceleration of one view's fit with the reference.
 
     Returns
     -------

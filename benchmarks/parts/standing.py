@@ -41,7 +41,7 @@ def speed_m_s(part: Clip) -> float:
 
 
 def judged(part: Clip) -> tuple[str, list[str]]:
-    """Fit a part of a clip, and return the level of the verdict and the codes of the findings that are errors."""
+    """Fit a part of a clip, and return the level of the verdict and the codes of the errors among the findings."""
     with tempfile.TemporaryDirectory() as folder:
         settings, _ = write_view(part, Path(folder), seed=1, as_stated=True)
         motion = fit_clip(settings)

@@ -30,11 +30,11 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import Estimate
 
 LOWER = 1.0
-"""Smallest decrease of the cost that counts; two searches that end in the same minimum differ by less."""
+"""Smallest decrease of the cost that counts, because two searches that end in the same minimum differ by less."""
 
 
 def windows_of(run: Run) -> list[tuple[bool, ClipProblem]]:
-    """Return the problems of single cameras, pairs and all cameras, and whether each has several cameras."""
+    """Return the fitting problems of single cameras, pairs and all cameras, and whether each has several cameras."""
     cameras = [*run.views]
     sets = [*((camera,) for camera in cameras), *combinations(cameras, 2), tuple(cameras)]
     body, prior = body_of(run.subject), prior_of(PRIOR)
@@ -48,21 +48,21 @@ def windows_of(run: Run) -> list[tuple[bool, ClipProblem]]:
 
 
 def approached(clip: ClipProblem, constant: str) -> list[Estimate]:
-    """Approach a window with a constant made infinite, so that it has no effect, and return the estimates."""
+    """Search the minima of a window with a constant of the search made infinite, so that it has no effect."""
     with patch.object(starts, constant, np.inf):
         return starts.approach(clip)
 
 
 def two_costs(estimates: list[Estimate], frames: int) -> np.ndarray:
-    """Return the costs (2,) of the best minimum and of a second one, infinite if none would be reported."""
+    """Return the costs (2,) of the best and the second minimum; infinite if no second one would be reported."""
     costs = [estimate.cost for estimate in estimates if len(estimate.states) == frames]
-    # a start that leads to the best minimum appears with the same cost
+    # Other starts that lead to the best minimum have the same cost.
     second = [cost for cost in costs[1:] if costs[0] < cost <= costs[0] + starts.ALTERNATIVE_COST]
     return np.array([costs[0], *second, np.inf][:2])
 
 
 def decreases(given: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return by how much costs (2,) are lower in another search; 0 if that search has no such minimum."""
+    """Return the decrease (2,) of the costs in the other search; 0 if the other search lacks the minimum."""
     return np.where(np.isinf(other), 0.0, given - np.where(np.isinf(other), 0.0, other))
 
 

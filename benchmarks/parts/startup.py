@@ -30,11 +30,11 @@ COMMANDS = (
     ("recon view --help", ("view", "--help"), SMALL, ""),
     ("recon fit, 40 frames", FIT_40, LARGE, "2"),
 )
-"""Name, arguments, needed imports, and largest allowed ratio of times."""
+"""Title, arguments, needed imports, and largest allowed ratio of times of each command."""
 
 
 def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
-    """Return the wall-clock time and the processor time (NaN if unknown) of a command, in seconds."""
+    """Run a command, and return its wall-clock time and its processor time (NaN if unknown), seconds."""
     compiled = {"PYTHONPYCACHEPREFIX": f"{folder}/compiled"}  # compiled once, like an installed package
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | compiled
     began = time.perf_counter()
@@ -53,10 +53,10 @@ def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
 def compared(
     arguments: Sequence[str], imports: str, runs: int, folder: str
 ) -> tuple[float, float, float, float, float]:
-    """Time pairs of processes, and return medians over the pairs.
+    """Time `recon ARGUMENTS` and Python with the imports in turn, and return medians over the pairs.
 
-    The medians are those of the wall-clock and processor seconds of `recon ARGUMENTS`, the wall-clock seconds of Python
-    with the imports, and the ratios of wall-clock and of processor times.
+    The medians are the wall-clock and processor seconds of `recon ARGUMENTS`, the wall-clock seconds of Python, and the
+    ratios of the wall-clock times and of the processor times.
     """
     pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
     taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]

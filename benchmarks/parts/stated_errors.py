@@ -27,7 +27,7 @@ HEADER = (
 
 
 def view_row(run: Path, camera: int, fps: float, options: dict[str, Any]) -> tuple[list[str], bool, bool]:
-    """Return one view's cells, and whether the intervals of its pose and of its position contain the errors."""
+    """Fit one view, and return its table row and whether pose and position error are within the stated bounds."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
         camera=(run / "scene.json",),
@@ -47,12 +47,12 @@ def view_row(run: Path, camera: int, fps: float, options: dict[str, Any]) -> tup
 
 
 def values_of(expected: ExpectedError | None) -> tuple[float, float, float]:
-    """Return the expected error and the ends of its 90 % interval, or NaN if the verdict states none."""
+    """Return the expected error and the ends of its 90 % interval, or NaN if the verdict states no error."""
     return (np.nan, np.nan, np.nan) if expected is None else (expected.expected, expected.low, expected.high)
 
 
 def holds(expected: ExpectedError | None, error_m: float) -> bool:
-    """Return whether an error is at most the upper end of its 90 % interval."""
+    """Return whether a true error, m, is at most the upper end of the stated 90 % interval."""
     return expected is not None and error_m <= expected.high
 
 

@@ -37,17 +37,17 @@ from recon.gait.stances import pose_tracks
 
 LEVELS = 0.0, 0.02, 0.05, 0.10
 MOVING = "run02", "walk00", "walk01", "walk03", "walk04"
-"""Clips with straight motion at a constant speed."""
+"""Clips in which the dog moves straight at a constant speed."""
 CHECKED = {
     "stride_length_m": "stride length, m",
     "stride_frequency_hz": "stride frequency, Hz",
     "duty_factor": "duty factor",
 }
-"""Quantities that are compared with the plates, with their headings."""
+"""Heading of each quantity that is compared with the plates."""
 
 
 def plate_rows() -> list[dict]:
-    """Return each view's stride length, frequency and duty factor, next to those from the plates and all cameras."""
+    """Compare stride length, frequency and duty factor of each view with the plates and with all cameras."""
     rows = []
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -114,7 +114,7 @@ def asymmetry_rows(clips: list[Clip], levels: tuple[float, ...], fits: Path) -> 
 
 
 def asymmetry_table(rows: list[dict]) -> list[dict]:
-    """Return how often asymmetries are refused and found, and how often intervals are wrong, by kind and level."""
+    """Count refused and found asymmetries and wrong intervals, for each kind and size of the planted asymmetry."""
     table = []
     for kind in ("stance", "excursion"):
         for level in sorted({row["level"] for row in rows}):

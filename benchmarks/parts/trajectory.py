@@ -53,7 +53,7 @@ from recon.testing.gallop import gallop
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
 VISIBLE = 0.8
-"""Smallest fraction of the truth inside the picture for a view to count as a candidate for the worst view."""
+"""Fraction of the truth inside the picture from which a view can count as the worst view."""
 HOLE = 10
 GROUPS = {
     "head": ("nose", "l_eye", "r_eye"),
@@ -76,12 +76,12 @@ class Job:
     run: Path
     camera: int
     subject: bool = True
-    """Whether the lengths are the animal's own."""
+    """Whether the fit has the animal's own lengths."""
     scale: float = 1.0
     """Factor by which all lengths are scaled."""
     prior: str = PRIOR
     options: dict = field(default_factory=dict)
-    """Options of the fit, and constants of the solver, by name."""
+    """Options of the fit and constants of the solver that differ from the defaults."""
     change: str = "nothing"
     """Key of `CHANGES`, or "projected" for the truth's projections as detections."""
 
@@ -100,11 +100,11 @@ class Fit:
     inside_place: np.ndarray
     """1.0 (T, J) where the truth in the camera's frame is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
     sigma_m: np.ndarray
-    """Standard deviation (T,) of the joints within the pose, metres, RMS over the joints."""
+    """Stated standard deviation (T,) of the joints within the pose, metres, RMS over the joints."""
     too_far_m: float
     """Mean distance of the animal's middle from the camera minus the true distance, metres."""
     visible: float
-    """Fraction of the truth in the picture."""
+    """Fraction of the true joints inside the picture."""
     reference_px: float
     """Median distance of the truth's projections from the detections, pixels."""
     flags: tuple[tuple[str, ...], ...]
@@ -153,7 +153,7 @@ def truth_of(run: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def view_of(run: Path, camera: int) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
-    """Return camera, detections (T, J, 2), confidence (T, J) and truth (T, J, 3), camera frame, NaN if unknown."""
+    """Return camera, detections (T, J, 2), px, confidence (T, J) and truth (T, J, 3) in the camera's frame, m."""
     keypoints, _ = clean(replace(read_keypoints(run / f"cam{camera}.csv"), fps=meta_of(run)["fps"]), 0.5)
     keypoints, scene = arrange(keypoints, body_of().markers), run / "scene.json"
     lens = read_camera(scene, f"cam{camera}") if scene.is_file() else read_camera(run / f"cam{camera}.toml")
@@ -198,7 +198,7 @@ CHANGES: dict[str, Callable[[np.ndarray], slice]] = {
     "left and right swapped for ten frames": _swapped,
     "30 % moved by up to 300 px in x and y": _moved,
 }
-"""Functions that change detections (T, J, 2) in place, and return the frames that are not scored."""
+"""Functions that change detections (T, J, 2) in place, and return the frames that are excluded from the scores."""
 
 
 def solution_of(job: Job) -> TrajectorySolution:
@@ -240,7 +240,7 @@ def fit(job: Job) -> Fit:
 
 
 def _distance_m(points_m: np.ndarray) -> np.ndarray:
-    """Return the distances (T,) of the points from the camera."""
+    """Return the distance (T,), m, of the middle of the points (T, J, 3) from the camera."""
     return np.linalg.norm(points_m.mean(axis=1), axis=-1)
 
 
@@ -282,7 +282,7 @@ def without_2019(found: Sequence[Fit]) -> list[Fit]:
 
 
 def summary(label: str, found: Sequence[Fit]) -> dict:
-    """Return the summary row of one way to fit, over all views or only the named views."""
+    """Summarise the errors of several fits as a table row."""
     named = [f for f in found if f.named]
     row = {
         "method": label,
@@ -337,7 +337,7 @@ def accuracy(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
-    """Return the summary row of the frame method with the published settings, for the named views."""
+    """Fit the named views by the frame method with the published settings, and summarise the errors."""
     frame = [view_row(run, meta["monocular_camera"], PUBLISHED, meta) for run, meta in zip(runs, metas, strict=True)]
     return {
         "method": "frame, nine joints, published ratios",
@@ -349,7 +349,7 @@ def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
 
 
 def _published_methods(runs: Sequence[Path], metas: Sequence[dict]) -> Iterator[dict]:
-    """Yield the summary rows of the published methods, for the named views."""
+    """Summarise the errors of the published methods for the named views."""
     for name in metas[0].get("published", {}):
         published = [meta["published"][name] for meta in metas]
         earlier = [p for p, run in zip(published, runs, strict=True) if not run.name.startswith("2019")]
@@ -424,10 +424,7 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def rates(runs: Sequence[Path]) -> dict[str, Rows]:
-    """Return tables of the errors of velocities and accelerations, and of their standard deviations.
-
-    The standard deviations are those that `recon.gait.clip` states.
-    """
+    """Compare the errors of velocities and accelerations with the standard deviations that `recon.gait.clip` states."""
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
@@ -442,7 +439,7 @@ def rates(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def _rate_errors(job: Job) -> dict[str, np.ndarray]:
-    """Return errors and standard deviations (all axes together) of position, velocity and acceleration, by part."""
+    """Return errors and standard deviations, all axes together, of position, velocity and acceleration of a fit."""
     solution, truth_m = solution_of(job), view_of(job.run, job.camera)[3]
     time_s = np.arange(len(truth_m)) / meta_of(job.run)["fps"]
     found, middle = solution.joints_camera_m, solution.joints_camera_m.mean(axis=1, keepdims=True)

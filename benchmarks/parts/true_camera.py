@@ -1,4 +1,4 @@
-"""Compare the likelihood of clips with a wrong camera file to that with the right one.
+"""Compare the likelihood of clips with a wrong and with the right camera file.
 
     python benchmarks/parts/true_camera.py [--jobs 2] [--views 6]
 
@@ -45,9 +45,9 @@ KINDS = {
     "two cameras, one turned by 2 to 6 degrees": [name for name in CASES if name.startswith("two, one turned")],
     "two cameras, one moved by 0.25 or 0.5 m": [name for name in CASES if name.startswith("two, one moved")],
 }
-"""Cases of wrong_inputs.py with the same keypoints as the right input."""
+"""Cases of wrong_inputs.py whose keypoints equal those of the right input."""
 CLEAR = 3.0
-"""Log-likelihood gain that is called clear."""
+"""Log-likelihood gain above which the right file would clearly win."""
 
 
 def log_likelihood(motion: Motion) -> float:
@@ -70,7 +70,10 @@ def log_likelihood(motion: Motion) -> float:
 
 
 def fit(clip: Clip, name: str, as_given: bool = False) -> tuple[Motion, Given] | None:
-    """Fit a case, with the cameras' poses as given if `as_given`; return None if the fit is refused."""
+    """Fit a clip with the change of a case, or return None if the fit is refused.
+
+    If `as_given` is true, the poses of the cameras are not refined.
+    """
     case = CASES[name]
 
     def change(clip: Clip, given: Given) -> Given:
@@ -85,7 +88,7 @@ def fit(clip: Clip, name: str, as_given: bool = False) -> tuple[Motion, Given] |
 
 
 def row(clip: Clip, kind: str, name: str) -> dict[str, Any] | None:
-    """Return the verdict on a case, and the gain of the right camera file if the verdict is "use" and wrong."""
+    """Fit a clip with a wrong camera file, and measure the gain of the right file if the verdict is wrongly "use"."""
     wrong = fit(clip, name)
     if wrong is None or wrong[0].verdict is None:
         return None
@@ -105,14 +108,14 @@ def row(clip: Clip, kind: str, name: str) -> dict[str, Any] | None:
 
 
 def rows_of(clip: Clip) -> list[dict[str, Any]]:
-    """Return the rows of all cases of a clip."""
+    """Fit a clip with all cases for its number of cameras, and return their rows."""
     names = [(kind, name) for kind, of_kind in KINDS.items() for name in of_kind]
     rows = [row(clip, kind, name) for kind, name in names if CASES[name].two == (len(clip.cameras) == 2)]
     return [one for one in rows if one is not None]
 
 
 def cells(name: str, part: pd.DataFrame) -> Sequence[Any]:
-    """Return the cells of a row of the table."""
+    """Summarise the fits of one kind of wrong camera file as a table row."""
     gains = part["gain"].dropna()
     spread = f"{gains.median():.1f} ({gains.min():.1f} to {gains.max():.1f})" if len(gains) else ""
     return [name, len(part), part["use"].sum(), part["beyond"].sum(), spread, (gains > CLEAR).sum()]

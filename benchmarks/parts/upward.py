@@ -37,7 +37,7 @@ BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px
 
 
 def clips() -> Iterator[tuple[str, Sequence[View], float]]:
-    """Yield name, views and frame rate of each clip."""
+    """Yield the name, the views and the frame rate of each clip."""
     for folder in runs_of(recordings("cheetah-runs")):
         run = run_of(folder)
         yield "cheetah-runs, all cameras", [*run.views.values()], run.fps

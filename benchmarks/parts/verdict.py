@@ -42,13 +42,13 @@ from recon.check import verdict
 from recon.check.verdict import Evidence, evidence_of
 
 WORSE_WEIGHT = 0.05
-"""Weight of a view with worse detections relative to an unchanged view."""
+"""Weight of a view with `WORSE` detections in the fit of the constants, relative to an unchanged view."""
 RIDGE = 1.0
-"""Strength of the ridge penalty on the powers, in standard scores."""
+"""Strength of the ridge penalty on the powers of the factors, for factors in standard scores."""
 USE_BELOW_MM = 130
-"""Error above which views should not be "use"."""
+"""Pose error above which the verdict on a view should not be "use", mm."""
 NOT_ABOVE_MM = 90
-"""Error below which views should not be "do not use"."""
+"""Pose error below which the verdict on a view should not be "do not use", mm."""
 COLUMNS = (
     *("clips", "number", "rank correlation", "error / expected, 90 % of use", "pose inside", "position inside"),
     *("use / check / do not use", "do not use, below 90 mm", "use, above 130 mm", "warnings with use"),
@@ -67,7 +67,7 @@ def first_half(clip: Clip, given: Given) -> Given:
 
 
 def noisier(share: float) -> Callable[[Clip, Given], Given]:
-    """Return a change that adds noise, in fractions of the animal's extent in the picture."""
+    """Return a change that adds noise, whose size is a fraction of the animal's extent in the picture."""
 
     def change(clip: Clip, given: Given) -> Given:
         low, high = np.nanmin(given.xy_px, axis=1), np.nanmax(given.xy_px, axis=1)
@@ -133,9 +133,9 @@ def evidence(of: pd.Series) -> Evidence:
 
 
 def fit(table: pd.DataFrame) -> dict[str, float]:
-    """Fit the verdict's constants to a table of views, in logarithms of the error relative to the trunk.
+    """Fit the verdict's constants to a table of views, by least squares in the logarithm of error / trunk length.
 
-    Returns the "constant" and, by name, the powers of the factors.
+    The result has the "constant", and the power of each factor.
     """
     factors = pd.DataFrame([evidence(one).factors for _, one in table.iterrows()])
     unseen = factors.pop("unseen")
@@ -161,7 +161,7 @@ def spreads(table: pd.DataFrame) -> list[float]:
 
 
 def judge(table: pd.DataFrame, constants: dict[str, float]) -> pd.DataFrame:
-    """Return expected errors and levels for these constants, computed as in `recon.check.verdict`."""
+    """Compute the expected errors and the verdict's level of each view with certain constants."""
     verdict.SCALE, verdict.POWERS = constants["constant"], {n: c for n, c in constants.items() if n != "constant"}
     found = []
     for _, one in table.iterrows():

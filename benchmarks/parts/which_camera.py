@@ -43,7 +43,7 @@ from recon.fit.result import Finding
 CODE = "another_camera_fits"
 RIGHT, OTHER = "right camera", "another camera"
 BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
-"""Columns of the upper ends of the stated intervals, by the error that they bound."""
+"""Column of the upper end of the stated interval for each error."""
 SAME = Case(lambda clip, given: given)
 SLOPE = about("y", float(np.degrees(np.arctan(0.03))))
 
@@ -61,7 +61,7 @@ class OnSlope(Clip):
 
 
 def row(clip: Clip, name: str, case: Case, given_name: str) -> dict[str, Any] | None:
-    """Fit a clip with a camera of its run; return gain, verdict and errors, or None if the clip is not tested."""
+    """Fit a clip with a camera of its run, and return gain, verdict and errors, or None if the fit is refused."""
     gains: list[float] = []
 
     def change(clip: Clip, given: Given) -> Given:

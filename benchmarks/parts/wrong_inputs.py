@@ -50,7 +50,7 @@ from recon.io.deeplabcut import write_csv
 from recon.testing.coverage import coverage
 
 EITHER = ("upside_down", "turned_either_way")
-"""Codes of findings on contradictions that several causes can explain."""
+"""Codes of findings on a contradiction that several causes can explain."""
 CAUSES = {
     *(
         "frames_dropped",
@@ -92,7 +92,7 @@ MISPLACED = (*OFF, "pair_refined")
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The run and the camera that really recorded some keypoints, and the delay of their frame numbers."""
+    """Run and camera that really recorded some keypoints, and the delay of their frame numbers."""
 
     run: Path
     camera: Camera
@@ -101,7 +101,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """Content of a camera's files, and its relation to the truth."""
+    """Content of a camera's input files, and its relation to the truth."""
 
     keypoints: Keypoints
     camera: Camera
@@ -113,7 +113,7 @@ class Given:
     told: dict[str, Any] = field(default_factory=dict)
     """Settings of the fit that the change replaces."""
     really: Seen | None = None
-    """Real origin of the keypoints, if it is not this camera."""
+    """Real origin of the keypoints, or None if they come from this camera."""
 
     @property
     def xy_px(self) -> np.ndarray:
@@ -124,14 +124,14 @@ class Given:
         return np.array(self.camera.image_size_px)
 
     def seen(self, xy_px: np.ndarray, frames: np.ndarray | None = None, **more: Any) -> Given:
-        """Return the content with other points, whose confidences are 1."""
+        """Replace the keypoints by other points, px, with a confidence of 1."""
         frames = self.keypoints.frames if frames is None else frames
         confidence = np.where(np.isfinite(xy_px[..., 0]), 1.0, 0.0)
         keypoints = replace(self.keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
         return replace(self, keypoints=keypoints, **more)
 
     def moved(self, R: np.ndarray | None = None, t: Sequence[float] | np.ndarray = (0, 0, 0)) -> Given:
-        """Return the content in another world."""
+        """Express the camera in another world, in which a point x is at R x + t (metres)."""
         R, t_m = np.eye(3) if R is None else R, np.asarray(t, dtype=float)
         assert self.camera.rotation is not None
         assert self.camera.translation_m is not None
@@ -140,7 +140,7 @@ class Given:
         return replace(self, camera=camera, R=R, t=t_m)
 
     def turned(self, by: np.ndarray, shift_m: Sequence[float] = (0, 0, 0)) -> Given:
-        """Return the content with the camera displaced by a rotation and a shift in its own frame."""
+        """Displace the camera by a rotation and a shift in its own frame."""
         assert self.camera.rotation is not None
         assert self.camera.translation_m is not None
         camera = replace(
@@ -151,7 +151,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One or two cameras of a run."""
+    """A clip of one or two cameras of a run."""
 
     run: Path
     cameras: tuple[str, ...]
@@ -183,7 +183,7 @@ def cameras_of(run: Path) -> list[str]:
 
 
 Change = Callable[[Clip, Given], Given]
-"""Change of the files of the only camera, or of the second of two."""
+"""Function that changes the input of the only camera, or of the second of two cameras."""
 
 
 @dataclass(frozen=True)
@@ -194,9 +194,9 @@ class Case:
     codes: tuple[str, ...] = ()
     """Codes of the findings that state this input."""
     two: bool = False
-    """Whether clips have two cameras."""
+    """Whether the case needs clips of two cameras."""
     both: bool = False
-    """Whether the first of two cameras is also changed."""
+    """Whether to change the first of two cameras as well."""
     whole_file: bool = False
     """Whether the camera file has all cameras of the run, and the given camera is chosen by its name."""
 
@@ -635,13 +635,13 @@ CASES = {
 
 
 PLAIN = {"untouched": False, "two cameras": True}
-"""Cases without a change, by whether they have two cameras."""
+"""Cases without a change, and whether each has two cameras."""
 
 
 def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
-    """Return the fit of a clip with the change of a case, and the files' content of the first camera.
+    """Fit a clip with the change of a case, and return the motion and the changed input of the first camera.
 
-    Raises InputError if the fit is refused.
+    If the fit is refused, InputError is raised.
     """
     first, *rest = [clip.given(name) for name in clip.cameras]
     if case.both or not case.two:
@@ -664,7 +664,7 @@ def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
 
 
 def truth_of(run: Path, motion: Motion, frames: np.ndarray) -> np.ndarray:
-    """Return the truth (T, J, 3) in these frames, NaN if unknown."""
+    """Read the true joints (T, J, 3) of a run in some frames, world, metres, NaN if unknown."""
     pose = read_pose3d(run / "truth.csv")
     rows = {int(frame): row for row, frame in enumerate(pose.frames)}
     truth_m = np.full(motion.joints_m.shape, np.nan)
@@ -679,7 +679,7 @@ def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
 
 
 def errors(off_m: np.ndarray) -> tuple[float, float]:
-    """Return the errors of the pose in mm and of the position in metres for joints with errors (T, J, 3)."""
+    """Return the mean error of the pose, mm, and of the position, m, for joints with errors (T, J, 3), m."""
     centred = off_m - off_m.mean(axis=1, keepdims=True)
     return 1000 * float(np.linalg.norm(centred, axis=-1).mean()), float(
         np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()
@@ -687,7 +687,7 @@ def errors(off_m: np.ndarray) -> tuple[float, float]:
 
 
 def errors_in_camera(seen: Seen, motion: Motion) -> dict[str, float]:
-    """Return errors in the frame of the camera that really saw the keypoints, because one camera cannot show more."""
+    """Return the errors in the frame of the camera that really saw the keypoints, which is all one camera can show."""
     assert seen.camera.rotation is not None
     assert seen.camera.translation_m is not None
     truth_m = truth_of(seen.run, motion, motion.frames + seen.later)
@@ -743,7 +743,7 @@ def clips(every: int) -> Iterator[Clip]:
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """Add columns that state whether each clip's error is doubled, and whether the findings are true."""
+    """Add columns that state whether the error of each clip is doubled, and whether its findings are true."""
     plain = table[table["case"].isin([*PLAIN])].set_index(["run", "camera"])
     keys = pd.MultiIndex.from_frame(table[["run", "camera"]])
     times = [table[of].to_numpy() / plain[of].reindex(keys).to_numpy() for of in ("pose_mm", "position_m")]
