@@ -12,7 +12,7 @@ from recon.base.numbers import rough_length
 from recon.check.codes import EFFECTS, WITHOUT_FAULT
 
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
-"""Style in which rich prints each level of a verdict."""
+"""Style of each level of a verdict on the terminal, for rich."""
 TO_DO = {
     "check": (
         "Look at the poses on the video (recon overlay) before use. Reason and warnings state what may be wrong."
@@ -52,7 +52,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         for text in _largest_notes(report["findings"], verdict["reason"]):
             table.add_row(Text("note", style="bold"), text)
     for label, text in report["lines"][verdict_count:]:
-        are_all_used = label == "keypoints" and text.endswith(" used")  # not worth a line
+        are_all_used = label == "keypoints" and text.endswith(" used")  # the usual case, which would waste a line
         if label in FRONT and not are_all_used:
             table.add_row(Text(label, style="bold"), text)
     return table

@@ -35,13 +35,13 @@ DETECTION, OUTLIER, FLAGGED = (255, 255, 255), (40, 60, 235), (60, 200, 255)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SHIFT = 4
 STRIP_SHARE = 0.3
-"""Height of the strip with the three views, relative to 9/16 of the width."""
+"""Height of the strip with the three views, as a fraction of 9/16 of the picture's width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Fraction of the strip's width for each view; the key takes the rest."""
 TILE_PX = (480, 300)
-"""Width and height of a still picture."""
+"""Width and height of a still picture, px."""
 TILE_UNIT = 0.55
-"""Scale of lines and marks on a still picture."""
+"""Factor of line widths and mark sizes on a still picture, 1 for a picture 1920 px wide."""
 DARKENED = 0.35
 """Fraction of the picture's brightness that remains behind text."""
 _FILLED = 0.8
@@ -49,9 +49,9 @@ _FILLED = 0.8
 CLOSE_UP = 0.36
 """Size of the close-up as a fraction of the picture's width and height."""
 WORTH = 1.6
-"""Smallest enlargement at which the close-up is shown."""
+"""Smallest magnification, relative to the picture, at which the close-up is shown."""
 HEADING_S = 0.25
-"""Time, in seconds, over which the trunk's direction is averaged, so that the views do not shake."""
+"""Time over which the trunk's direction is averaged, so that the views do not shake, in seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +62,19 @@ class Overlay:
     """Frame numbers, shape (T,)."""
     fps: float
     limbs: Sequence[Sequence[int]]
-    """Joints along each limb, as indices."""
+    """Indices of the joints along each limb."""
     colours: Sequence[Colour]
     """Colour of each limb."""
     detected_px: Array
-    """Detections, shape (T, J, 2), NaN if missing."""
+    """Detections in pixels, shape (T, J, 2), NaN if missing."""
     reprojected_px: Array
-    """Reprojections, shape (T, J, 2), NaN if missing."""
+    """Joints projected into the picture in pixels, shape (T, J, 2), NaN if missing."""
     outliers: Bools
     """Mask of the detections farther from the pose than the expected error, shape (T, J)."""
     depth_m: Array
-    """Depths of the joints relative to an arbitrary origin, shape (T, J)."""
+    """Depths of the joints along the camera's axis in metres from an arbitrary origin, shape (T, J)."""
     upright_m: Array
-    """Positions of the joints with z up, shape (T, J, 3)."""
+    """Positions of the joints in metres with z up, shape (T, J, 3)."""
     trunk: tuple[int, int]
     """Indices of the joints at the rear and the front end of the trunk."""
     flags: Sequence[Sequence[str]]
@@ -92,7 +92,7 @@ class Overlay:
 
     @cached_property
     def views(self) -> dict[str, Array]:
-        """Return the joints (T, J, 3) in each view, metres to the right, upwards and towards the viewer.
+        """Return the joints' positions (T, J, 3) in each view, in metres to the right, upwards and towards the viewer.
 
         Heights are above the lowest joints.
         """
@@ -113,7 +113,7 @@ class Overlay:
 
     @cached_property
     def _sides_px(self) -> Array:
-        """Return width and height (N, 2), px, of the box around the joints in each of N frames with all joints.
+        """Return width and height of the box around the joints in pixels, shape (N, 2), in N frames with all joints.
 
         If no frame has all joints, the result is one infinite box.
         """
@@ -122,17 +122,18 @@ class Overlay:
 
     @cached_property
     def extent_px(self) -> float:
-        """Return the animal's length in the picture, px, as the median diagonal of the box around its joints."""
+        """Return the animal's length in the picture in pixels, which is the median diagonal of the box around it."""
         return float(np.median(np.linalg.norm(self._sides_px, axis=1)))
 
     @cached_property
     def joints_px(self) -> Array:
-        """Return all known joints of the clip in the picture, px, shape (N, 2)."""
+        """Return the pixel positions of all known joints in all frames, shape (N, 2)."""
         return self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=2)]
 
     @cached_property
     def box_px(self) -> Array:
-        """Return width and height (2,), px, of the largest box around the joints of a frame, ignoring stray poses."""
+        """Return width and height in pixels, shape (2,), of the animal's largest box in the clip without stray poses.
+        """
         return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property
@@ -144,7 +145,7 @@ class Overlay:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """Return the lowest and highest coordinates (2,) of each view over the clip, metres, ignoring stray poses."""
+        """Return the lowest and highest coordinates (2,) in each view, in metres, over the clip without stray poses."""
         points_of_view = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
         unit_box = -np.ones(2), np.ones(2)
         return {
@@ -153,7 +154,7 @@ class Overlay:
 
 
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
-    """Return horizontal unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
+    """Return horizontal unit vectors (T, 2) along `forward_m`, shape (T, 3), averaged over `HEADING_S`.
 
     A frame without a direction gets that of the last earlier frame that has one, otherwise that of the first later
     frame. If no frame has a direction, all get the x axis.
@@ -167,7 +168,7 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 
 
 def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
-    """Yield the frame number, the row, the time stamp (s) and the picture of each frame of a clip.
+    """Yield the frame number, the row, the time stamp in seconds and the picture of each frame of a clip.
 
     The row is the index in `frames`, None for a frame that is not in the clip. The last item is the frame after the
     clip, if the video has one.
@@ -203,7 +204,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
-    """Return the even width and height, as codecs require, of the result of `draw_frame` for a picture size."""
+    """Return the width and height in pixels of the result of `draw_frame`, both even as codecs require."""
     width, height = size_px
     strip = round(STRIP_SHARE * width * 9 / 16)
     return width + width % 2, height + strip + (height + strip) % 2
@@ -231,7 +232,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 
 
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
-    """Return pictures of the given frames, each cropped around the animal, at one scale.
+    """Return pictures of the frames in `rows`, cropped around the animal at one scale.
 
     `pictures` are the video's pictures of these frames; without pictures, the background is plain.
     """
@@ -261,7 +262,7 @@ class _Cut:
         return self.scale * (points_px - self.corner_px)
 
     def crop(self, picture: Image, size_px: tuple[int, int]) -> Image:
-        """Return the cut-out part of a picture (height, width, 3)."""
+        """Return this part of a picture (height, width, 3), enlarged to a size in pixels."""
         (x, y), scale = self.corner_px, self.scale
         to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
         return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)
@@ -333,7 +334,7 @@ def shade(colour: Colour, nearness: float) -> Colour:
 def _draw_caption(
     canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
 ) -> None:
-    """Draw frame number and time and, for a flagged frame, its flags and a border around the picture."""
+    """Draw the frame number and the time, and for a flagged frame its flags and a border around the picture."""
     speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
     draw_text(canvas, f"frame {frame}   {quantity(frame / overlay.fps, 3, 's')}{speed_text}", (x, y), scale, INK)
@@ -419,13 +420,13 @@ def _draw_key(canvas: Image, overlay: Overlay, corner: tuple[int, int], unit: fl
 
 
 def draw_line(image: Image, start: Array, end: Array, colour: Colour, thickness: int) -> None:
-    """Draw an anti-aliased line between two points (2,), px."""
+    """Draw an anti-aliased line between two points (2,) in pixels."""
     ends = np.rint(np.clip([start, end], -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.line(image, tuple(ends[0]), tuple(ends[1]), colour, thickness, cv2.LINE_AA, SHIFT)
 
 
 def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thickness: int) -> None:
-    """Draw an anti-aliased circle about a point (2,), px."""
+    """Draw an anti-aliased circle about a point (2,), in pixels."""
     x, y = np.rint(np.clip(centre, -30000, 30000) * 2**SHIFT).astype(int).tolist()
     cv2.circle(image, (x, y), round(radius * 2**SHIFT), colour, thickness, cv2.LINE_AA, SHIFT)
 

@@ -16,7 +16,7 @@ from recon.base.file_names import encodable, to_encodable
 
 
 def write_report(report: Mapping[str, Any], path: Path) -> None:
-    """Write report.json, indented, with each list of numbers on one line."""
+    """Write a report as indented JSON, with each list of numbers on one line."""
     text = json.dumps(to_encodable(report), indent=1, allow_nan=False, ensure_ascii=False)
     # JSON strings contain no line breaks, so only white space between values changes.
     text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
@@ -34,12 +34,12 @@ def file_name(path: str | None) -> str | None:
 
 
 def picked(source: object, *names: str) -> dict[str, Any]:
-    """Return some attributes of an object, given by name, as a dictionary."""
+    """Return a dictionary of the attributes `names` of an object."""
     return {name: getattr(source, name) for name in names}
 
 
 def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
-    """Return a dictionary of values by name, from names and values in the same order."""
+    """Return a dictionary with each of `names` as a key and the value at the same index."""
     return dict(zip(names, values, strict=True))
 
 
@@ -56,5 +56,5 @@ def number(value: float | None, spec: str) -> str:
 
 
 def frame_count(n: int) -> str:
-    """Return a number of frames with its noun, "1 frame" or "7 frames"."""
+    """Return a number of frames as text, such as "1 frame" or "7 frames"."""
     return "1 frame" if n == 1 else f"{n} frames"

@@ -52,7 +52,7 @@ SECTIONS: tuple[Section, ...] = (
 
 
 def sections_of(motion: Motion) -> tuple[Section, ...]:
-    """Return the sections of the method with which a motion was fitted."""
+    """Return the report's sections for the method with which a motion was fitted."""
     sections = motion.solution.report_sections()
     return SECTIONS if sections is None else cast("tuple[Section, ...]", sections)
 

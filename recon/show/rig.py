@@ -21,7 +21,7 @@ from recon.io.writing import frames_text, y_up_from_z_up
 
 RANGE_SIGMAS = 3.0
 SAME_M = 1e-4
-"""Largest difference between joint positions at which lengths count as equal."""
+"""Largest difference between joint positions in metres at which lengths count as constant."""
 
 
 def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) -> Armature:
@@ -34,9 +34,9 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
     motion : Motion
         The fit.
     fps : float, optional
-        Frame rate, Hz; that of the motion by default.
+        Frame rate in Hz; the motion's frame rate by default.
     body_mass_kg : float
-        Mass of the animal, which is divided among the segments in the skeleton's proportions.
+        Mass of the animal in kg, which is divided among the segments in the skeleton's proportions.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
 def make_rig(
     body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float, body_mass_kg: float = 1.0
 ) -> Armature:
-    """Return the rig for states (N, D) in frames (N,), with the frames in between interpolated.
+    """Return the rig for states (N, D) in frames (N,), and interpolate the states of the frames between these.
 
     `names` (J,) are the names of the joints.
     """

@@ -20,7 +20,7 @@ NO_QUANTITIES: Mapping[str, GaitQuantity] = {}
 
 
 def analysis_sentences(analysis: ClipAnalysis) -> Iterator[str]:
-    """Yield sentences on an analysis, with the intervals of all quantities."""
+    """Yield sentences that state speed, path and gait of an analysed clip with 90 % intervals."""
     yield from result_sentences(
         analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed, analysis.quantities
     )
@@ -33,9 +33,10 @@ def result_sentences(
     why_no_speed: str | None,
     quantities: Mapping[str, GaitQuantity] = NO_QUANTITIES,
 ) -> Iterator[str]:
-    """Yield sentences on the movement of the reference joint and on the gait.
+    """Yield sentences that state the movement of the reference joint and the gait of a motion.
 
-    `why_no_speed` is the reason why no speed is known, or None. `quantities` are those of the analysis, with intervals.
+    `why_no_speed` is the reason why no speed is known, or None. `quantities` are the gait's quantities with 90 %
+    intervals.
     """
     yield _speed_sentence(motion, reference, why_no_speed, quantities)
     if gait is None:
@@ -74,7 +75,7 @@ def _speed_sentence(
         return f"The speed is not known, because the distance from the camera is too uncertain: {why_no_speed}.{run}"
     peak_m_s, sigma_m_s, path_m = reference.peak_speed_m_s, reference.peak_speed_sigma_m_s, reference.distance_m
     form = decimals(peak_m_s)
-    # A peak that is below its own standard deviation is unknown.
+    # a peak speed below its own standard deviation is not known
     peak = "" if sigma_m_s > peak_m_s else f" and at most {interval_text(peak_m_s, sigma_m_s, 'm/s', least=0.0)}"
     mean_text = f"{reference.mean_speed_m_s:{form}} m/s on average"
     if (speed := quantities.get("speed_m_s")) is not None and speed.sigma < speed.value:

@@ -30,16 +30,16 @@ WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dic
 """Names of the files that `recon.show.workbook` writes."""
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
 ANGLE, PIXEL, SHARE, LENGTH = 5, 2, 3, 7
-"""Decimals of angles in rad, pixels, fractions from 0 to 1, and an animal's lengths in metres, in tables of a fit.
+"""Numbers of decimals of angles in rad, pixels, fractions, and an animal's lengths in metres in tables of a fit.
 
 Further digits are meaningless and differ between processors.
 """
 SIGMA_DIGITS = 3
 """Significant digits of standard deviations in the tables of joints and angles, which are known to a few per cent."""
 MIN_METRE = 4
-"""Fewest decimals of positions in metres."""
+"""Minimum number of decimals of positions in metres."""
 MAX_METRE = 7
-"""Most decimals of positions in metres."""
+"""Maximum number of decimals of positions in metres."""
 
 
 def metre_decimals(motion: Motion) -> int:
@@ -64,14 +64,14 @@ def _rounded_sigma(sigma: np.ndarray, decimals: int) -> np.ndarray:
 
 
 def pose3d(motion: Motion, path: Path) -> None:
-    """Write x, y, z of each joint in metres, by keypoint name, in the motion's frame of reference."""
+    """Write x, y, z of each keypoint's joint in metres in the motion's frame of reference, a row for each frame."""
     _write_points(path, motion, ("x", "y", "z"), _rounded(motion.joints_m, metre_decimals(motion)))
 
 
 def pose3d_sigma(motion: Motion, path: Path) -> None:
-    """Write the standard deviations of each joint in metres along the axes of the frame of reference.
+    """Write the standard deviations of each joint's position in metres along the axes of the frame of reference.
 
-    Each joint has standard deviations of its position and of its position relative to the mean of all joints.
+    The table also has the standard deviations of the position relative to the mean of all joints.
     """
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     sigmas_m = np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2)
@@ -87,7 +87,7 @@ def angles(motion: Motion, path: Path) -> None:
 
 
 def angles_sigma(motion: Motion, path: Path) -> None:
-    """Write the standard deviation of each angle, and the fraction of its precision that comes from the pixels."""
+    """Write each angle's standard deviation in rad, and the fraction of its precision that comes from the pixels."""
     columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
     solution = motion.solution
     values = (_rounded_sigma(solution.angle_sigma_rad, ANGLE), _rounded(solution.angle_data_share, SHARE))
@@ -95,7 +95,7 @@ def angles_sigma(motion: Motion, path: Path) -> None:
 
 
 def quality(motion: Motion, path: Path) -> None:
-    """Write the flags of each frame, separated by semicolons, and the numbers on which they are based."""
+    """Write the flags of each frame, separated by semicolons, and the numbers on which the flags are based."""
     flags = [";".join(flags) for flags in motion.flags]
     values = {name: np.asarray(getattr(motion, name)) for name in QUALITY_COLUMNS[2:-1]}
     values[QUALITY_COLUMNS[-1]] = frame_rms_m(motion)
@@ -105,7 +105,7 @@ def quality(motion: Motion, path: Path) -> None:
 
 
 def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:
-    """Write the joints as a camera sees them to a DeepLabCut file, with x and y in pixels and a likelihood of 1.
+    """Write the joints projected into a camera's picture in DeepLabCut's format, in pixels with likelihood 1.
 
     For frames without a pose and joints that the camera cannot see, x and y are empty and the likelihood is 0.
     """
@@ -142,12 +142,12 @@ def to_correct(motion: Motion, path: Path) -> None:
 
 
 SHAPE = "shape.csv"
-"""Table of a fit that estimated the animal's lengths and keypoint offsets."""
+"""File name of the table of lengths and keypoint offsets, if the fit estimated them."""
 SHAPE_COLUMNS = "quantity", "name", "axis", "value_m", "sigma_m", "expected_m"
 
 
 def shape(motion: Motion, path: Path) -> None:
-    """Write the lengths and the keypoint offsets that were estimated, with standard deviations and expected values."""
+    """Write the estimated lengths and keypoint offsets with standard deviations and expected values, in metres."""
     solved = getattr(motion.solution, "shape", None)
     if solved is None:
         return
@@ -164,7 +164,7 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.cs
 """Tables of every clip, by file name."""
 
 REPROJECTION = "reprojection.csv"
-"""Table of a camera. If there are several cameras, the file name includes the camera's name (`camera_files`)."""
+"""File name of the reprojections of a single camera; with several cameras, it includes the camera's name."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:
@@ -225,7 +225,7 @@ UNITS = {
     "n": "N",
     "percent": "%",
 }
-"""Units by the suffix of a column's name."""
+"""Unit for each suffix of a column's name."""
 _DECIMALS = {
     "m/s": 4,
     "m/s²": 3,
@@ -243,12 +243,12 @@ _DECIMALS = {
     "N": 2,
     "N s": 3,
 }
-"""Decimals by unit in tables of an analysis; lengths have those of a fit's tables (`metre_decimals`).
+"""Number of decimals for each unit in tables of an analysis; for lengths, `metre_decimals` returns it.
 
 The rounding steps are finer than a hundredth of the standard deviations of clips of several cameras.
 """
 WITHOUT_UNIT = 5
-"""Decimals of fractions, phases, and quantities whose unit is not in the column's name."""
+"""Number of decimals of fractions, phases, and quantities whose unit is not in the column's name."""
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
@@ -258,7 +258,7 @@ Columns = dict[str, np.ndarray]
 
 
 def joints(analysis: ClipAnalysis) -> Table:
-    """Return distance, mean speed, peak speed and peak acceleration of every joint; cells are empty if unknown."""
+    """Return distance, mean speed, peak speed and peak acceleration of every joint; unknown values are empty."""
     columns = "distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
     names = (columns + "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2").split(", ")
     is_known = analysis.why_no_speed is None
@@ -270,7 +270,7 @@ def joints(analysis: ClipAnalysis) -> Table:
 
 
 def reference(analysis: ClipAnalysis) -> Columns:
-    """Return the reference joint's motion on the fine grid of times, ten per frame."""
+    """Return position, velocity and acceleration of the reference joint, with ten samples per frame."""
     motion = analysis.joints[analysis.reference]
     series = motion.series
     columns = {"time_s": series.time_s, "frame": series.time_s * analysis.motion.fps} | _axes("{}_m", series.value)
@@ -306,7 +306,7 @@ def joint_angles(analysis: ClipAnalysis) -> Table:
 
 
 def joint_flexion(analysis: ClipAnalysis) -> Columns:
-    """Return the flexion of the anatomical joints at every frame, degrees, with standard deviations."""
+    """Return the flexion of the anatomical joints in degrees at every frame, with standard deviations."""
     columns = {"frame": analysis.motion.frames, "time_s": analysis.motion.time_s}
     for flexion in analysis.flexions:
         columns[f"{flexion.name}_deg"] = np.degrees(flexion.angle_rad)
@@ -321,7 +321,7 @@ STRIDE_FLEXION_COLUMNS = (
 
 
 def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
-    """Return the mean flexion of each joint by percent of the stride, with 90 % bands, degrees.
+    """Return the mean flexion of each joint in degrees at each percent of the stride, with 90 % bands.
 
     The bands show the uncertainty of the fit and the variation between strides.
     """
@@ -340,9 +340,9 @@ def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
 
 
 def joint_flexion_peaks(analysis: ClipAnalysis) -> Table:
-    """Return range, greatest and least flexion of each joint over the stride, with 90 % intervals.
+    """Return the range, maximum and minimum of each joint's flexion over the stride, with 90 % intervals.
 
-    The phase of each extreme is given in percent of the stride with its interval; its cells are empty if it is unknown.
+    The table also has the phase of each extreme in percent of the stride, with empty cells if it is unknown.
     """
     columns = ["joint", "side", "foot", "strides", "range_deg", "range_low_deg", "range_high_deg"]
     for name in ("greatest", "least"):
@@ -362,7 +362,7 @@ def joint_flexion_peaks(analysis: ClipAnalysis) -> Table:
 
 
 def angle_rates(analysis: ClipAnalysis) -> Columns:
-    """Return each angle, its rate and its acceleration at every frame, with standard deviations if known."""
+    """Return each angle, its rate and its angular acceleration at every frame, with standard deviations if known."""
     columns, has_sigma = {"frame": analysis.pose.frames, "time_s": analysis.motion.time_s}, not analysis.motion.jitters
     named: list[tuple[str, AngleKinematics, bool]] = [
         *(
@@ -440,10 +440,10 @@ def gait(analysis: ClipAnalysis) -> Table:
 
 
 def gait_quantities(analysis: ClipAnalysis) -> Table:
-    """Return a row for each quantity of the gait (speed, strides, steps, limb phases and asymmetry).
+    """Return a table with a row for each quantity of the gait: speed, strides, steps, limb phases and asymmetry.
 
-    `sigma` is the standard deviation, `low` and `high` are the ends of the 90 % interval; both include the errors of
-    the animal's size and of the focal length. `between_strides` is the standard deviation between strides.
+    `sigma` is the standard deviation, and `low` and `high` are the ends of the 90 % interval. Both include the errors
+    of the animal's size and of the focal length. `between_strides` is the standard deviation between strides.
     """
     rows = [
         (q.name, q.value, q.sigma, *q.interval, q.between_sigma, q.count, q.source, q.why_unknown)
@@ -459,7 +459,7 @@ VECTOR_COLUMNS = (
 
 
 def vector_field(analysis: ClipAnalysis) -> Columns:
-    """Return the tip of each link in its parent's frame, and the tip's velocity, at every frame."""
+    """Return the position and velocity of each link's tip in its parent's frame at every frame."""
     names, parts = VECTOR_COLUMNS[-7:], list[Columns]()
     for limb, field in ((limb, field) for limb, fields in analysis.fields.items() for field in fields):
         texts = {"limb": limb, "link": "-".join(field.link), "parent": "-".join(field.parent)}
@@ -471,13 +471,13 @@ def vector_field(analysis: ClipAnalysis) -> Columns:
 
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
-    """Return the mean speeds of each link over the frames."""
+    """Return the mean speed of each link's tip in its parent's frame."""
     rows = [(limb, *means) for limb, fields in analysis.fields.items() for means in map(means_of_field, fields)]
     return ["limb", *FieldMeans._fields], rows
 
 
 def closures(analysis: ClipAnalysis) -> Table:
-    """Return the degrees of closure of the skeleton's angles over one stride."""
+    """Return how nearly each angle of the skeleton returns to its value after one stride (degree of closure)."""
     kinds = "angle", "plane", "angle_sigma", "plane_sigma", "unscaled"
     shares, rows = analysis.motion.data_shares, []
     if (stride := analysis.stride) is not None:
@@ -496,7 +496,7 @@ def closures(analysis: ClipAnalysis) -> Table:
 
 
 def centre_of_mass(analysis: ClipAnalysis) -> Columns:
-    """Return the centre of mass, and energies per kilogram, on the fine grid of times, ten per frame."""
+    """Return the motion of the centre of mass, the angular momentum, and the energies, with ten samples per frame."""
     if (dynamics := analysis.dynamics) is None:
         return {}
     series = dynamics.centre.series
@@ -517,9 +517,9 @@ def centre_of_mass(analysis: ClipAnalysis) -> Columns:
 
 
 def forces(analysis: ClipAnalysis) -> Table:
-    """Return peak (body weights) and impulse of the vertical force of every complete stance, with 90 % intervals.
+    """Return peak and impulse of the vertical force in every complete stance, per body weight, with 90 % intervals.
 
-    If the animal's mass is known, the table also has newtons.
+    If the animal's mass is known, the table has the same columns again with newtons instead of body weights.
     """
     columns: list[str] = [*StanceForce._fields]
     rows: list[tuple[Any, ...]] = [] if analysis.dynamics is None else [*analysis.dynamics.stance_forces]
@@ -531,7 +531,7 @@ def forces(analysis: ClipAnalysis) -> Table:
 
 
 def force_over_time(analysis: ClipAnalysis) -> Columns:
-    """Return the vertical force of every foot, in body weights, on the fine grid of times, ten per frame.
+    """Return the vertical force of every foot in body weights, with ten samples per frame.
 
     Cells are empty during stances that the clip cuts.
     """
@@ -591,7 +591,7 @@ def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:
-    """Return the components x, y and z of vectors (N, 3) as columns, named by the format `name`."""
+    """Return the components x, y and z of vectors (N, 3) as columns, whose names fill the format `name`."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
 
 

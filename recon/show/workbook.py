@@ -26,7 +26,7 @@ from recon.io.writing import formats_extra
 from recon.show.tables import DICTIONARY, LONG, TABLES, UNITS, table_content, unit_of
 
 KEYS = ("time_s", "frame", "percent", "start_s")
-"""Numeric columns that identify a value, in addition to all columns of text."""
+"""Columns of numbers that identify a row, in addition to all columns of text."""
 _PARTS = (
     (r"_?sigma$", "one standard deviation of {}"),
     (r"_?low$", "lower end of the 90 % interval of {}"),
@@ -51,9 +51,9 @@ _OF_TABLE = {
 }
 """Patterns of columns that exist for each joint, angle or foot, with the columns' meanings, by table."""
 _REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "footfalls"
-"""Columns of text that do not identify a value."""
+"""Columns of text that do not identify a row."""
 _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
-"""Columns of numbers whose unit is in the name of the row's quantity."""
+"""Columns of numbers whose unit is at the end of the quantity's name in the same row."""
 MOST_ROWS = 1_000_000
 """Largest number of rows of an Excel sheet."""
 MOST_COLUMNS = 30
@@ -75,7 +75,7 @@ def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
 
 
 def meaning_of(column: str, table: str) -> str:
-    """Return the meaning of a table's column, without its unit, from `meanings.toml` or the parts of its name."""
+    """Return the meaning of a table's column without its unit, from `meanings.toml` or the parts of its name."""
     end = next((end for end in UNITS if column.endswith(f"_{end}")), "")
     return _meaning(column[: -len(end) - 1] if end else column, table)
 

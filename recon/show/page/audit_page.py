@@ -44,7 +44,7 @@ NEEDS_NOTHING = (
     *("points_identical", "detections_frozen", "detections_repeated", "point_frozen", "points_interpolated"),
     "frames_dropped",
 )
-"""Codes of the checks that run on all points, but give a measured value only if something is suspicious."""
+"""Codes of the checks that run on all points, but report a measured value only if something is suspicious."""
 
 
 def _row(item: Finding, first: int, last: int) -> Mapping[str, object]:

@@ -19,12 +19,12 @@ from recon.show.page.pages import rendered
 from recon.show.page.scripts import script
 
 HEIGHT, TOP, BOTTOM, LEFT, RIGHT = 250.0, 10.0, 52.0, 46.0, 8.0
-"""Height of a plot and its margins, px. The lower margin has the groups' names and numbers of clips."""
+"""Height and margins of a plot in pixels; the lower margin has the groups' names and numbers of clips."""
 WIDTH, GROUP_WIDTH = 274.0, 84.0
-"""Smallest width of a plot, and of a group in it, px."""
+"""Smallest width in pixels of a plot, and of a group's column in the plot."""
 LABEL_CHARACTERS, LABEL_LINES = 12, 2
 HUES = ("left", "right", "middle", "strong")
-"""Colours of successive groups, by their names in the style sheet."""
+"""Names of the style sheet's colours for successive groups."""
 
 
 def compare_page(
@@ -47,20 +47,20 @@ def compare_page(
         The comparison's name.
     clips
         Table with the columns group, clip, verdict and strides, and each measure with its standard deviation
-        (`_sigma`). Lines join the clips of an `animal` in several groups.
+        (`_sigma`). Lines join the clips of an animal in several groups if there is a column `animal`.
     groups
         Table with the columns group, clips and strides, and each measure's mean and standard deviation. The ends of its
         90 % interval may be given as `_low` and `_high`.
     measures
-        Titles with units, by column.
+        Title with unit for each column of a measure.
     pages
-        Addresses of the clips' pages, by clip.
+        Address of each clip's page.
     errors_px
-        Median keypoint errors, px, by clip.
+        Median keypoint error of each clip in pixels.
     notes
         Sentences on clips that were left out.
     group_by
-        Name of the column of the groups.
+        Name of the property by which clips are grouped; empty if it is unknown.
     effects, variances
         Tables of the mixed models, with the columns of `mixed_model.csv` and `variances.csv`.
     """
@@ -90,10 +90,10 @@ def compare_page(
 
 
 def value_with_interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
-    """Return a value of a clip or a group and the ends of its 90 % interval; NaN if unknown.
+    """Return a value of a clip or a group and the ends of its 90 % interval, NaN if unknown.
 
-    The ends come from the columns `_low` and `_high`, or from `_sigma` as in every analysis. No measure is negative, so
-    no end is below 0.
+    The interval comes from the columns `_low` and `_high`, otherwise from the standard deviation in `_sigma`. Its lower
+    end is at least 0, because no measure is negative.
     """
     value, sigma = float(row[name]), float(row[f"{name}_sigma"])
     low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
@@ -138,7 +138,7 @@ def _clip_row(
 
 
 def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[str, str]) -> dict[str, Any]:
-    """Return a group's mean, interval, median over the clips and number of clips for each measure."""
+    """Return the mean of each measure in a group with its interval, the median over the clips, and their number."""
     group_clips = clips[clips["group"] == row["group"]]
     values = {}
     for name in measures:
@@ -225,13 +225,13 @@ def _plot(
 
 @dataclass(frozen=True)
 class _Scale:
-    """Vertical axis of a plot, given by the values at its lower and upper end."""
+    """Vertical axis of a plot, defined by the values at its lower and upper end."""
 
     low: float
     high: float
 
     def height(self, value: float) -> float:
-        """Return the distance of a value from the top of the plot, px."""
+        """Return the distance of a value from the top of the plot in pixels."""
         return round(TOP + (HEIGHT - TOP - BOTTOM) * (self.high - value) / (self.high - self.low), 1)
 
 

@@ -97,9 +97,9 @@ SHOWN = 100
 """Largest number of rows in the table of flagged frames."""
 SPEED_MM = 100.0
 LENGTHS = 2.5
-"""Number of body lengths that an animal runs in one figure of poses."""
+"""Distance that the animal runs in one figure of poses, in body lengths."""
 POSES = 5
-"""Number of poses in one figure of poses."""
+"""Number of poses in one figure."""
 STRETCHES = 3
 """Largest number of figures of poses on a page."""
 
@@ -133,11 +133,11 @@ def clip_page(
     stills
         Pictures of frames, each with an alternative text; they are shown on paper and in browsers without scripts.
     video
-        Name of the video behind the stills; None for a plain background.
+        Name of the video from which the stills are; None if their background is plain.
     files
         Names of the files in the page's folder, with forward slashes, for links.
     number
-        Index of the camera that the stills show.
+        Index of the camera whose view the stills show.
     pictures
         Pictures of the same camera's video, for the player.
     batch
@@ -191,7 +191,7 @@ def _base(path: str | None) -> str:
 
 
 def _plain(value: object) -> str:
-    """Return a setting as text, with paths reduced to file names."""
+    """Return a value of the settings as text, with paths reduced to file names."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
@@ -204,7 +204,7 @@ def _subtitle(motion: Motion) -> str:
 
 
 def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
-    """Yield sentences that state the result."""
+    """Yield sentences that state speed, path and gait of a clip."""
     yield f"Frames: {dict(report['lines'])['frames']}."
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
@@ -220,7 +220,7 @@ def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
 
 
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
-    """Return a section of the page with a heading, a text and figures.
+    """Return a section of a page with a heading, a text and figures.
 
     `width` is "wide" for figures that scroll on a phone, and "narrow" for figures that do not.
     """
@@ -283,7 +283,7 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
 
 
 FIRST = ("failed", "unsolved", "pending")
-"""Statuses of clips that are listed first."""
+"""Statuses of the clips at the top of a batch's table."""
 NUMBERS = {
     "pose_mm": ("pose error, mm (90 %)", ".0f"),
     "position_m": ("position error, m (90 %)", ".2f"),
@@ -300,9 +300,9 @@ NUMBERS = {
 `median_px` is computed from the results, since a single distant keypoint makes the mean in summary.csv large.
 """
 DOTS = {"pose_mm": "pose error (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
-"""Columns whose distributions over the clips are drawn, with titles."""
+"""Titles of the columns of summary.csv whose distributions over the clips are drawn."""
 DOTS_PX = (300.0, 44.0)
-"""Size of a distribution plot, px."""
+"""Width and height of a distribution plot in pixels."""
 FAR_MEAN = 5.0
 """Ratio of the mean to the median keypoint error above which the page explains the difference."""
 THUMBNAIL_PX = (96, 60)
@@ -374,7 +374,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
 
 
 def median_error_px(motion: Motion) -> float:
-    """Return the median distance of the detections of all cameras from the pose, px; NaN without any."""
+    """Return the median distance in pixels between detections and pose over all cameras, NaN without detections."""
     errors_px = np.concatenate([finite(picture.distance_px) for picture in motion.pictures])
     return float(np.median(errors_px)) if len(errors_px) else math.nan
 

@@ -23,11 +23,11 @@ STRIP_BYTES = 2_500_000
 LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
 """Widths and qualities, the best first. The first with which the pictures fit into `STRIP_BYTES` is used."""
 MARGIN = 0.2
-"""Margin around the animal's boxes, as a fraction of their size."""
+"""Margin around the part of the picture through which the animal passes, as a fraction of the animal's size."""
 SMALL_PX = 150.0
-"""Size of the animal in the picture below which a moving window follows it."""
+"""Width of the animal in a page's picture, in pixels, below which the picture is a window that follows the animal."""
 WINDOW = 2.6
-"""Size of the moving window relative to the box around the animal."""
+"""Size of the window that follows the animal, relative to the box around the animal."""
 WINDOW_PX = 640
 SMOOTH_S = 0.2
 MIME = "image/webp"
@@ -35,21 +35,21 @@ MIME = "image/webp"
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Part of each frame that is kept, with corners (T, 2) and one size (2,), in pixels of the video."""
+    """Part of each picture that a page keeps, with corners (T, 2) and one size (2,) in pixels of the video."""
 
     corners_px: Integers
     size_px: tuple[int, int]
     most_px: int
-    """Largest width of the pictures that are kept."""
+    """Largest width of a page's pictures, in pixels."""
 
 
 @dataclass(eq=False)
 class PictureStrip:
-    """Pictures of some frames for a page."""
+    """Encoded pictures of some frames of a video, for the player of a page."""
 
     cut: Cut
     rows: list[int] = field(default_factory=list)
-    """Rows of the motion, in ascending order."""
+    """Rows of the motion to which the pictures belong, in ascending order."""
     encoded: list[bytes] = field(default_factory=list)
     every: int = 1
     """Step between the frames that are kept, 1 for every frame."""
@@ -78,11 +78,11 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     Parameters
     ----------
     points_px
-        Joints in the picture, px, shape (T, J, 2), NaN where unknown.
+        Positions of the joints in the picture in pixels, shape (T, J, 2), NaN if unknown.
     fps
         Frames per second.
     picture_px
-        Width and height of the picture.
+        Width and height of the picture in pixels.
     """
     picture = np.array(picture_px)
     corners = np.zeros((len(points_px), 2), dtype=int)
@@ -115,9 +115,9 @@ def _even(size: Array, limit_px: Array) -> Array:
 
 
 def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) -> PictureStrip:
-    """Encode pictures, given in order with their rows, in at most about `STRIP_BYTES`.
+    """Encode pictures for a page, so that their size is about `STRIP_BYTES` at most.
 
-    `count` is the number of pictures.
+    `pictures` yields the row and the picture of each frame in ascending order, and `count` is their number.
     """
     strip = PictureStrip(cut)
     width, quality, budget = 0, 0, 0.0
@@ -136,7 +136,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
 
 
 def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
-    """Return the width and quality at which `count` pictures like this one fit, and the step between kept pictures."""
+    """Return the width, px, and the quality at which `count` similar pictures fit, and the step between frames."""
     allowed = [(width, quality) for width, quality in LADDER if width <= max(cut.most_px, LADDER[-1][0])]
     size = 1.0
     for width, quality in allowed:

@@ -1,4 +1,4 @@
-"""Prepare the data for a page's player, with motion, cameras' pictures, curves, stances and findings.
+"""Prepare the data for a page's player: motion, pictures of cameras, curves, stances and findings.
 
 `player/data.js` reads the data. Arrays over frames are stored as integers in base64, so that a page of 4,000 frames
 stays small.
@@ -40,20 +40,20 @@ SPREADS = 600
 POSTURE_BYTES = 400_000
 """Largest size of the curves of the model's own angles, which are shown in addition to anatomical flexions."""
 MISSING, FITS, OUTLIER = 0, 1, 2
-"""States of a detection."""
+"""States of a detection in the player's data."""
 
 
 def player_data(
     motion: Motion, analysis: ClipAnalysis | None, number: int = 0, pictures: PictureStrip | None = None
 ) -> dict[str, Any]:
-    """Return the player's data in JSON types.
+    """Return the data of a page's player in JSON types.
 
     Parameters
     ----------
     motion, analysis
-        The result, and its analysis if it has enough frames.
+        Motion, and its analysis; None if the motion has too few frames.
     number
-        Camera whose picture is shown first.
+        Index of the camera whose picture is shown first.
     pictures
         Pictures of that camera's video.
     """
@@ -124,7 +124,7 @@ def packed_states(values: Array) -> dict[str, Any]:
 
 
 def _scene(motion: Motion) -> dict[str, Any]:
-    """Return joints, uncertainty, ground and cameras in the frame of `Motion.upright`, metres, z up."""
+    """Return joints, uncertainty, ground and cameras in metres in the frame of `Motion.upright`, with z up."""
     joints_m = motion.upright.xyz_m
     posed_m = joints_m[motion.solved]
     every = -(-len(joints_m) // SPREADS)
@@ -165,7 +165,7 @@ def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
 
 
 def _camera_pose(motion: Motion, number: int) -> dict[str, Any]:
-    """Return the position and rotation of a camera, one for each frame if the camera moves."""
+    """Return the position and rotation of a camera, for each frame if the camera moves."""
     view, camera = motion.solution.views[number], motion.cameras[number]
     T_camera_world = np.asarray(view.T_camera_world)
     R, t = T_camera_world[..., :3, :3], T_camera_world[..., :3, 3]
@@ -239,7 +239,8 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bool]]]:
     """Return panels of the model's angles by title, each with curves by side.
 
-    A curve consists of values and standard deviations (T,), degrees, and whether the pixels measure the angle.
+    A curve consists of values and standard deviations in degrees, shape (T,), and whether the pixels determine the
+    angle.
     """
     shares, panels = motion.data_shares, dict[str, dict[Any, tuple[Array, Array, bool]]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
@@ -275,7 +276,7 @@ def _panel(
 
 
 def _at(time_s: Array, sample_s: Array, values: Array) -> Array:
-    """Return the values (N,) at the samples nearest to the frames' times (T,); NaN if no sample is near."""
+    """Return a curve (N,) at the sample nearest to the time of each frame, shape (T,); NaN if no sample is near."""
     if not len(sample_s):
         return np.full(len(time_s), np.nan)
     step_s = float(np.median(np.diff(sample_s))) if len(sample_s) > 1 else np.inf

@@ -1,4 +1,4 @@
-"""Describe how the fit used a camera's detections of each keypoint, for the page's table."""
+"""Make the table on the page of a clip that states how the fit used each keypoint's detections."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from recon.fit.motion import Motion, Picture
 from recon.show.sections.keypoints import medians_px
 
 STUCK_PX = 3.0
-"""Radius within which a keypoint's outliers lie if it is stuck at one point."""
+"""Radius in pixels within which the outliers of a keypoint lie if it is stuck at one point."""
 STUCK_LEAST = 5
-"""Smallest number of frames with outliers at one point for a keypoint to count as stuck."""
+"""Minimum number of frames with an outlier at the same point required to call a keypoint stuck."""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1
@@ -33,7 +33,7 @@ def quality_tables(motion: Motion) -> list[dict[str, Any]]:
 
 
 def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the keypoint with the largest median distance from the pose, its camera and a text on its errors."""
+    """Return the keypoint with the largest median distance from the pose, with its camera and a text on its errors."""
     table = max(tables, key=lambda table: _median_px(table["rows"][0]))
     row = table["rows"][0]
     texts = [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"] if row["median_px"] is not None else []
@@ -79,7 +79,7 @@ LITTLE_WEIGHT = 0.1
 
 
 def keypoint_notes(motion: Motion, picture: Picture) -> list[str]:
-    """Return a text on each keypoint's wrong detections and their treatment in the fit, empty if there are none."""
+    """Return a text for each keypoint on its wrong detections and how the fit treated them, empty without any."""
     swapped = swapped_frames(motion, picture).sum(axis=0)
     notes = []
     for j in range(len(motion.names)):
@@ -110,7 +110,7 @@ def swapped_frames(motion: Motion, picture: Picture) -> Array:
 
 
 def stuck_at(picture: Picture, joint: int) -> dict[str, Any] | None:
-    """Return the pixel at which a keypoint is stuck and the number of frames, or None if the keypoint is not stuck."""
+    """Return the pixel at which a keypoint is stuck and the number of frames, or None if it is not stuck."""
     points_px = picture.detected_px[picture.outliers[:, joint], joint]
     if len(points_px) < STUCK_LEAST:
         return None

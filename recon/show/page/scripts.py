@@ -18,7 +18,7 @@ _EXPORT = re.compile(r"^export (?=class |function |const )", re.MULTILINE)
 
 @cache
 def script(name: str, folder: str = "player") -> str:
-    """Return the script of a module, preceded by those of all modules that it imports."""
+    """Return the script of a JavaScript module, preceded by the scripts of all modules that it imports."""
     parts: dict[str, str] = {}
     _add(name, FOLDER / folder, parts)
     content = "\n".join(parts.values())

@@ -1,4 +1,7 @@
-"""Draw figures of a result for print. Each function returns a matplotlib Figure, which `save` writes."""
+"""Draw figures of a result for print.
+
+Each function returns a matplotlib Figure, which `save` writes.
+"""
 
 import lazy_loader
 

@@ -43,22 +43,22 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
     "right": ("-", 0.9, "right side"),
     None: ("-", 1.6, "the rest"),
 }
-"""Dashes, line width and label of the limbs of each side."""
+"""Dashes, line width in points, and label of the limbs on each side."""
 _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM = 160.0
-"""Largest width of the side and top views together, mm."""
+"""Largest width of the side view and of the top view, mm."""
 _HEIGHT_MM = 120.0
 """Largest height of the side and top views together, mm."""
 _LEAST_MM = 18.0
-"""Smallest height of the side view."""
+"""Smallest height of the side view, mm."""
 _FRONT_MM = 45.0
-"""Largest height of the front view, which is never higher than the side view."""
+"""Largest height of the front view, mm; it is never higher than the side view."""
 _LABELS_MM = 46.0
-"""Space for all labels and the colour bar."""
+"""Space for all labels and the colour bar, mm."""
 _NUMBERS_MM = 10.0
-"""Width of the numbers of a vertical axis."""
+"""Width of the numbers at a vertical axis, mm."""
 _WIDE_FRONT = 0.3
 """Fraction of the figure's width that the front view takes."""
 
@@ -79,17 +79,17 @@ def composites(
     Parameters
     ----------
     joints_m : ndarray
-        Positions (T, J, 3), metres, upright, z up.
+        Positions of the joints in metres with z up, shape (T, J, 3).
     limbs : mapping
         Joints along each limb, by name.
     time_s : ndarray
-        Times, s, shape (T,).
+        Times of the frames in seconds, shape (T,).
     ground : sequence, optional
         Planes of the ground, each with the rows of the clip for which it holds.
     title : str
         Title of the figure; empty for none.
     sides : mapping
-        Sides of the limbs, by name. Left limbs are dashed, limbs without a side are thick.
+        Side of each limb, by name. Left limbs are dashed, and limbs without a side are thick.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -178,7 +178,7 @@ def _ends_of_ground(points_m: Array, horizontal: int) -> Array:
 
 
 def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
-    """Return evenly spaced rows of poses to draw, leaving out poses with few known joints.
+    """Return the rows of evenly spaced poses to draw, without poses that have few known joints.
 
     A pose needs at least two known joints, and half as many as the pose with the most.
     """
@@ -219,9 +219,9 @@ _ROOM = 0.04
 
 
 def in_body(body: Body, states: Array, size: Array | float, reference: str) -> Array:
-    """Return joints (T, J, 3) in the frame of the root segment, relative to the marker `reference`, metres.
+    """Return the joints (T, J, 3) relative to the marker `reference`, in metres along the axes of the root segment.
 
-    The axes are U forwards, V down and W to the left. `states` has the shape (T, D).
+    The axes are U forwards, V down and W to the left. `states` are the states of the body, shape (T, D).
     """
     turned = states.copy()
     turned[:, ROOT] = 0.0
@@ -238,10 +238,10 @@ def body_fixed(
     sides: Mapping[str, Side | None] = NO_SIDES,
     title: str = "",
 ) -> Figure:
-    """Draw up to ten configurations over each other, from the side, from above and from the front, at one scale.
+    """Draw up to ten configurations in the animal's own frame, from the side, from above and from the front.
 
-    `joints_m` (T, J, 3) is the result of `in_body`, `limbs` has the joints along each limb by name, `time_s` has the
-    shape (T,). The first configuration is pale; the last has the full colour of each side.
+    `joints_m` (T, J, 3) is the result of `in_body`, `limbs` has the joints along each limb by name, and `time_s` (T,)
+    has the times in seconds. The first configuration is pale, and the last has the full colour of each side.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -273,7 +273,7 @@ def body_fixed(
 
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
-    """Draw N paths of n points, paths_m (N, n, 2), the first with the palest colour."""
+    """Draw N paths of n points, `paths_m` (N, n, 2), from the palest colour to the full colour."""
     share = np.linspace(_PALEST if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
@@ -287,9 +287,9 @@ VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 The animal faces right in the side and top views, and faces the reader in the front view.
 """
 _NAME_MM = 3.4
-"""Height of a marker's name, mm."""
+"""Height of a marker's name in a figure, mm."""
 _LONG_MM = 0.42 * style.WIDTH_MM
-"""Length at which the animal is drawn, mm."""
+"""Length of the animal in a figure, mm."""
 _SAME = 0.01
 """Distance between markers, as a fraction of the animal's extent in a view, below which they share a label."""
 
@@ -316,9 +316,9 @@ def views(body: Body, title: str = "") -> Figure:
 
 
 def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
-    """Draw a skeleton with each angle in turn `reach_sigmas` standard deviations to either side of its mean.
+    """Draw a skeleton for each angle, with the angle `reach_sigmas` standard deviations to either side of its mean.
 
-    All other angles have their mean values. A left angle also represents the right one.
+    All other angles have their mean values. The figure of a left angle also stands for the right angle.
     """
     names = body.state_names[4:]
     shown_angles = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
@@ -369,7 +369,7 @@ def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, s
 
 
 def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]], length_m: float) -> None:
-    """Write markers' names in a column on each side of a pose, with lines to their points."""
+    """Write the markers' names in a column on each side of a pose, with lines to the markers."""
     (low_x, low_y), (high_x, high_y) = points.min(axis=0), points.max(axis=0)
     centre, half = (low_x + high_x) / 2, len(labels) // 2
     for column, sign, align in ((labels[:half], -1, "right"), (labels[half:], 1, "left")):
@@ -415,8 +415,9 @@ def share_colours() -> ListedColormap:
 def observability(body: Body, share: Array, time_s: Array, title: str = "", whole: Array | None = None) -> Figure:
     """Draw the fraction of the angles' precision that comes from the pixels, over time, with medians.
 
-    `share` (T, D - 4) is that of the root's pitch and roll and of the joints' angles, NaN if unknown. `time_s` has the
-    shape (T,). If the times are those of a stride, `whole` has the fractions of the whole clip for the medians.
+    `share` (T, D - 4) has the fractions for the root's pitch and roll and for the joints' angles, NaN if unknown.
+    `time_s` (T,) has the times in seconds. If the times are a stride, `whole` has the fractions of the whole clip, from
+    which the medians are computed.
     """
     names = [name.replace("_", " ") for name in body.state_names[4:]]
     with style.drawing(min(_ROW_MM * len(names) + _REST_MM, style.PAGE_MM), title=title) as figure:
@@ -446,9 +447,9 @@ _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
-    """Draw the uncertainty, and the fraction of the precision that comes from the pixels, by camera position.
+    """Draw the uncertainty and the fraction of the precision that comes from the pixels by position of a camera.
 
-    Each camera has a panel, and is added to the cameras of the panels before.
+    Each further camera has a panel, which assumes that the cameras of the panels before it are there.
     """
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
@@ -513,7 +514,7 @@ def calibration(result: Calibration) -> Figure:
         x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
         rays = camera.rays(np.stack((x, y), axis=-1))[0]
         ideal = np.moveaxis(rays[..., :2] / rays[..., 2:], -1, 0)
-        # Rays at nearly 90 degrees to the axis meet the plane of the grid at infinity.
+        # rays at nearly 90 degrees to the optical axis meet the plane of the grid at infinity
         step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
         for values in ideal:
             axes.contour(x, y, values, step * np.arange(-24, 25), colors=style.PALE, linewidths=0.7, linestyles="solid")

@@ -21,13 +21,13 @@ COLUMNS = 3
 NARROW_COLUMNS = 2
 """Number of panels in a row of a figure as wide as a column."""
 NARROW_MM = 120.0
-"""Largest width at which a figure counts as one column wide."""
+"""Largest width of a figure that counts as one column wide, mm."""
 _PANEL_MM = 42.0
-"""Height of a panel with its stance bars."""
+"""Height of a panel with its stance bars, mm."""
 _AROUND_MM = 24.0
-"""Height of labels and legend around the panels."""
+"""Height of labels and legend around the panels, mm."""
 _BARS = 0.16
-"""Fraction of a panel's height, below the curves, for the stance bars."""
+"""Fraction of a panel's height that the stance bars below the curves take."""
 _COLOURS: dict[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}
 _BAND_ALPHA = 0.2
 
@@ -35,8 +35,9 @@ _BAND_ALPHA = 0.2
 def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     """Draw the mean flexion of each joint over the stride.
 
-    Left is blue and dashed, right orange, the middle black. Bands contain 90 % of the strides; thin lines are the 90 %
-    interval of the fit. Bars below show when the limb's foot stands; 0 % is its touch-down.
+    Left joints are blue and dashed, right joints orange, and middle joints black. Bands contain 90 % of the strides,
+    and thin lines are the 90 % interval of the fit. Bars below the curves show when the limb's foot stands; 0 % is its
+    touch-down.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
     columns = COLUMNS if style.page_width_mm() > NARROW_MM else NARROW_COLUMNS

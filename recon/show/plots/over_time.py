@@ -38,16 +38,17 @@ ROWS = ("LH", "RH", "RF", "LF")
 """Feet in the order of their rows in a figure, from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""Height of a foot's bars for all gaits together, as a fraction of its row."""
+"""Height of a foot's bars for all gaits together, as a fraction of the height of the foot's row."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
-    """Draw the stances of each foot, with the bars of several gaits, given by name, above each other.
+    """Draw the stances of each foot over time, as found by one or several methods.
 
-    The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait has a
-    colour. A stance that is cut by the clip, and so may last longer, has an arrow instead of an edge. Lines across the
-    edges are 90 % intervals, those of touch-downs in the upper half and those of lift-offs in the lower half. Thin
-    lines with ticks are complete strides. The name of each gait and its criterion are at the bottom.
+    `gaits` has the gait found by each method, by name, whose bars are above each other. The second axis counts frames,
+    and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait has a colour. A stance that is cut by
+    the clip, and so may last longer, has an arrow instead of an edge. Lines across the edges are the 90 % intervals of
+    touch-downs, in the upper half, and of lift-offs, in the lower half. Thin lines with ticks are complete strides. The
+    name of each gait and its criterion are at the bottom.
     """
     captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
@@ -89,7 +90,7 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
 
 
 def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour: str, m: int = 0) -> None:
-    """Draw the bars of one foot in the m-th gait."""
+    """Draw the stance bars of one foot in the m-th gait."""
     low, high, edges = y - height / 2, y + height / 2, []
     axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(colour, m), lw=0, zorder=2)
     for stance in stances:
@@ -175,7 +176,7 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
 
 
 BAND_ROOM = 3.0
-"""Largest height of the axis relative to the highest curve, so that the curve fills at least a third of the panel.
+"""Largest height of a speed axis relative to the highest curve, so that the curve fills a third of the panel.
 
 Bands may be higher, such as those of accelerations from one camera and those at the ends of a spline.
 """
@@ -188,7 +189,7 @@ def speeds(
     unknown: bool = False,
     acceleration: bool = True,
 ) -> Figure:
-    """Draw speed and acceleration of one or several joints, by name, with 90 % bands if known.
+    """Draw speed and acceleration of one or several joints over time, with 90 % bands if they are known.
 
     Dots are frames, and the line between them is a spline. The line has gaps where the path is unknown. The legend
     states the peak, which a ring marks. If `unknown` is true, the curves are errors of the path rather than speeds, and
@@ -254,20 +255,20 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
 SHADES = 60
 """Number of colours into which the path of a phase portrait is divided."""
 _LEAST = (0.05, 0.5)
-"""Half of the smallest range of each axis of a phase portrait, degrees and degrees per second."""
+"""Half of the smallest range of the axes of a phase portrait, in degrees and in degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND = "#E6E6E6"
-"""Colour of a band around a path."""
+"""Colour of the band around the path of a phase portrait."""
 _UNSEEN = "#9A9A9A"
-"""Colour of a path that comes mostly from the prior."""
+"""Colour of the path of a phase portrait that comes mostly from the prior."""
 _ALONG = 0.25
-"""Distance between successive ellipses of a band, relative to their half axes."""
+"""Distance between successive ellipses of a phase portrait's band, relative to their half axes."""
 
 
 CLEAREST = 6
 """Largest number of phase portraits in a figure for a paper."""
 _EXACT_RAD = 1e-6
-"""Smallest standard deviation with which the clarity of portraits is computed, rad."""
+"""Smallest standard deviation, in radians, by which the range of an angle is divided."""
 
 
 def phase_portraits(
@@ -278,9 +279,9 @@ def phase_portraits(
 ) -> Figure:
     """Draw phase portraits, in degrees and degrees per second, with a panel for each angle on one page.
 
-    `closed` has the degrees of closure, and `shares` the fraction of each angle's precision that comes from the pixels,
-    both by name. The path is grey below `MEASURED_SHARE`. Bands are the 90 % intervals of angle and rate. Each panel
-    has its own axes.
+    `closed` has the degree of closure of each angle by name, and `shares` the fraction of its precision that comes from
+    the pixels. The path of an angle is grey if this fraction is below `MEASURED_SHARE`. Bands are the 90 % intervals of
+    angle and rate. Each panel has its own axes.
     """
     count = len(portraits)
     width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
@@ -320,12 +321,12 @@ def phase_portraits(
 def clearest_portraits(
     portraits: Mapping[str, Portrait], shares: Mapping[str, float], count: int = CLEAREST
 ) -> dict[str, Portrait]:
-    """Return the portraits of the angles whose range is largest relative to their uncertainty, in the given order.
+    """Return the phase portraits of the angles whose range is largest relative to their uncertainty.
 
     Parameters
     ----------
     portraits
-        Portraits by the name of the angle.
+        Phase portrait of each angle by name, whose order the result keeps.
     shares
         Fraction of each angle's precision that comes from the pixels. Angles below `MEASURED_SHARE` are left out,
         unless no angle would remain.
@@ -403,14 +404,15 @@ ARROWS = 45
 """Largest number of arrows in a row of a vector field."""
 _ROW_MM, _ABOUT_MM = 24.0, 26.0
 _LONGEST = 0.46
-"""Length of the longest arrow relative to the height of a row."""
+"""Length of the longest arrow of a vector field relative to the height of a row."""
 
 
 def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
-    """Draw a row for each link, with arrows (dx, dy) and the speed in the plane over times (T,), at one scale.
+    """Draw the velocity of each link's tip in the plane over time, as arrows and as a curve of its speed.
 
-    Right is along the parent, and up is perpendicular to it. At most `ARROWS` evenly spaced arrows are drawn. A link is
-    grey if its mean speed is below its standard deviation. A speed whose band would fill its panel is left out.
+    Each link has a row, and all rows have the same scale. `time_s` (T,) has the times in seconds. Right is along the
+    parent, and up is perpendicular to the parent. At most `ARROWS` evenly spaced arrows are drawn. A link is grey if
+    its mean speed is below its standard deviation. A speed whose band would fill its panel is left out.
     """
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)

@@ -1,4 +1,4 @@
-"""Draw the animal from the side at even steps of one stride, or of the clip, as papers do."""
+"""Draw the animal from the side at evenly spaced times of one stride or of the clip."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NARROW_POSES = 3
 """Number of poses in a row of a figure as wide as a column."""
 NARROW_MM = 120.0
 _APART = 1.1
-"""Distance between the poses in a row, relative to the longest pose."""
+"""Distance between the poses in a row, relative to the length of the longest pose."""
 _WIDTHS: Mapping[Side | None, float] = {"left": 1.0, "right": 1.0, None: 1.4}
 
 
@@ -41,13 +41,13 @@ def side_view(
     Parameters
     ----------
     joints_m : ndarray
-        Positions (T, J, 3), metres, upright, z up.
+        Positions of the joints in metres with z up, shape (T, J, 3).
     limbs, sides : mapping
-        Joints and side of each limb, by name. Left is blue and dashed, right orange, the middle black.
+        Joints and side of each limb, by name. Left limbs are blue and dashed, right limbs orange, and others black.
     during : ndarray
         Mask (T,) of the frames of the stride, or of the whole clip if it has no stride.
     time_s : ndarray
-        Times, s, shape (T,).
+        Times of the frames in seconds, shape (T,).
     grounds : sequence, optional
         Planes of the ground, each with the rows of the clip for which it holds. Without a plane, a line touches the
         lowest foot.
@@ -123,7 +123,7 @@ def _ground_m(
     drawn: Sequence[int],
     grounds: Sequence[tuple[slice, Plane]] | None,
 ) -> Array:
-    """Return the height (N,) of the ground under each pose, m."""
+    """Return the height of the ground under each of N poses in metres, shape (N,)."""
     heights = np.nanmin(poses[:, drawn, 2], axis=1)
     lowest = heights.copy()
     for i, row in enumerate(chosen):
@@ -137,7 +137,7 @@ def _ground_m(
 
 
 def _scale_bar(axes: Axes, step_m: float, per_line: int, tall_m: float) -> None:
-    """Draw a scale bar of a round length at the right end, between the labels of the poses and the edge."""
+    """Draw a scale bar of a round length at the right end, below the poses."""
     length_m = style.round_below(0.35 * step_m)
     end = (per_line - 0.5) * step_m - 0.02 * step_m
     y = -0.1 * tall_m

@@ -1,4 +1,4 @@
-"""Set the style of figures and write them.
+"""Define the style of all figures, and write figures to files.
 
 Figures are as wide as a page (180 mm) or a column (85 mm), with text of 8 points. Colours are those of Okabe and Ito
 without yellow, which is pale on paper; lines that have to be distinguished also differ in dashes. Times have the
@@ -61,7 +61,7 @@ _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 @dataclass(frozen=True)
 class Print:
-    """Settings of figures for a paper, which have small letters and no titles."""
+    """Settings of the figures drawn for a paper."""
 
     width_mm: float
     panel: Any = None
@@ -78,7 +78,7 @@ _PRINT_SIZES = (
 
 @contextmanager
 def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
-    """Draw the figures of a `with` block for a paper, at a width in mm, with text of `PRINT_POINTS` and no titles."""
+    """Draw the figures of a `with` block for a paper, `width_mm` wide, with text of `PRINT_POINTS` and no titles."""
     token = _PRINT.set(Print(width_mm, panel))
     try:
         yield
@@ -87,7 +87,7 @@ def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
 
 
 def page_width_mm() -> float:
-    """Return the width of full-page figures, mm, which is `WIDTH_MM` outside a `printing` block."""
+    """Return the width of full-page figures in mm, which is `WIDTH_MM` outside a `printing` block."""
     printed = _PRINT.get()
     return WIDTH_MM if printed is None else printed.width_mm
 
@@ -163,7 +163,7 @@ def _settings() -> AbstractContextManager[None]:
 
 
 def look(i: int) -> dict[str, Any]:
-    """Return colour and dashes of the i-th of several lines, which differ for up to 28 lines."""
+    """Return the colour and dashes of the i-th line of a plot, which differ for up to 28 lines."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
@@ -178,7 +178,7 @@ def dots(count: int, size: float) -> dict[str, Any]:
 
 
 REACH = radius(INTERVAL)
-"""Distance from the middle of a band to its edge, in standard deviations."""
+"""Half width of a 90 % band in standard deviations."""
 
 
 def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str, least: float = 0.0) -> None:
@@ -188,7 +188,7 @@ def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, col
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
-    """Return the number of columns of a legend that fits a width, and its height (mm)."""
+    """Return the number of columns of a legend that fits a width, and the legend's height in mm."""
     longest = max((len(label) for label in labels), default=0)
     columns = int(np.clip((width_mm - 4) / (1.2 * longest + 15), 1, max(len(labels), 1)))
     return columns, 3.9 * -(-len(labels) // columns)
@@ -201,7 +201,7 @@ def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str],
 
 
 FILLED = 0.8
-"""Fraction of a panel's height above which a band counts as filling it, which means that the value is unknown."""
+"""Fraction of a panel's height above which a band counts as filling the panel, so that the value is not known."""
 
 
 def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
@@ -214,7 +214,7 @@ def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
 
 
 def blank(axes: Axes, text: str = "no data") -> None:
-    """Write a text into the axes, instead of a plot."""
+    """Write a text into axes that have no plot."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -237,7 +237,7 @@ def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
 
 
 def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
-    """Return the numbers of rows and columns for `count` panels of height `aspect` x width on a page."""
+    """Return the numbers of rows and columns of `count` panels on a page; a panel is `aspect` times as high as wide."""
     columns = min(least, count)
     while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
         columns += 1
@@ -245,7 +245,7 @@ def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tu
 
 
 def round_below(value: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is not above the value."""
+    """Return the largest number of the form 1, 2 or 5 times a power of ten that is at most `value`."""
     if not value > 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

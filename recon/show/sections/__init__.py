@@ -1,1 +1,1 @@
-"""Define the sections of report.json and of the summary."""
+"""Compute the sections of report.json, and write the summary's lines from them."""

@@ -16,7 +16,7 @@ NOT_FOUND = "not found"
 
 
 def segments_data(motion: Motion) -> list[dict[str, Any]]:
-    """Return the segments of the clip that were solved separately, and the ground under each."""
+    """Return the segments of a clip that were solved separately, with the ground under each segment."""
     rows = []
     for segment in motion.solution.segments:
         ends = motion.frames[segment.rows.start], motion.frames[segment.rows.stop - 1] + 1

@@ -21,11 +21,11 @@ from recon.show.sections.motion import given_size, size_sources, trajectory_solu
 from recon.show.sections.section import Line
 
 LONGEST_SCORER = 60
-"""Maximum number of characters shown of a scorer's name."""
+"""Largest number of characters of a scorer's name in the summary."""
 
 
 def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the verdict, the expected errors, and the assumptions that could make both wrong."""
+    """Yield lines with the verdict, the expected errors, and the assumptions on which both depend."""
     yield from zip(("verdict", "expected"), lines_of_verdict(motion.verdict), strict=False)
     if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
         yield "assumed", _assumed_by_one_camera(motion)
@@ -53,14 +53,14 @@ def _assumed_by_one_camera(motion: Motion) -> str:
 
 
 def clip_data(motion: Motion) -> dict[str, Any]:
-    """Return the clip's files, frames and camera."""
+    """Return the files, the frames and the camera of a clip."""
     files = {"keypoints": file_name(motion.keypoints.source), "individual": motion.keypoints.individual}
     frames = motion.frames[0], motion.frames[-1] + 1
     return files | {"fps": motion.fps, "frames": frames, "camera": motion.camera.to_dict()}
 
 
 def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the clip's files, frames and frame rate and, for a single keypoint file, its camera."""
+    """Yield a line with the clip's files, frames and frame rate, and the camera of a single keypoint file."""
     sources = [source.keypoints.source for source in motion.sources]
     files = ", ".join(Path(path).name if path else "keypoints" for path in sources)
     has_file = len(sources) == 1 and motion.settings and motion.settings.get("camera") is not None
@@ -70,12 +70,12 @@ def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def side_data(motion: Motion) -> dict[str, Any]:
-    """Return the fitted side of the animal if only one side was fitted, and the reason."""
+    """Return the side of the animal to which the fit was restricted, if any, and the reason."""
     return {"fitted": motion.side, "reason": motion.side_reason}
 
 
 def side_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the fitted side if only one side was fitted."""
+    """Yield a line with the side of the animal to which the fit was restricted, if any."""
     if motion.side:
         yield "side", f"{motion.side}: {motion.side_reason}"
 
@@ -88,13 +88,13 @@ def cleaning_data(motion: Motion) -> dict[str, Any]:
 
 
 def note_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the decisions made when the files were read, without repetitions."""
+    """Yield a line for each decision made when the files were read, without repetitions."""
     for note in dict.fromkeys(note for source in motion.sources for note in source.cleaning.notes):
         yield "note", note
 
 
 def skeleton_data(motion: Motion) -> dict[str, Any]:
-    """Return the skeleton's name, keypoints, feet, joints and states."""
+    """Return the skeleton's name, keypoints, feet, joints and components of the state."""
     feet = {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)}
     layout = picked(motion, "title", "joints", "state_names", "states_frame")
     return {"name": motion.body.name, "keypoints": motion.names, "feet": feet, **layout}
@@ -119,7 +119,7 @@ def detector_data(motion: Motion) -> dict[str, str]:
 
 
 def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the detector and, if it is unknown, the way to measure its keypoint bias."""
+    """Yield a line with the detector and, if it is unknown, how to measure its keypoint bias."""
     if motion.body.one_sided:
         return
     offer = ""
@@ -129,12 +129,12 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def assumptions_data(motion: Motion) -> dict[str, Any]:
-    """Return the assumptions of the trajectory method, as numbers and sentences."""
+    """Return the assumptions of the trajectory method as numbers and as sentences."""
     return {**upright_data(motion), "sentences": [*_trajectory_sentences(motion)]}
 
 
 def upright_data(motion: Motion) -> dict[str, Any]:
-    """Return the upward direction, and the source of this information."""
+    """Return the upward direction in the camera's axes, and how it is known."""
     camera = motion.camera
     return {
         "camera_level": not motion.knows_up and camera.tilt_rad == 0,
@@ -145,7 +145,7 @@ def upright_data(motion: Motion) -> dict[str, Any]:
 
 
 def assumption_sentences(motion: Motion) -> Iterator[str]:
-    """Yield the assumptions that all methods make, in sentences."""
+    """Yield sentences that state the assumptions of all methods."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
     is_single = len(motion.pictures) == 1
     subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one pans")

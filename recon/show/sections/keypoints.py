@@ -20,7 +20,7 @@ from recon.show.sections.section import Line
 BEST_SHARE = 0.9
 """Fraction of the detections, those with the smallest errors, that `mean_best_90_percent` averages."""
 OF_JOINT = ("outliers", "mean_error_px", "noise_px", "mean_weight")
-"""Fields of a keypoint that the fit computes."""
+"""Fields of a keypoint's entry in report.json that are null unless the keypoint was fitted."""
 
 
 def counts(motion: Motion) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def keypoints_data(motion: Motion) -> list[dict[str, Any]]:
 
 
 def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]:
-    """Yield the keypoints used, the detections, the reprojection error and the outliers."""
+    """Yield lines with the keypoints used, the detections, the reprojection error and the outliers."""
     fitted, totals = [row for row in data if row["joint"] is not None], counts(motion)
     missing_names = [row["name"] for row in fitted if not row["used"]]
     similar = suggestions(motion.unused_keypoints, motion.missing_keypoints)
@@ -98,7 +98,7 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
 
 
 def medians_px(motion: Motion) -> Array:
-    """Return the median distance (V, J), px, between detections and pose by camera and keypoint; NaN if unknown."""
+    """Return the median distance in pixels between detections and pose, shape (V, J), by camera and keypoint."""
     distance_px = _stacked(motion, "distance_px")
     return np.array([[median(of_keypoint) for of_keypoint in of_camera.T] for of_camera in distance_px])
 

@@ -20,7 +20,7 @@ from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name
 
 SIZE_SOURCES = {"views": "the positions of the cameras", "ground": "the camera's height above the ground"}
-"""Names of the measurements that can determine the animal's size."""
+"""Descriptions of the measurements that can determine the animal's size."""
 
 
 def trajectory_solution(motion: Motion) -> TrajectorySolution:
@@ -30,7 +30,7 @@ def trajectory_solution(motion: Motion) -> TrajectorySolution:
 
 
 def root_path_data(motion: Motion) -> dict[str, Any]:
-    """Return the path of the reference point, exact and smoothed.
+    """Return the path of the reference point, as fitted and smoothed.
 
     The smoothed path, without jitter from frame to frame, exists if each frame was solved separately and the jitter can
     be measured.
@@ -85,7 +85,7 @@ def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_text(angle_rad: float | None) -> str:
-    """Return the angle between the animal's direction and the image plane, given in rad, in words."""
+    """Return the angle between the animal's heading and the image plane as text in degrees, from its value in rad."""
     if angle_rad is None:
         return "unknown"
     if (degrees := round(math.degrees(angle_rad))) == 0:
@@ -110,7 +110,7 @@ def size_data(motion: Motion) -> dict[str, Any]:
 
 
 def _shape_data(shape: SolvedShape | None) -> dict[str, Any] | None:
-    """Return the medians of the lengths and keypoint offsets that were estimated."""
+    """Return medians of the estimated lengths and keypoint offsets and of their standard deviations."""
     if shape is None:
         return None
     return {
@@ -141,7 +141,7 @@ def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def given_size(motion: Motion) -> str:
-    """Return the option or file that gave the animal's size; empty for an average animal."""
+    """Return the option or file that states the animal's size, or an empty text for an animal of average size."""
     for name, option in (("height_m", "height at the withers, --height-m "), ("size", "--set size=")):
         if (value := motion.settings.get(name)) is not None:
             return f"{option}{value:g}"
@@ -171,7 +171,7 @@ def prior_data(motion: Motion) -> dict[str, Any]:
 
 
 def prior_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield how much of the pose comes from the video and how much from the prior."""
+    """Yield a line with the fractions of the pose's precision that come from the video and from the prior."""
     name, share = data["name"], data["mean_data_share"]
     if name == NO_PRIOR:
         name = "the skeleton's own expectations"

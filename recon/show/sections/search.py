@@ -17,13 +17,13 @@ from recon.show.sections.motion import trajectory_solution
 from recon.show.sections.section import Line, camera_name
 
 CONVERGENCE = ("status", "iterations", "cost_by_term")
-"""Fields of the solution that describe its search."""
+"""Attributes of a solution that describe how the search ended."""
 HARDLY_KNOWN = 0.1
 """Relative standard deviation of the distance from the camera above which the summary states it."""
 
 
 def summary_data(motion: Motion) -> dict[str, Any]:
-    """Return the counts of frames, flags, keypoints and detections, and the joints' uncertainty."""
+    """Return the numbers of frames, flags, keypoints and detections, and the joints' uncertainty."""
     flags = dict.fromkeys((*FLAGS, *(flag for flags in motion.flags for flag in flags)))
     return {
         "frames": motion.clip_frames,
@@ -39,7 +39,7 @@ def summary_data(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the numbers of frames with a pose and flagged frames, and the distance if it is hardly known."""
+    """Yield lines with the numbers of solved and flagged frames, and the camera's distance if it is hardly known."""
     reasons = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
     several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
     flagged = f"{data['frames_flagged']} flagged ({several}{', '.join(reasons)})" if reasons else "none flagged"
@@ -56,7 +56,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def alternative_data(motion: Motion) -> dict[str, Any] | None:
-    """Return the distance to the second solution and its cost, or None if there is no second solution."""
+    """Return how far a second solution is from the pose, and its cost, or None if there is no second solution."""
     apart_m = finite(motion.alternative_m)
     if not len(apart_m):
         return None

@@ -1,4 +1,4 @@
-"""Define a section of the report."""
+"""Define the class for sections of report.json and of the summary."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Line = tuple[str, str]
 
 @dataclass(frozen=True)
 class Section:
-    """Field of report.json, with the lines of the summary that state its content."""
+    """Section of a report: a field of report.json and the lines of the summary that state its content."""
 
     name: str
     """Name of the field."""
@@ -22,9 +22,9 @@ class Section:
     """Function that returns the content of the field, which may consist of numbers, texts, arrays, lists and mappings.
     """
     lines: Callable[[Motion, Any], Iterable[Line]] = lambda motion, data: ()
-    """Function that yields the lines, given the motion and the content in JSON types (None for unknown numbers)."""
+    """Function that yields the summary's lines, given the motion and the content in JSON types (None for unknown)."""
 
 
 def camera_name(motion: Motion, number: int = 0) -> str:
-    """Return the name of a camera for a sentence in the summary."""
+    """Return a camera's name, or "the camera" if there is only one, for a sentence in the summary."""
     return motion.pictures[number].name if len(motion.pictures) > 1 else "the camera"

@@ -56,15 +56,15 @@ from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
 
 OVERVIEW_ASPECT = 3.0
-"""Width of the overview relative to its height."""
+"""Width of the overview of the world relative to its height."""
 OVERVIEW_RAISED = 0.4
-"""Height of the overview's eye above its target, relative to the horizontal distance between them."""
+"""Height of the overview's eye above its target, as a fraction of the horizontal distance between them."""
 VIEW_RAD = np.radians(55.0)
-"""Vertical angle of view of rerun's viewer."""
+"""Vertical angle of view of rerun's viewer, in radians."""
 LINE_OF_LEGEND = 0.1
 """Fraction of a plot's height that a line of the legend takes."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-"""Environment variables that name the screen on Linux."""
+"""Environment variables of which at least one is set if a Linux machine has a display."""
 
 
 def write(
@@ -141,7 +141,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
 
 
 def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
-    """Return a blueprint with this content alone, played in a loop."""
+    """Return a blueprint that shows `content` alone and plays the recording in a loop."""
     hidden = rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
     time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
     return rrb.Blueprint(content, *hidden, time, auto_layout=False, auto_views=False)
@@ -213,7 +213,7 @@ def time_view(series: TimePlot) -> rrb.TimeSeriesView:
 
 
 def state_rows(entities: Sequence[str], name: str) -> rrb.StateTimelineView:
-    """Return a view of the times at which states hold, such as flags and stances."""
+    """Return a view that shows when states such as flags and stances hold."""
     return rrb.StateTimelineView(origin="/", contents=[f"/{entity}" for entity in entities], name=name)
 
 
@@ -294,9 +294,10 @@ MAX_LINES = 4
 
 
 def states(motion: Motion, standing: Bools) -> dict[str, tuple[str, scenes.Colour, Bools]]:
-    """Return the frames with each flag, and the frames in which each foot stands (T, F), by entity.
+    """Return label, colour and mask of frames (T,) of each flag and of each foot's stances, by entity.
 
-    Names of entities have no parent, which the viewer would show, and no blanks, which the viewer would escape.
+    `standing` (T, F) states in which frames each foot stands. Names of entities have no parent, which the viewer would
+    show, and no blanks, which the viewer would escape.
     """
     flag_names = dict.fromkeys(flag for frame_flags in motion.flags for flag in frame_flags)
     flags = {flag: np.array([flag in frame_flags for frame_flags in motion.flags]) for flag in flag_names}
@@ -313,13 +314,13 @@ def _plot(
     tab: str = "",
     colours: Sequence[scenes.Colour] = scenes.LINE_COLOURS,
 ) -> TimePlot:
-    """Return a plot of lines (T,) by name, with colours in the lines' order."""
+    """Return a plot of lines (T,), which have names, with the colours in the lines' order."""
     line_colours = [colours[i % len(colours)] for i in range(len(lines))]
     return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
-    """Yield plots of the angles, degrees, by side, and split by part of the animal or kind if there are too many."""
+    """Yield a plot of the angles of each side in degrees, split by part of the animal or kind if there are too many."""
     keys: dict[str, dict[str, str]] = {kind: {} for kind in ("left", "right", "middle")}
     for name in motion.angle_names:
         words, side = without_side(name).split("_"), side_of(name)
@@ -353,9 +354,9 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def other_plots(motion: Motion) -> Iterator[TimePlot]:
-    """Yield plots of speed, errors in the pictures, and uncertainty.
+    """Yield plots of the animal's speed, the reprojection errors, and the joints' uncertainty.
 
-    The largest error excludes outliers, which would hide the other errors.
+    The plot of the largest reprojection error excludes outliers, which would hide the other errors.
     """
     speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
     run_m_s, lines, title = motion.solution.constant_velocity_m_s, {"speed": speed}, "Speed (m/s)"
@@ -426,7 +427,7 @@ def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
 
 
 def write_forces(analysis: ClipAnalysis, log: Log) -> None:
-    """Write arrows under the feet and the path of the centre of mass.
+    """Write the feet's vertical forces as arrows, and the path of the centre of mass, to a recording.
 
     An arrow as long as the height of the centre of mass is a force of one body weight.
     """

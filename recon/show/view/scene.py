@@ -1,8 +1,8 @@
 """Write the animal in space and in the cameras' pictures to a recording for rerun.
 
-The module also contains what the views share, which is colours, the geometry of the scene, and functions that write
-lines, plots and states. Rerun's own writer hangs if the disk is full. Therefore rerun writes into a pipe, and this
-module copies the pipe into the file, without keeping a long recording in memory.
+The module also contains the colours and the scene's geometry that several views use, and functions that write lines,
+plots and states. Rerun's own writer hangs if the disk is full. Therefore rerun writes into a pipe, and this module
+copies the pipe into the file, without keeping a long recording in memory.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Colour = tuple[int, int, int]
 
 # Okabe and Ito's palette, which colour-blind readers can distinguish.
 LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
-"""Colours of the limbs of a chain, in the order hind leg, spine, front leg, and two spare colours."""
+"""Colours of the limbs of a chain: hind leg, spine, front leg, and two for further limbs."""
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
 """Colours of the left, right and middle limbs of a whole animal."""
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
@@ -44,7 +44,7 @@ LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200
 BACKGROUND = (18, 21, 27)
 
 CAMERAS, PICTURE = "world/camera", "picture"
-"""Entities of a camera in the world and of its picture; with several cameras, the parents of one entity for each."""
+"""Entities of a camera in the world and of its picture; if there are several cameras, each has a child of these."""
 ANIMAL, EDGE_OF_PICTURE, VIDEO = "animal", "frame", "video"
 """Children of a picture, which are the animal's middle (centre of the close view), the picture's edge, and the video.
 """
@@ -56,7 +56,7 @@ CLOSE = 1.1
 HIDDEN_LINK = 0.01
 """Length of a link, relative to the close view's width, below which the dots at its ends hide it."""
 MAX_SHAPES_HZ = 25.0
-"""Largest number of shapes of an ellipsoid per second of a clip; faster changes would be invisible."""
+"""Largest number of times per second of a clip that an ellipsoid changes its shape; more would be invisible."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 
@@ -78,7 +78,7 @@ class TimePlot:
 
 @dataclass(frozen=True)
 class Log:
-    """Writer of the entities of a recording with T frames."""
+    """Writer that adds the entities of a clip of T frames to a recording."""
 
     stream: rr.RecordingStream
     frames: Integers
@@ -89,7 +89,7 @@ class Log:
     def send(
         self, entity: str, columns: rr.ComponentColumnList, rows: Index | Sequence[int] | slice = slice(None)
     ) -> None:
-        """Write columns of an entity, with a row for each of the given rows of the clip."""
+        """Write columns of an entity, which have a value for each of the clip's `rows`."""
         times = [
             rr.TimeColumn("frame", sequence=self.frames[rows]),
             rr.TimeColumn("time", duration=self.time_s[rows]),
@@ -97,7 +97,7 @@ class Log:
         self.stream.send_columns(entity, times, columns)
 
     def fix(self, entity: str, archetype: rr.AsComponents) -> None:
-        """Write an archetype that is the same in all frames."""
+        """Write an archetype that does not change over time."""
         self.stream.log(entity, archetype, static=True)
 
     def draw(self, entity: str, kind: Any, columns: rr.ComponentColumnList, **style: Any) -> None:
@@ -120,7 +120,7 @@ class Log:
         self.draw(plot.entity, rr.SeriesLines, columns.partition(np.where(is_known, count, 0)), **style)
 
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
-        """Write the changes of a state (T,).
+        """Write when a state begins and ends, from a mask (T,) of the frames in which it holds.
 
         The label is a blank because the row already has a name. Without a label, the viewer would show the value.
         """
@@ -132,8 +132,8 @@ class Log:
     def follow(self, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
         """Write an invisible box for the viewer to follow.
 
-        `middle_m` (T, 3) is the middle of the box and `half_m` half of its size. `rows` (T,) are the frames with a box;
-        None for all frames.
+        `middle_m` (T, 3) is the middle of the box, and `half_m` half of its size, in metres. `rows` is a mask (T,) of
+        the frames with a box, or None for all frames.
         """
         corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)
         is_shown = np.ones(corners.shape[:2], bool) if rows is None else np.repeat(rows[:, None], 2, axis=1)
@@ -142,18 +142,18 @@ class Log:
 
 @dataclass(frozen=True)
 class Scene:
-    """Geometry that views and entities share, in the motion's frame of reference."""
+    """Geometry of a clip that views and entities need, in the motion's frame of reference."""
 
     axes: Array
-    """Two horizontal unit vectors and the upward one, in rows, shape (3, 3)."""
+    """Two horizontal unit vectors and the upward unit vector, in rows, shape (3, 3)."""
     low_m: Array
-    """Lower bounds of the animal over the clip along `axes`, shape (3,)."""
+    """Lower bounds of the animal over the clip along `axes`, metres, shape (3,)."""
     high_m: Array
-    """Upper bounds of the animal over the clip along `axes`, shape (3,)."""
+    """Upper bounds of the animal over the clip along `axes`, metres, shape (3,)."""
     size_m: float
     """Median diagonal of the box around the animal in a frame, metres."""
     camera_m: Array
-    """Centre of projection of the first camera, shape (3,); its mean if the camera moves."""
+    """Position of the first camera in metres, shape (3,); the mean over the frames if the camera moves."""
 
     @classmethod
     def from_motion(cls, motion: Motion) -> Scene:
@@ -172,7 +172,7 @@ class Scene:
 
     @property
     def centre_m(self) -> Array:
-        """Return the middle of the clip's motion, shape (3,)."""
+        """Return the middle of the box around the animal over the clip, metres, shape (3,)."""
         return (self.low_m + self.high_m) / 2 @ self.axes
 
 
@@ -188,21 +188,21 @@ def bounds(joints_m: Array) -> tuple[Array, Array]:
 
 
 def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
-    """Return the entity of each camera, which is `root`, or a child of `root` if there are several cameras."""
+    """Return the entity of each camera: `root` for a single camera, otherwise children of `root`."""
     if len(pictures) == 1:
         return [root]
     return [f"{root}/{rr.escape_entity_path_part(picture.name)}" for picture in pictures]
 
 
 def limb_colours(motion: Motion) -> list[Colour]:
-    """Return a colour for each limb, by side for a whole animal, otherwise a different one for each limb."""
+    """Return the colour of each limb, which depends on its side for a whole animal, and otherwise on the limb."""
     if motion.side is not None:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
     return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
 
 
 def joint_limbs(motion: Motion) -> Integers:
-    """Return the limb (J,) with which each joint is drawn.
+    """Return the index of the limb with which each of J joints is drawn, shape (J,).
 
     A joint of the trunk is drawn with the trunk, any other joint with the limb that it ends or continues.
     """
@@ -237,7 +237,7 @@ def limb_strips(
 
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
-    """Return columns of line strips, any number per frame, each of shape (points, 3)."""
+    """Return the columns of line strips, of which each frame has any number, of shape (points, 3)."""
     all_strips = [strip for frame_strips in frames for strip in frame_strips]
     points = np.concatenate([np.zeros((0, 3)), *all_strips])
     return _strips(points, [len(strip) for strip in all_strips]).partition(
@@ -246,7 +246,7 @@ def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
 
 
 def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
-    """Return columns of straight lines between ends (N, 2, 2 or 3), with `counts` (T,) lines in each frame.
+    """Return the columns of N straight lines with `ends` (N, 2, 2 or 3), of which `counts` (T,) are in each frame.
 
     `columns` are further columns with a value for each line.
     """
@@ -348,7 +348,7 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
             camera_xyz=rr.ViewCoordinates.RDF,
             image_plane_distance=max(0.25, 0.15 * distance_m),
             color=CAMERA,
-            line_width=-1.0,  # a negative width is in screen units instead of metres
+            line_width=-1.0,  # a negative width is in units of the screen instead of metres
         ),
     )
 
@@ -404,7 +404,7 @@ def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
 
 
 def write_pictures(motion: Motion, log: Log) -> None:
-    """Write the points of each picture, and the middle of the animal, on which the close view is centred."""
+    """Write detections and reprojections in each picture, and the animal's middle, which centres the close view."""
     for picture, root in zip(motion.pictures, by_camera(PICTURE, motion.pictures), strict=True):
         size = np.array(picture.camera.image_size_px, dtype=float)
         edge = rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE)
@@ -441,7 +441,8 @@ def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None
 
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
-    """Return the middle (T, 2) of the reprojected skeleton, 0 without a pose, and its extent (2,), px."""
+    """Return the middle (T, 2) and the extent (2,) of the reprojected skeleton in pixels, 0 for frames without a pose.
+    """
     is_seen = np.isfinite(picture.reprojected_px[..., 0])
     middle = np.nan_to_num(mean_along(picture.reprojected_px, axis=1))
     return middle, np.abs(picture.reprojected_px - middle[:, None])[is_seen].max(axis=0, initial=1.0)
@@ -468,12 +469,16 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
     """Write the frames of a video as `picture/video`, which the close view also shows.
 
     If there are several cameras, the entity is `picture/<name>/video`. `first_frame` is the frame number, in the clip,
-    of the video's first frame; `number` is the index of the camera, whose pictures have the same size. Raises
-    InputError if the video lacks frames.
+    of the video's first frame, and `number` is the index of the camera, whose pictures have the same size.
 
     Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos; in other codecs they
     jump from key frame to key frame. In rerun, (0, 0) is the corner of the top left pixel, but for keypoints it is the
     centre of this pixel. Therefore the picture is shifted by half a pixel to the right and down.
+
+    Raises
+    ------
+    InputError
+        If the video lacks frames.
     """
     import cv2  # slow to import, and most playbacks are without a video
 
@@ -487,7 +492,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
 
 
 _AT_ONCE = 1 << 20
-"""Number of bytes copied at once."""
+"""Number of bytes of a recording that are copied at once."""
 
 
 def require_whole() -> None:
@@ -497,14 +502,14 @@ def require_whole() -> None:
 
 @contextmanager
 def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Yield a recording to log to, which is written to `path`.
+    """Yield a rerun recording, to which the block logs, and write it to a file.
 
     No file is left if the block raises an error.
 
     Raises
     ------
     OSError
-        With the path if the file cannot be written.
+        If the file cannot be written; the message has the path.
     """
     stream = rr.RecordingStream("recon")
     try:

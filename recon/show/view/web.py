@@ -44,11 +44,11 @@ _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
 RECORDING = "recording.rrd"
 """Name of the recording in the page's address. The viewer recognises the format by the suffix."""
 LOOK = "theme=dark&persist=0"
-"""Options of the viewer, which is dark, like the views, and stores nothing in the browser."""
+"""Options of the viewer in the page's address: a dark theme, and no settings stored in the browser."""
 START_S = 30.0
-"""Longest time, in seconds, for rerun to start."""
+"""Largest time that rerun's server may take to start, in seconds."""
 TICK_S = 0.05
-"""Time, in seconds, between two checks of whether rerun has started."""
+"""Time between two checks whether rerun's server has started, in seconds."""
 
 
 @contextmanager
