@@ -132,8 +132,7 @@ class Overlay:
 
     @cached_property
     def box_px(self) -> Array:
-        """Return width and height in pixels, shape (2,), of the animal's largest box in the clip without stray poses.
-        """
+        """Return width and height in pixels, shape (2,), of the largest box around the animal, ignoring stray poses."""
         return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property

@@ -31,7 +31,7 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW
 
 @dataclass(frozen=True)
 class ChainPose:
-    """Positions of the J joints in the camera frame for N states of D unknowns.
+    """Positions of a chain's J joints in the camera frame for N states of D unknowns.
 
     The Jacobians are None unless they were requested.
     """
@@ -41,7 +41,7 @@ class ChainPose:
     rotation: Array
     """Rotations R_camera_local, shape (N, 3, 3)."""
     joints_m: Array
-    """Positions of the joints in the camera frame, shape (N, J, 3), metres."""
+    """Positions of the joints in the camera frame in metres, shape (N, J, 3)."""
     joints_jacobian: Array | None = None
     """Derivatives of the positions with respect to the unknowns, shape (N, J, 3, D)."""
     rotation_jacobian: Array | None = None
@@ -54,27 +54,27 @@ class UnknownsChain(Chain):
 
     @property
     def n_state(self) -> int:
-        """Return the number of unknowns D = 2 A + 7, 21 for the 8U chain."""
+        """Return the number of unknowns D = 2 A + 7 for A free links, which is 21 for the 8U chain."""
         return 2 * self.n_angles + 7
 
     @cached_property
     def theta_slice(self) -> slice:
-        """Return the slice of the state that holds the thetas, rad."""
+        """Return the slice of the state that holds theta of every free link, in rad."""
         return slice(0, self.n_angles)
 
     @cached_property
     def phi_slice(self) -> slice:
-        """Return the slice of the state that holds the phis, rad."""
+        """Return the slice of the state that holds phi of every free link, in rad."""
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property
     def position_slice(self) -> slice:
-        """Return the slice of the state that holds x0, y0, z0, the root's position in the local frame, metres."""
+        """Return the slice of the state that holds x0, y0, z0, the root's position in metres in the local frame."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
     @cached_property
     def euler_slice(self) -> slice:
-        """Return the slice of the state that holds xi, psi, zeta of R_camera_local, rad."""
+        """Return the slice of the state that holds the Euler angles xi, psi, zeta of R_camera_local, in rad."""
         return slice(2 * self.n_angles + 3, 2 * self.n_angles + 6)
 
     @property
@@ -88,7 +88,7 @@ class UnknownsChain(Chain):
         return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
 
     def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:
-        """Convert states of the chain to world states of its body, with factors that scale the body's lengths.
+        """Convert states of the chain to states of its body in the world, with factors for the body's lengths.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class UnknownsChain(Chain):
         return local_state
 
     def local_joints(self, state: Array) -> Array:
-        """Return the joints' positions (N, J, 3) relative to the root in UVW, metres, for states (N, D)."""
+        """Return the joints' positions (N, J, 3) relative to the root in metres in UVW, for states (N, D)."""
         size = state[:, self.base_index] / self.nominal_base_length_m
         return self.body.tree.pose(self._local_state(state), size).points_m @ UVW_BODY.T
 
@@ -163,7 +163,7 @@ AnyChain = Annotated[UnknownsChain, BeforeValidator(with_unknowns)]
 
 
 def load_chain(name_or_path: str | Path) -> UnknownsChain:
-    """Load the chain of a skeleton, with its unknowns.
+    """Load a skeleton as a chain with the unknowns of one frame.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def mean_pose(chain: UnknownsChain) -> Array:
 
 
 def euler_angles(rotation: npt.ArrayLike) -> Array:
-    """Return the angles xi, psi, zeta (..., 3) of rotations (..., 3, 3), rad.
+    """Return the Euler angles xi, psi, zeta (..., 3) of rotations (..., 3, 3), in rad.
 
     This is the inverse of `recon.geometry.frames.euler_rotation`. psi is in [-pi/2, pi/2]. At psi = ±pi/2 only xi +
     zeta or xi - zeta is determined, and zeta is set to 0.

@@ -33,7 +33,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     Raises
     ------
     InputError
-        If files or settings cannot be used; all their problems are listed.
+        If files or settings cannot be used. The message lists all problems.
     """
     clip, chain, plain = prepare(settings), load_chain(settings.skeleton_name), settings.plain()
     (view,), T = views_of(clip.sources), len(clip.sources[0].keypoints.frames)
@@ -45,7 +45,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
 
 def load_body(settings: FitSettings) -> Body:
-    """Return the body of the settings' chain.
+    """Return the body of the chain that the settings name.
 
     Raises
     ------
@@ -56,9 +56,9 @@ def load_body(settings: FitSettings) -> Body:
 
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
-"""Names of the output folder, which is created in the results folder by default, and of two files in it."""
+"""Names of the folder that `recon solver` creates in the results folder by default, and of two of its files."""
 FIGURES_BEGIN = 0.5
-"""Progress, as a fraction of the whole, at which drawing begins."""
+"""Fraction of the progress of `recon solver` at which drawing of figures begins."""
 
 
 class SolverSettings(Settings):

@@ -17,15 +17,15 @@ from recon.thesis.inspect import CAMERA_ANGLES, EXIT_FLAGS, PUBLISHED, SolverRec
 _LEAST = 1e-12
 """Smallest value drawn on a logarithmic axis."""
 _DECADES = 1e-6
-"""Lower end of a logarithmic axis relative to its upper end; smaller values hardly matter."""
+"""Lower end of a logarithmic axis relative to its upper end."""
 _CONFIGURATIONS = 12
 """Largest number of frames whose configurations are drawn."""
 _UNDAMPED = 1e-8
-"""Damping below which steps count as Gauss-Newton steps."""
+"""Damping lambda below which a step counts as a Gauss-Newton step."""
 
 
 def solver_search(record: SolverRecord) -> Figure:
-    """Draw the progress of the search over time.
+    """Draw how the search for the pose went in each frame.
 
     The panels are the cost by term, the largest component of the gradient, the length of the last step, the evaluations
     of the residuals, coloured by MINPACK's exit flag, and the limits that were exceeded.
@@ -58,7 +58,7 @@ def solver_search(record: SolverRecord) -> Figure:
 
 
 def image_errors(record: SolverRecord) -> Figure:
-    """Draw the reprojection errors as an image, joints x frames, with missing detections in white."""
+    """Draw the reprojection errors as colours, with joints as rows, frames as columns, and missing points white."""
     names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
     with style.drawing(min(4.0 * len(names) + 8, style.PAGE_MM - 20) + 14) as figure:
         axes = figure.subplots()
@@ -73,7 +73,7 @@ def image_errors(record: SolverRecord) -> Figure:
 
 
 def solver_unknowns(record: SolverRecord) -> Figure:
-    """Draw the gradient and the norm of the Jacobian's column for every unknown, over the frames."""
+    """Draw each unknown's gradient, and the norm of its column of the Jacobian, as medians and ranges."""
     names = record.unknowns
     title = "dots: median over the frames, lines: minimum to maximum"
     with style.drawing(min(4.0 * len(names) + 20, style.PAGE_MM), title=title) as figure:
@@ -98,7 +98,7 @@ def solver_unknowns(record: SolverRecord) -> Figure:
 
 
 def solver_frame(record: SolverRecord) -> Figure:
-    """Draw the search within one frame: objective, damping and step at each accepted point.
+    """Draw the objective, the damping and the step at each accepted point of the search in one frame.
 
     The damping is left out if every step is a Gauss-Newton step.
     """
@@ -121,7 +121,7 @@ def solver_frame(record: SolverRecord) -> Figure:
 
 
 def solver_matrices(record: SolverRecord) -> Figure:
-    """Draw the Jacobian J of one frame at its minimum, residuals x unknowns, and J'J, with zeros in white."""
+    """Draw the Jacobian J of one frame's residuals at the minimum, and J'J, with zeros in white."""
     search, names = record.search, record.unknowns
     parts = search.problem.by_term(search.x)
     counts, J = np.array([len(r) for r, _ in parts.values()]), np.concatenate([J for _, J in parts.values()])
@@ -164,7 +164,7 @@ def solver_rotation(record: SolverRecord) -> Figure:
 
 
 def solver_gradient(record: SolverRecord) -> Figure:
-    """Draw the gradient and the norms of the Jacobian's columns, unknowns x frames, with zeros in white."""
+    """Draw gradient and norms of the Jacobian's columns by unknown and frame, with zeros in white."""
     names, frames = record.unknowns, record.motion.frames
     with style.drawing(170) as figure:
         panels = figure.subplots(2, 1, sharex=True)
@@ -196,7 +196,7 @@ def reference_path(record: SolverRecord) -> Figure:
 
 
 def configurations(record: SolverRecord) -> Figure:
-    """Draw detected (grey) and reprojected (coloured) poses over each other, in up to twelve frames."""
+    """Draw detected poses in grey and reprojected poses in colour over each other, in up to twelve frames."""
     motion, picture = record.motion, record.motion.pictures[0]
     solved = np.flatnonzero(motion.solved)
     rows = solved[np.unique(np.linspace(0, len(solved) - 1, min(len(solved), _CONFIGURATIONS)).astype(int))]
@@ -235,7 +235,7 @@ FIGURES = (
 
 
 def _term_label(term: str) -> str:
-    """Return the label of a term: its name, preceded by f1 to f5 for a published term."""
+    """Return the label of a term of the objective, such as "f1 reprojection" for a published term."""
     published = next((name for name, published_term in PUBLISHED.items() if published_term == term), None)
     return term if published is None else f"{published} {term}"
 
@@ -248,7 +248,7 @@ def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], acro
 
 
 def _logarithmic_image(figure: Figure, axes: Axes, values: Array, low: float, high: float, label: str) -> AxesImage:
-    """Draw a matrix as colours on a logarithmic scale, with missing values in white."""
+    """Draw a matrix as colours on a logarithmic scale, with NaN in white."""
     image = axes.imshow(values, aspect="auto", norm=LogNorm(low, high), interpolation="none")
     bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
     style.plain_logarithm(bar.ax.yaxis)

@@ -42,7 +42,7 @@ PUBLISHED = {
     "f4": "theta rate",
     "f5": "phi rate",
 }
-"""Names of the terms in this project, by the published names of the objectives."""
+"""This project's name for each of the published objectives f1 to f5."""
 COUNTS = ("iterations", "function_evaluations", "first_evaluations", "starts", "optimizer_status")
 CAMERA_ANGLES = ("xi", "psi", "zeta")
 EXIT_FLAGS = {
@@ -63,14 +63,14 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     motion
         The fitted motion.
     folder
-        The folder from which the motion was loaded, with the settings of the fit.
+        Folder from which the motion was loaded, which has the settings of the fit.
     frame
         Number of the frame whose search is shown; None for the frame with the most evaluations.
 
     Raises
     ------
     InputError
-        If the settings are missing, the results come from the other method, or the frame has no pose.
+        If the settings are missing, if the motion was fitted with the trajectory method, or if the frame has no pose.
     """
     if not isinstance(motion.solution, FrameSolution):
         raise InputError(Problem(folder, "results", "a fit of all frames at once", "results of recon frame"))
@@ -104,7 +104,7 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
 
 @dataclass(frozen=True, eq=False)
 class SolverRecord:
-    """Data of `recon solver` for T frames with D unknowns.
+    """Optimisation of T frames with D unknowns, from which `recon solver` writes its tables and figures.
 
     Arrays are NaN in frames without a pose.
     """
@@ -117,7 +117,7 @@ class SolverRecord:
     The previous frame's pose is held fixed.
     """
     search: FrameSearch
-    """The search in the frame that is shown."""
+    """Search in the frame that tables and figures show."""
     other_solution: FrameSolution
     """Solution of the same clip with the camera's rotation fixed if it is free in the fit, and vice versa."""
     options: FrameOptions
@@ -125,7 +125,7 @@ class SolverRecord:
 
     @property
     def frame(self) -> int:
-        """Return the number of the frame that is shown."""
+        """Return the number of the frame whose search tables and figures show."""
         return int(self.motion.frames[self.search.problem.frame])
 
     @property
@@ -135,7 +135,7 @@ class SolverRecord:
 
     @cached_property
     def cost(self) -> pd.DataFrame:
-        """Return half the sum of squared residuals, frames x terms."""
+        """Return half the sum of squared residuals of each term (column) in each frame (row)."""
         costs = {row: {term: 0.5 * np.sum(r**2) for term, (r, _) in terms.items()} for row, terms in self.terms.items()}
         return pd.DataFrame.from_dict(costs, orient="index").fillna(0.0).reindex(range(len(self.motion.frames)))
 
@@ -148,7 +148,7 @@ class SolverRecord:
 
     @cached_property
     def column_norm(self) -> Array:
-        """Return the norms of the Jacobian's columns, shape (T, D)."""
+        """Return the norms of the Jacobian's columns in each frame, shape (T, D)."""
         return self._by_frame({row: np.linalg.norm(self.jacobian(row), axis=0) for row in self.terms})
 
     def jacobian(self, row: int) -> Array:
@@ -163,14 +163,14 @@ class SolverRecord:
 
     @property
     def optimality(self) -> Array:
-        """Return the largest component of the gradient, shape (T,)."""
+        """Return the largest component of the gradient in each frame, shape (T,)."""
         return np.abs(self.gradient).max(axis=1)
 
     @cached_property
     def sizes(self) -> dict[str, Array]:
-        """Return the squared norm and mean magnitude of the residuals, and the Jacobian's mean magnitude and sparsity.
+        """Return squared norm and mean magnitude of the residuals, and mean magnitude and sparsity of the Jacobian.
 
-        Each array has the shape (T,), and is stored by its name.
+        Each array has a value for each frame, shape (T,); the keys are the names of the columns.
         """
         table = np.full((4, len(self.motion.frames)), np.nan)
         for row, terms in self.terms.items():
@@ -182,17 +182,17 @@ class SolverRecord:
 
     @property
     def image_error_px(self) -> Array:
-        """Return the distances between detections and reprojections, shape (T, J), pixels; NaN if either is missing."""
+        """Return the distances between detections and reprojections in pixels, shape (T, J); NaN if missing."""
         return self.motion.pictures[0].distance_px
 
     @property
     def active(self) -> dict[str, Array]:
-        """Return the numbers (T,) of angles beyond their expected "ranges", and of "rates" beyond their limits."""
+        """Return the number of angles outside their ranges, and of rates above their limits, in each frame (T,)."""
         return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
 
     @property
     def _is_beyond(self) -> dict[str, Bools]:
-        """Return masks (T, 2 A) of angles beyond their expected "ranges", and of "rates" beyond their limits."""
+        """Return masks (T, 2 A) of angles outside their ranges, and of rates above their limits."""
         return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:
@@ -214,12 +214,12 @@ class SolverRecord:
         }
 
     def _median_and_range(self, count: str) -> dict[str, float]:
-        """Return the median, the minimum and the maximum of a count over the solved frames."""
+        """Return median, minimum and maximum over the solved frames of one of the reports' counts."""
         counts = self.solution.reported(count)[self.motion.solved]
         return {"median": float(np.median(counts)), "min": float(counts.min()), "max": float(counts.max())}
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return every table by its file name (`TABLES`)."""
+        """Return every table of `recon solver` by its file name (`TABLES`)."""
         tables = (
             self._frames_table(),
             self._unknowns_table(),
@@ -242,7 +242,7 @@ class SolverRecord:
         return columns | dict(zip(self.unknowns, self.gradient.T, strict=True))
 
     def _paths_table(self) -> dict[str, Any]:
-        """Return the table of R p0 in the camera frame, for a free and a fixed camera rotation."""
+        """Return the table of the root's position R p0 in the camera frame for a free and a fixed rotation."""
         columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
         for name, solution in self.solutions.items():
             points_m = solution.chain.pose(solution.chain_states).joints_m[:, 0]
@@ -251,7 +251,7 @@ class SolverRecord:
 
     @property
     def solutions(self) -> dict[str, FrameSolution]:
-        """Return the solutions with a "free" and a "fixed" camera rotation, starting with that of the fit."""
+        """Return the solutions with a "free" and a "fixed" camera rotation, of which the fit's own is first."""
         first, second = ("fixed", "free") if self.options.camera_rotation == "fixed" else ("free", "fixed")
         return {first: self.solution, second: self.other_solution}
 
@@ -278,7 +278,7 @@ class SolverRecord:
         }
 
     def _errors_table(self) -> dict[str, Any]:
-        """Return the table of reprojection errors: distances, then x and y of reprojection minus detection, pixels."""
+        """Return the table of reprojection errors in pixels, with distances, and differences in x and y."""
         picture, names = self.motion.pictures[0], self.motion.names
         columns: dict[str, Any] = {"camera": picture.name, "frame": self.motion.frames}
         columns |= {f"{name}_px": errors for name, errors in zip(names, self.image_error_px.T, strict=True)}

@@ -16,7 +16,7 @@ import numpy as np
 from recon.base.arrays import Array
 
 _LARGEST = 1e12
-"""Damping above which the search ends without progress."""
+"""Damping above which a search is stopped, because its steps no longer change the solution."""
 
 
 class Minimum(NamedTuple):
@@ -40,7 +40,7 @@ def minimise(
     initial_damping: float,
     factor: float,
 ) -> Minimum:
-    """Minimise half the sum of squared residuals, from a start (n,).
+    """Minimise half the sum of squared residuals by Levenberg-Marquardt from a starting point (n,).
 
     The Jacobian is computed at accepted points only. The search ends when the relative change of the cost, the relative
     length of the step, or every component of the gradient relative to the norms of its column and of the residuals is

@@ -2,13 +2,13 @@
 
 Each term is a small class. A term reads the pose of one frame and, if it `ties` frames, the fixed pose of the previous
 frame. Terms return residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
-new term takes one class here and one line in the list of `tests/thesis/test_objectives.py`.
+new term needs one class here and one line in the list in `tests/thesis/test_objectives.py`.
 
 f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty. "deadband"
-is what the publication intends: it penalises only values outside the range. "printed" is the published formula, which
-is two-sided and pulls values towards the edge of the range. The Gaussian priors are necessary as well, because the
-pixels of one frame do not determine the scale, the roll of the chain about its axis, one mode of depth, and the sign of
-each link's depth.
+penalises only values outside the range, as the publication intends. "printed" is the published formula, which is
+two-sided and pulls values towards the edge of the range. The Gaussian priors are necessary as well, because the pixels
+of one frame do not determine the scale, the roll of the chain about its axis, one mode of depth, and the sign of each
+link's depth.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Form = Literal["deadband", "printed"]
 ResidualAndJacobian = tuple[Array, Array]
 
 PLAIN_C = 1e6
-"""Value that replaces `FrameOptions.robust_c` if f1 is as printed, so that no residual saturates."""
+"""Value of `FrameOptions.robust_c` if f1 is used as printed, so large that no residual saturates."""
 
 
 @dataclass(frozen=True)
@@ -37,41 +37,41 @@ class FrameOptions:
     """Weights of the frame method's objectives, and limits of its search."""
 
     form: Form = "deadband"
-    """Form of f2 to f5: penalised outside the range only, or as printed."""
+    """Form of f2 to f5: "deadband" penalises only values outside the range, "printed" is the published formula."""
     reprojection: Literal["robust", "printed"] = "robust"
-    """Form of f1: robust and weighted by confidence, or as printed."""
+    """Form of f1: "robust" also weights by confidence, "printed" is the published formula."""
     angle_prior: Literal["gaussian", "none"] = "gaussian"
-    """Gaussian priors on angles, roll and heading, or no such priors."""
+    """Whether angles, roll and heading have Gaussian priors."""
     camera_rotation: Literal["free", "fixed"] = "free"
-    """Rotation of the camera: free in every frame, or fixed to that of the first frame."""
+    """Rotation of the camera: "free" in every frame, or "fixed" to the first frame's rotation."""
     base_length_m: float | None = None
-    """Base length, metres; None for the skeleton's value."""
+    """Expected base length in metres; None for the skeleton's value."""
     base_sigma_m: float | None = None
-    """Standard deviation of the base length, metres; None for the skeleton's value."""
+    """Standard deviation of the base length in metres; None for the skeleton's value."""
     sigma_px: float = 3.0
-    """Standard deviation of the detector's noise, pixels."""
+    """Standard deviation of the detector's noise in pixels."""
     keypoint_sigma_m: float | None = None
-    """Standard deviation of keypoints about the model's joints, metres; None for the skeleton's value."""
+    """Standard deviation of keypoints about the model's joints in metres; None for the skeleton's value."""
     keypoint_sigma_max_px: float = 12.0
-    """Upper limit on `keypoint_sigma_m` after its projection into the picture, pixels."""
+    """Upper limit of `keypoint_sigma_m` after its projection into the picture, in pixels."""
     robust_c: float = 4.5
-    """Error, in standard deviations, at which the robust penalty of a point is half of its square."""
+    """Error in standard deviations at which the robust penalty on a point is half of the squared error."""
     path: Literal["smooth", "free"] = "smooth"
-    """Path of the reference joint: smoothed over all frames (`recon.thesis.path`), or free in every frame."""
+    """Path of the reference joint: "smooth" over all frames (`recon.thesis.path`), or "free" in every frame."""
     path_sigma_m: float = 0.5
-    """Standard deviation of the reference joint about a smooth path, metres.
+    """Standard deviation of the reference joint about a smooth path in metres.
 
-    A smaller value makes the poses smoother, but fits the pixels less well. The speeds are those of the path for any
-    value (`python benchmarks/thesis.py --only path-ties`).
+    A smaller value makes the poses smoother, but fits the pixels less well. Speeds are computed from the path, so the
+    value does not affect them (`python benchmarks/thesis.py --only path-ties`).
     """
     start_angles: str | None = None
     """Start angles of the first frame, measured by hand (`recon.thesis.start.parse_start_angles`)."""
     initial_damping: float | None = None
-    """Initial damping of a search (`recon.thesis.levenberg`); None to let MINPACK choose."""
+    """Initial damping of a search (`recon.thesis.levenberg`); None to use MINPACK, which finds its own."""
     damping_factor: float = 10.0
-    """Factor by which the damping changes after each step."""
+    """Factor by which the damping changes after each step, if `initial_damping` is given."""
     tolerance: float = 1e-8
-    """Relative change of cost, step and gradient at which a search ends."""
+    """Relative change of the cost, relative length of a step, or relative gradient at which a search ends."""
     max_evaluations: int = 400
     """Largest number of residual evaluations in one search."""
 
@@ -87,10 +87,10 @@ class Objective:
 
     name: str
     ties: bool = False
-    """Whether the term reads the previous frame."""
+    """Whether the term depends on the pose of the previous frame."""
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
-        """Return residuals (M,) and their Jacobian (M, D) with respect to the state.
+        """Return the term's residuals (M,) and their Jacobian (M, D) with respect to the state.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Objective:
         frame
             Index of the frame in the clip.
         dt_s
-            Time between the two frames, seconds.
+            Time between the two frames in seconds.
         """
         raise NotImplementedError
 
@@ -125,12 +125,12 @@ class JointReprojection(Objective):
 
     camera: Camera
     xy_px: Array
-    """Detections, shape (T, J, 2), NaN if missing."""
+    """Detections in pixels, shape (T, J, 2), NaN if missing."""
     confidence: Array
-    """Confidence of the detections, shape (T, J)."""
+    """Confidence of the detections from 0 to 1, shape (T, J)."""
     sigma_px: float
     c: float
-    """Saturation limit, in standard deviations."""
+    """Limit in standard deviations at which residuals saturate."""
     name: str = "reprojection"
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -153,7 +153,7 @@ class JointReprojection(Objective):
 
 @dataclass(frozen=True)
 class _Limit(Objective):
-    """Limit on the size of some unknowns (A,), with residuals (size - limit) / softness.
+    """Penalty on A quantities that exceed their limits, with residuals (size - limit) / softness.
 
     If `form` is "deadband", only positive residuals count.
     """
@@ -173,7 +173,7 @@ class _Limit(Objective):
 
 @dataclass(frozen=True)
 class AngleRange(_Limit):
-    """Penalty on angles outside their range (f2 for theta, f3 for phi): (|angle - mean| - tolerance) / softness."""
+    """Penalty (|angle - mean| - tolerance) / softness on angles outside their range (f2 for theta, f3 for phi)."""
 
     ranges: AngleRanges
 
@@ -185,7 +185,7 @@ class AngleRange(_Limit):
 
 @dataclass(frozen=True)
 class RateLimit(_Limit):
-    """Limit on the speed of a link's tip (f4 for theta, f5 for phi): the link's length r times max_rate.
+    """Penalty on the speed of a link's tip above the link's length r times max_rate (f4 for theta, f5 for phi).
 
     If a relative angle changes by a within the interval dt, the tip moves along a chord of 2 r |sin(a / 2)|. "deadband"
     divides this chord by dt and penalises it only beyond the limit, so a link that flips is penalised. "printed" is the
@@ -211,7 +211,7 @@ class RateLimit(_Limit):
 
 @dataclass(frozen=True)
 class GaussianPrior(Objective):
-    """Gaussian prior on some unknowns (A,): (unknown - mean) / sigma.
+    """Gaussian prior on A unknowns, with residuals (unknown - mean) / sigma.
 
     The prior on the base length fixes the metric scale.
     """
@@ -236,21 +236,21 @@ class DirectionPrior(Objective):
 
     name: str
     axis: int
-    """Axis of the root: 0 is forward, U; 2 is lateral, W."""
+    """Index of the root's axis: 0 for U (forwards), 2 for W (lateral)."""
     components: Array
     """Directions (M, 3) onto which the difference between the axis and the expected axis is projected."""
     expected: Array | None
     """Expected unit vectors (T, 3) in the camera frame, NaN where the residuals are 0.
 
-    None stands for the axis of the previous frame; sigma is then the standard deviation of a random walk, per square
-    root of a second.
+    None stands for the axis in the previous frame. The standard deviation `sigma` is then that of a random walk over
+    one second.
     """
     sigma: float
     euler: slice
 
     @property
     def ties(self) -> bool:  # type: ignore[override]
-        """Return whether the term reads the previous frame."""
+        """Return whether the term depends on the pose of the previous frame."""
         return self.expected is None
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -268,7 +268,7 @@ class DirectionPrior(Objective):
 
 
 def base_length(chain: UnknownsChain, options: FrameOptions) -> tuple[float, float]:
-    """Return the nominal base length and its standard deviation, metres."""
+    """Return the expected base length and its standard deviation in metres."""
     nominal = options.base_length_m or chain.nominal_base_length_m
     relative = chain.file.base_length.sigma_m / chain.nominal_base_length_m
     return nominal, options.base_sigma_m or relative * nominal
@@ -277,14 +277,14 @@ def base_length(chain: UnknownsChain, options: FrameOptions) -> tuple[float, flo
 def frame_objectives(
     camera: Camera, chain: UnknownsChain, xy_px: Array, confidence: Array, travel: Travel, options: FrameOptions
 ) -> tuple[Objective, ...]:
-    """Return f1 to f5, the prior on the base length, and the Gaussian priors if they are on.
+    """Return the objectives f1 to f5, the prior on the base length, and the Gaussian priors if they are on.
 
     Parameters
     ----------
     camera, chain
         Camera of the clip, and the chain that is fitted.
     xy_px
-        Detections (T, J, 2), pixels; NaN if missing.
+        Detections (T, J, 2) in pixels; NaN if missing.
     confidence
         Confidence (T, J) of the detections.
     travel

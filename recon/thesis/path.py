@@ -23,45 +23,46 @@ from recon.thesis.chain import ChainPose, UnknownsChain
 from recon.thesis.objectives import Objective, ResidualAndJacobian
 
 ACCELERATION_M_S2 = 9.0
-"""Standard deviation of the acceleration of a running animal's reference joint, for each axis."""
+"""Standard deviation of the reference joint's acceleration along each axis in a running animal, in m/s²."""
 ACCELERATION_LASTS_S = 0.05
-"""Correlation time of the reference joint's acceleration."""
+"""Correlation time of the reference joint's acceleration, in seconds."""
 ERRORS_LAST_S = 0.06
-"""Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
+"""Correlation time of the position errors in seconds, within which positions count as one measurement."""
 LEAST_SIGMA_M = 0.02
-"""Smallest standard deviation of a frame's position, because the reference joint is not fixed on the animal."""
+"""Smallest standard deviation of a position in metres; the reference joint is not fixed on the animal."""
 _FIRST_POSITION_M = 100.0
-"""Standard deviation of the position before the first frame, large enough to leave the position free."""
+"""Standard deviation of the position before the first frame in metres, large enough to leave the position free."""
 _FIRST_SPEED_M_S = 30.0
-"""Standard deviation of the velocity before the first frame, larger than any animal's speed."""
+"""Standard deviation of the velocity before the first frame in m/s, larger than any animal's speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Path of the reference joint in the camera frame over T frames, at the nominal base length."""
+    """Path of the reference joint in the camera frame over T frames, if the base length has its expected value."""
 
     position_m: Array
-    """Positions, shape (T, 3), metres."""
+    """Positions in metres, shape (T, 3)."""
     velocity_m_s: Array
-    """Velocities, shape (T, 3), m/s."""
+    """Velocities in m/s, shape (T, 3)."""
     covariance: Array
     """Covariances of position, velocity and acceleration, shape (T, 9, 9), without the base length's uncertainty.
 
     In files of earlier versions the acceleration is missing, and the shape is (T, 6, 6).
     """
     acceleration_m_s2: Array | None = None
-    """Accelerations, shape (T, 3), m/s²; None in files of earlier versions."""
+    """Accelerations in m/s², shape (T, 3); None in files of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathTie(Objective):
-    """Objective that ties the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
+    """Penalty on the distance between the reference joint and the path.
 
-    The ratio of the base lengths leaves the scale free, because the pixels do not determine the scale either.
+    The residuals are (R p0 * expected base length / base length - path) / sigma. The ratio of the base lengths leaves
+    the scale free, because the pixels do not determine the scale either.
     """
 
     position_m: Array
-    """Positions of the path, shape (T, 3), metres; NaN where the residuals are 0."""
+    """Positions of the path in metres, shape (T, 3); NaN in frames without a penalty."""
     nominal_base_length_m: float
     base_index: int
     sigma_m: float
@@ -81,7 +82,7 @@ class PathTie(Objective):
 
 
 def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) -> Path | None:
-    """Estimate the path from the solutions of the frames; return None if fewer than two frames have one.
+    """Estimate the path of the reference joint from the frames' solutions; None for fewer than two solved frames.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) 
 
 
 def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Path:
-    """Return the smoothed path of points (T, 3), metres, with covariances (T, 3, 3) and dt_s between frames."""
+    """Return the smoothed path of points (T, 3) in metres with covariances `noise` (T, 3, 3)."""
     F, Q = _motion_model(dt_s)
     T = len(points_m)
     x = np.concatenate([points_m[np.flatnonzero(is_known)[0]], np.zeros(6)])
@@ -135,7 +136,7 @@ def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Pa
 
 
 def _motion_model(dt_s: float) -> tuple[Array, Array]:
-    """Return the transition (9, 9) of position, velocity and acceleration over dt_s, and its covariance (9, 9)."""
+    """Return the transition matrix (9, 9) of position, velocity and acceleration over `dt_s`, and its covariance."""
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / ACCELERATION_LASTS_S]])
     drive = np.zeros((3, 3))
     drive[2, 2] = 2.0 * ACCELERATION_M_S2**2 / ACCELERATION_LASTS_S

@@ -24,13 +24,13 @@ from recon.thesis.solution import frame_solution
 
 
 def skeleton(motion: Motion) -> dict[str, Any]:
-    """Return the section on the skeleton, with the unknowns and the objectives."""
+    """Return report.json's section on the skeleton, the unknowns and the objectives."""
     solution = frame_solution(motion)
     return skeleton_data(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
 
 
 def assumptions(motion: Motion) -> dict[str, Any]:
-    """Return the assumptions behind the result, in numbers and in sentences."""
+    """Return the assumptions of the frame method as numbers and as sentences."""
     base = _base_length(motion)
     scale = "The clip does not measure this length: distances, speeds and sizes are proportional to it."
     if base["measured"]:
@@ -52,7 +52,7 @@ def _base_length(motion: Motion) -> dict[str, Any]:
 
 
 def summary(motion: Motion) -> dict[str, Any]:
-    """Return counts of frames, the uncertainty of the joints, and the effort of the solver."""
+    """Return the numbers of frames by status, the uncertainty of the joints, and the solver's effort."""
     solution = frame_solution(motion)
     R = solution.views[0].rotation
     variance = np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3)  # along the camera's x, y, z
@@ -71,7 +71,7 @@ def summary(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's lines on frames, uncertainty and effort."""
+    """Yield the summary's lines on solved frames, uncertainty, iterations and time."""
     yield (
         "frames",
         f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
@@ -134,7 +134,7 @@ _OWN = {
         "base_length_m", lambda motion: spread(frame_solution(motion).unknown("base_length_m")), size_lines
     ),
 }
-"""Sections that replace those of the trajectory method."""
+"""Sections that replace sections of the same name in the trajectory method's report."""
 _WITHOUT = ("detector", "segments", "stances", "alternative", "convergence")
 SECTIONS = tuple(_OWN.get(section.name, section) for section in TRAJECTORY_SECTIONS if section.name not in _WITHOUT)
-"""Sections in the order of the summary."""
+"""Sections of the frame method's report, in the order of the summary."""

@@ -1,4 +1,4 @@
-"""Hold the result of the frame method: states and reports of the frames, and the solution in the world."""
+"""Hold the result of the frame method, with a state and a report for each frame and the solution in the world."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from recon.thesis.start import Travel
 Status = Literal["converged", "not_converged", "no_data"]
 
 FEW_POINTS_SHARE = 0.75
-"""Fraction of detected joints below which a frame is flagged "few points"."""
+"""Fraction of a frame's joints that are detected, below which the frame is flagged "few points"."""
 GOOD_SHARE = 1 / 3
-"""Fraction of joints, weighted by the mean weight of the detections, below which a frame is flagged "data poor"."""
+"""Fraction of detected joints times the detections' mean weight below which a frame is flagged "data poor"."""
 WARN_LIMITS = 0.25
 """Fraction of solved frames with angles beyond their ranges above which a finding is reported."""
 FRAME_BY_FRAME = 1.87
@@ -35,7 +35,7 @@ expected error (1.85 to 1.99 with one of the five runs left out; `python benchma
 """
 POSE_PRIORS = ("theta prior", "phi prior", "roll prior")
 USUAL_PRIOR_COST = 2.4
-"""Squared norm of the Gaussian priors' residuals in a frame: the median over 28 views of five runs.
+"""Usual squared norm of the Gaussian priors' residuals in a frame, which is the median over 28 views of five runs.
 
 In views with twice this value, the error of the poses is more than twice the posterior standard deviation
 (`python benchmarks/thesis.py --only frame`).
@@ -48,7 +48,7 @@ _DIFFERENCE_RAD = 1e-6
 
 @dataclass(frozen=True)
 class _FrameReport:
-    """Report on the optimisation of one frame; residuals have no unit."""
+    """Report on the optimisation of one frame."""
 
     status: Status
     starts: int
@@ -65,9 +65,9 @@ class _FrameReport:
     cost_shares: dict[str, float]
     """Fraction of the residuals' squared norm that each term contributes, by name of the term."""
     step_norm: float
-    """Length of the search's last step."""
+    """Length of the search's last step in the space of the unknowns."""
     sigma_px: float
-    """Standard deviation of a detection, pixels."""
+    """Standard deviation of a detection in pixels, including the keypoint's distance from the joint."""
     data_share: Array
     """Fraction of the posterior precision of each unknown that comes from the pixels, shape (D,), 0 to 1.
 
@@ -76,7 +76,7 @@ class _FrameReport:
     mean_weight: float
     """Mean weight of the detections, 0 to 1."""
     solve_s: float
-    """Time spent on all starts of the frame, seconds."""
+    """Time spent on all starts of the frame, in seconds."""
     in_view: bool
     """Whether the camera can see the pose, and the pose has the size of an animal.
 
@@ -88,7 +88,7 @@ class _FrameReport:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameSolution(Solution):
-    """A solution of the frame method, with D unknowns of the chain.
+    """Solution of a clip by the frame method, with D unknowns of the chain in each frame.
 
     Covariances assume that the previous frame is known exactly.
     """
@@ -99,7 +99,7 @@ class FrameSolution(Solution):
     reports: tuple[_FrameReport | None, ...]
     """Report on the optimisation of each frame; None for a frame without data."""
     travel: Travel
-    """Direction of travel at the start of the search."""
+    """Direction of travel and speed from which the search started."""
     objectives: tuple[str, ...]
     fps: float
     size_sigma: float | None = None
@@ -107,7 +107,7 @@ class FrameSolution(Solution):
     path: Path | None = None
     """Path to which the reference joint is tied; None if every frame was solved on its own."""
     path_sigma_m: float = 0.01
-    """Standard deviation of the reference joint about the path, metres; 0.01 in files of earlier versions."""
+    """Standard deviation of the reference joint about the path in metres; 0.01 in files of earlier versions."""
     start_states: Array | None = None
     """First solutions (T, D), from which the path was estimated; None without a path."""
 
@@ -117,12 +117,12 @@ class FrameSolution(Solution):
 
     @property
     def constant_velocity_m_s(self) -> Array:
-        """Return the speed of the straight run from which the search started, shape (T,), m/s."""
+        """Return the speed in m/s, shape (T,), of the straight run from which the search started."""
         return self.travel.speed_m_s
 
     @property
     def position_error_time_s(self) -> float | None:
-        """Return the correlation time of the path's error, seconds; None without a path."""
+        """Return the correlation time of the path's error in seconds, or None without a path."""
         if self.path is None:
             return None
         variance = np.diagonal(self.path.covariance, axis1=1, axis2=2)
@@ -158,7 +158,7 @@ class FrameSolution(Solution):
 
     @property
     def prior_misfit(self) -> float:
-        """Return the mean squared norm of the priors' residuals, relative to a typical view's; 1 without priors."""
+        """Return the mean squared norm of the priors' residuals relative to its usual value, or 1 without priors."""
         costs = [
             report.squared_norm * sum(report.cost_shares.get(name, 0.0) for name in POSE_PRIORS)
             for report in self.reports
@@ -168,15 +168,15 @@ class FrameSolution(Solution):
 
     @property
     def posterior_factor(self) -> float:
-        """Return the factor by which the stated uncertainty of the poses grows with the misfit of the priors."""
+        """Return the factor, which grows with the priors' misfit, by which the poses' uncertainty is raised."""
         return FRAME_BY_FRAME * max(1.0, self.prior_misfit)
 
     def reported(self, field: str) -> Array:
-        """Return one field of all frames' reports, shape (T,); NaN without data."""
+        """Return one field of the frames' reports, shape (T,); NaN for frames without data."""
         return np.array([np.nan if report is None else getattr(report, field) for report in self.reports], dtype=float)
 
     def unknown(self, name: str) -> Array:
-        """Return one unknown of the chain in all frames, shape (T,); NaN without a pose."""
+        """Return one unknown of the chain in all frames, shape (T,); NaN for frames without a pose."""
         return self.chain_states[:, self.chain.state_names.index(name)]
 
     @cached_property
@@ -204,24 +204,24 @@ class FrameSolution(Solution):
         return SECTIONS
 
     def _expected(self, field: str) -> Array:
-        """Return one field of the skeleton's expectations of theta and phi, shape (2 A,)."""
+        """Return one field of the skeleton's expected ranges of theta and phi, shape (2 A,)."""
         return np.concatenate([getattr(ranges, field) for ranges in (self.chain.theta, self.chain.phi)])
 
     @property
     def _angles_rad(self) -> Array:
-        """Return theta and phi of the free links, shape (T, 2 A)."""
+        """Return theta and phi of the A free links in rad, shape (T, 2 A)."""
         return self.chain_states[:, : 2 * self.chain.n_angles]
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """Return the excess of angles over their ranges, shape (T, 2 A), rad; negative inside, NaN without a pose."""
+        """Return by how much angles exceed their ranges in rad, shape (T, 2 A); NaN without a pose."""
         return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """Return the chord rate since the previous solved frame minus its limit, shape (T, 2 A), rad/s.
+        """Return by how much chord rates since the previous solved frame exceed their limits in rad/s, shape (T, 2 A).
 
-        The first frame and frames without a pose have NaN.
+        Values are negative below the limit, and NaN for the first frame and frames without a pose.
         """
         angles = self._angles_rad
         rows = np.flatnonzero(np.isfinite(angles[:, 0]))
@@ -307,11 +307,11 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
 def _body_angles(
     chain: UnknownsChain, states: Array, covariance: Array, shares: Array, T_world_camera: Array
 ) -> tuple[Array, Array]:
-    """Return the body angles' standard deviations and the fractions of precision from the pixels, (T, D' - 3) each.
+    """Return standard deviations of the body's angles, and fractions of their precision that come from the pixels.
 
-    `states` (T, D), `covariance` (T, D, D) and the fractions `shares` (T, D) are those of the chain. The rotation of
-    the root depends on the Euler angles, so its fraction is the mean of the Euler angles' fractions, weighted by their
-    contributions to its variance.
+    Both have the shape (T, D' - 3). `states` (T, D), `covariance` (T, D, D) and the fractions `shares` (T, D) describe
+    the chain's unknowns. The rotation of the root depends on the Euler angles, so its fraction is the mean of the Euler
+    angles' fractions, weighted by their contributions to its variance.
     """
     angles = np.arange(2 * chain.n_angles)
     by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))
@@ -328,7 +328,7 @@ def _body_angles(
 
 
 def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
-    """Return the flags of each of the T frames."""
+    """Return the quality flags of each of the T frames."""
     (view,), reports, J = solution.views, solution.reports, len(solution.chain.joints)
     sigma_px, trust = solution.noise_px[0], solution.reported("mean_weight")
     present = view.present.sum(axis=1)

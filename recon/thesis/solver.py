@@ -33,21 +33,21 @@ from recon.thesis.solution import FrameSolution, _FrameReport, in_world
 from recon.thesis.start import estimate_travel, geometric_start, parse_start_angles
 
 CONVERGED = (1, 2, 3, 4)
-"""Status values of scipy's least_squares after which a tolerance was met."""
+"""Status values of scipy's `least_squares` that mean that a tolerance was met."""
 MOST_SIZE = 10.0
-"""Ratio of the base length to its expected value, or the inverse, above which a pose counts as diverged."""
+"""Ratio of base length and expected base length, in either direction, above which a pose counts as diverged."""
 _WIDE_MAX = 50.0
-"""Largest factor by which the noise is raised during the approach from a distant start."""
+"""Largest factor by which the assumed noise is raised in the first search from a distant start."""
 _WIDE_UNSEEN = 10.0
-"""Factor by which the noise is raised if the start has joints that cannot be projected."""
+"""Factor by which the assumed noise is raised if joints of the start cannot be projected."""
 _WIDE_TOLERANCE = 1e-3
-"""Tolerance of the approach with raised noise."""
+"""Tolerance of the first search from a distant start, with raised noise."""
 _FIRST_TOLERANCE = 1e-3
-"""Tolerance of the first solution of all frames, which only serves to start the second."""
+"""Tolerance of the first solution of all frames, from which the second solution starts."""
 _SECOND_TOLERANCE = 1e-5
 """Tolerance of the second solution of all frames; a smaller one moves no joint by a tenth of a millimetre."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
-"""Angles between the direction of travel and the headings from which the search in the first frame starts."""
+"""Angles in rad between the direction of travel and the headings from which the search in the first frame starts."""
 
 
 def solve_frames(
@@ -92,7 +92,7 @@ def solve_frames(
 
 
 def with_tolerance(options: FrameOptions, least: float = _SECOND_TOLERANCE) -> FrameOptions:
-    """Return the options with a tolerance of at least `least` if all frames are solved a second time."""
+    """Return the options, with a tolerance of at least `least` if all frames are solved a second time."""
     return replace(options, tolerance=max(options.tolerance, least)) if options.path == "smooth" else options
 
 
@@ -119,7 +119,7 @@ def _solve_all(
 
 
 def _total(first: _FrameReport, second: _FrameReport) -> _FrameReport:
-    """Return the second report with the effort of both rounds."""
+    """Return the report on a frame's second solution, with the effort of both solutions."""
     return replace(
         second,
         iterations=first.iterations + second.iterations,
@@ -136,20 +136,20 @@ class FrameProblem:
 
     chain: UnknownsChain
     terms: tuple[Objective, ...]
-    """The terms; f1, the reprojection, comes first."""
+    """Terms of the problem; the first is f1, the reprojection."""
     frame: int
     """Index of the frame in the clip."""
     previous: ChainPose | None
-    """Pose of the previous frame, dt_s earlier, held fixed; None if the terms read this frame only."""
+    """Fixed pose of the previous frame, `dt_s` earlier; None if the terms depend on this frame only."""
     dt_s: float
 
     def by_term(self, x: Array) -> dict[str, tuple[Array, Array]]:
-        """Return each term's residuals (M,) and their Jacobian (M, D), by its name."""
+        """Return a dictionary from each term's name to its residuals (M,) and their Jacobian (M, D)."""
         pose = self.chain.pose_with_jacobian(x[None])
         return {term.name: term.evaluate(pose, self.previous, self.frame, self.dt_s) for term in self.terms}
 
     def at(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals (M,) and the Jacobian (M, D) of all terms, stacked."""
+        """Return the stacked residuals (M,) and Jacobian (M, D) of all terms."""
         residuals, jacobians = zip(*self.by_term(x).values(), strict=True)
         return np.concatenate(residuals), np.concatenate(jacobians)
 
@@ -161,7 +161,7 @@ class FrameProblem:
         return first
 
     def with_noise(self, sigma_px: float) -> FrameProblem:
-        """Return the same problem with another standard deviation of the detections, pixels."""
+        """Return this problem with another standard deviation of the detections, in pixels."""
         return replace(self, terms=(replace(self.pixels, sigma_px=sigma_px), *self.terms[1:]))
 
     def sigmas_off(self, x: Array) -> Array:
@@ -186,13 +186,13 @@ class FrameProblem:
 
 @dataclass(frozen=True, eq=False)
 class FrameSearch:
-    """Accepted points of one frame's search, from its start to its minimum, including those with a wide loss."""
+    """Accepted points of one frame's search from its start to its minimum, including points with raised noise."""
 
     problem: FrameProblem
     cost: float
     """Half the sum of squared residuals at the minimum."""
     status: int
-    """The status of scipy's least_squares."""
+    """Status of scipy's `least_squares`."""
     evaluations: int
     iterations: int
     points: Array
@@ -200,7 +200,7 @@ class FrameSearch:
     evaluations_at: Index
     """Number of evaluations of the residuals when each point was accepted, shape (K,)."""
     sigma_px: Array
-    """Noise assumed for the step from each point, shape (K,), pixels; the last value is that of the detections."""
+    """Noise assumed for the step from each point in pixels, shape (K,); the last value is the detections' noise."""
 
     @property
     def x(self) -> Array:
@@ -214,7 +214,7 @@ class FrameSearch:
 
     @property
     def step_norm(self) -> float:
-        """Return the length of the last step that is not zero."""
+        """Return the length of the last step that is not zero, in the space of the unknowns."""
         steps = self.step_norms
         return float(np.append(0.0, steps[steps > 0])[-1])
 
@@ -232,15 +232,15 @@ class FrameSearch:
 
     @cached_property
     def costs(self) -> Array:
-        """Return half the sum of squared residuals at each point under the last loss, shape (K,)."""
+        """Return half the sum of squared residuals at each point with the detections' noise, shape (K,)."""
         return np.array([0.5 * float(np.sum(self.problem.at(x)[0] ** 2)) for x in self.points])
 
     @cached_property
     def damping(self) -> Array:
-        """Return the damping lambda of the step from each point, shape (K - 1,): (J'J + lambda S) step = -J'r.
+        """Return the damping lambda of the step from each point, shape (K - 1,).
 
-        S contains the largest squared norms that the columns of J have had. The damping is that of MINPACK, computed
-        from the step.
+        The damping is computed from (J'J + lambda S) step = -J'r, as MINPACK does not report it. S contains the largest
+        squared norms that the columns of J have had.
         """
         damping, scale, sigma_px = [], np.zeros(self.points.shape[1]), 0.0
         for x, step, step_sigma_px in zip(self.points, np.diff(self.points, axis=0), self.sigma_px, strict=False):
@@ -297,7 +297,7 @@ class FrameSolver:
             self.objectives += (PathTie(path.position_m, nominal, self.chain.base_index, self.options.path_sigma_m),)
 
     def solved_before(self, frame: int) -> list[int]:
-        """Return the last two solved frames before a frame, the newest last."""
+        """Return the indices of the last two solved frames before a frame, in ascending order."""
         return np.flatnonzero(np.isfinite(self.states[:frame, 0]))[-2:].tolist()
 
     def problem(self, frame: int, sigma_px: float) -> FrameProblem:
@@ -359,7 +359,7 @@ class FrameSolver:
         return best, len(searches)
 
     def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
-        """Return the mean pose facing the direction of travel and turned to either side, or the pose set by hand."""
+        """Return mean poses along the direction of travel and to either side, or the pose set by hand."""
         if self.options.start_angles is not None:
             angles = parse_start_angles(self.options.start_angles, self.chain)
             return [geometric_start(self.camera, self.chain, rays, heading, angles)]
@@ -370,7 +370,7 @@ class FrameSolver:
         ]
 
     def _on_path(self, frame: int) -> Array:
-        """Return the first solution of the frame with its root moved onto the path."""
+        """Return the first solution of a frame with its root moved onto the path."""
         assert self.starts is not None
         assert self.path is not None
         state = self.starts[frame]
@@ -378,7 +378,7 @@ class FrameSolver:
         return self._moved_to(state, size * self.path.position_m[frame])
 
     def _extrapolated(self, frame: int, earlier: Sequence[int]) -> Array:
-        """Return the previous state with its root extrapolated along its path.
+        """Return the previous state with its root extrapolated at constant velocity.
 
         The point R p0 is moved instead of p0, because R turns p0 with a long lever arm.
         """
@@ -404,9 +404,9 @@ class FrameSolver:
         return moved
 
     def _noise_px(self, start: Array) -> float:
-        """Return the standard deviation of a detection, pixels.
+        """Return the standard deviation of a detection in pixels.
 
-        The detector's noise is combined with the keypoints' deviation, projected at the start's distance.
+        It combines the detector's noise with the keypoints' deviation from the joints at the start's distance.
         """
         options = self.options
         depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
@@ -415,7 +415,7 @@ class FrameSolver:
         return float(np.hypot(options.sigma_px, keypoint_px))
 
     def _solve_from(self, start: Array, problem: FrameProblem) -> FrameSearch:
-        """Search from one start, with a wide loss at first if the start is far off relative to the noise.
+        """Search from one start, with raised noise at first if the start is far from the detections.
 
         Geman-McClure residuals beyond c sigma hardly pull, so the search would not leave a distant start.
         """
@@ -428,7 +428,7 @@ class FrameSolver:
         return self._minimise(approach.x, problem, self.options.tolerance).after(approach)
 
     def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
-        """Search from one start, and exclude the camera's rotation from the unknowns if it is fixed."""
+        """Search from one start, without the camera's rotation as an unknown if it is fixed."""
         free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and (problem.previous is not None or self.starts is not None):
             free[self.chain.euler_slice] = False
@@ -483,7 +483,7 @@ def _focal_px(camera: Camera) -> float:
 
 
 def posterior_covariance(J: Array) -> Array:
-    """Return C = (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals, or all NaN if J'J is singular."""
+    """Return the covariance (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals; NaN if singular."""
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     values, vectors = eigh((J / scale).T @ (J / scale))
     if values[0] < 1e-10 * values[-1]:
@@ -495,7 +495,7 @@ def precision_shares(C: Array, J_data: Array) -> Array:
     """Return the fraction (D,) of each unknown's precision that comes from the pixels.
 
     Since C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
-    not negative. The returned fraction is that of the first part, and NaN where C is NaN.
+    not negative. The first part, as a fraction of the variance, is returned; it is NaN if C is NaN.
 
     Parameters
     ----------

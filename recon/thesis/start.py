@@ -22,13 +22,13 @@ from recon.geometry.frames import euler_rotation, level_axes
 from recon.thesis.chain import UnknownsChain, euler_angles, mean_pose
 
 _HEADINGS = 36
-"""Number of headings that are tried."""
+"""Number of headings that are tried, evenly spaced over a full turn."""
 _STRETCH_S = 1.0
-"""Length of the stretches of a clip in which the path counts as straight."""
+"""Length in seconds of the parts of a clip in which the path counts as straight."""
 _MIN_SPEED_M_S = 1.0
-"""Speed below which a path does not show the heading."""
+"""Speed in m/s below which a path does not determine the heading."""
 _MIN_STRETCH_S = 0.15
-"""Duration below which a path does not show the heading, about half a stride."""
+"""Duration in seconds below which a path does not determine the heading, about half a stride."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Travel:
     heading: Array
     """Horizontal unit vectors along which the animal faces, in the camera frame, shape (T, 3)."""
     speed_m_s: Array
-    """Speed along the path, shape (T,), m/s; 0 if the animal is too slow or too rarely seen."""
+    """Speed along the path in m/s, shape (T,); 0 if the animal is too slow or too rarely seen."""
 
 
 def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: float) -> Travel:
-    """Return the heading and the speed in every frame, from stretches of about one second with a straight path.
+    """Return the heading and the speed in every frame, assuming a straight path for about one second at a time.
 
     Stretches without five joints in at least five frames get the heading of the nearest stretch that has them.
 
@@ -79,10 +79,10 @@ def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: flo
 
 
 def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
-    """Return the heading and speed (4,) of one stretch; the speed is NaN if the path is too short or too slow.
+    """Return heading and speed (4,) in one stretch of a clip; the speed is NaN if the path is too short or too slow.
 
     For every heading, the mean pose runs straight ahead, with constant acceleration and on sloping ground. The heading
-    whose run fits all rays best is taken, so both the foreshortening of the body and the path count.
+    whose run fits all rays best is chosen, so both the foreshortening of the body and the path count.
     """
     time_s = time_s - time_s.mean()
     misfit, runs = constant_velocity(headings, shapes, up, rays, time_s)
@@ -98,14 +98,14 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
 
 
 def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
-    """Parse text such as "th6=55,th7=97,xi=-3" (degrees) to angles in rad, by their index in the state.
+    """Return the angles in rad, by index in the state, from text such as "th6=55,th7=97,xi=-3" in degrees.
 
     Names are those of `variables.csv` (th6, ph6, xi, psi, zeta) or of `angles.csv` (theta_6).
 
     Raises
     ------
     InputError
-        If the chain has no angle of a name, or a value is not a number.
+        If the chain has no angle of this name, or if a value is not a number.
     """
     angle_columns = [*range(2 * chain.n_angles), *range(chain.n_state)[chain.euler_slice]]
     index = {name: k for names in (chain.unknown_names, chain.state_names) for k, name in enumerate(names)}
@@ -131,7 +131,7 @@ def geometric_start(
 ) -> Array:
     """Return the state (D,) of the mean pose facing `heading` (3,), placed on one frame's rays (J, 3).
 
-    `angles` holds angles in rad by their index in the state, which replace those of the mean pose and of the heading.
+    `angles` holds angles in rad by their index in the state, which replace angles of the mean pose and of the heading.
     """
     state = mean_pose(chain)
     rotation = upright_rotation(heading, camera.up)

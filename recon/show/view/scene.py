@@ -441,8 +441,7 @@ def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None
 
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
-    """Return the middle (T, 2) and the extent (2,) of the reprojected skeleton in pixels, 0 for frames without a pose.
-    """
+    """Return the middle (T, 2) and the extent (2,) of the reprojected skeleton in pixels, 0 without a pose."""
     is_seen = np.isfinite(picture.reprojected_px[..., 0])
     middle = np.nan_to_num(mean_along(picture.reprojected_px, axis=1))
     return middle, np.abs(picture.reprojected_px - middle[:, None])[is_seen].max(axis=0, initial=1.0)
