@@ -26,7 +26,7 @@ BOARD_CAMERAS = {
     "radtan": Camera("cam", _NORMAL, np.array([-0.3, 0.1, 0.001, -0.0007, -0.01]), "radtan", SIZE_PX),
     "fisheye": Camera("cam", _WIDE, np.array([0.03, -0.01, 0.004, -0.001]), "fisheye", SIZE_PX),
 }
-"""One camera for each lens model that can be calibrated from boards."""
+"""Cameras with known intrinsics, one for each lens model that can be calibrated from boards."""
 
 
 def draw_board(
@@ -40,14 +40,14 @@ def draw_board(
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Gray:
-    """Return a picture (height, width) of a board at X_camera = rotation X_board + translation_m.
+    """Draw a board as seen by a camera, where X_camera = rotation X_board + translation_m.
 
     Parameters
     ----------
     board
-        The board, as returned by `recon.calibrate.boards.parse_board`.
+        Board, as returned by `recon.calibrate.boards.parse_board`.
     camera
-        A camera of any lens model.
+        Camera of any lens model; its pose is ignored.
     rotation, translation_m
         Pose of the board in the camera's frame, (3, 3) and (3,).
     oversample
@@ -95,13 +95,13 @@ def board_poses(
     Parameters
     ----------
     board, camera
-        The board and the camera that takes the pictures.
+        Board, and camera that takes the pictures.
     count
         Number of poses.
     rng
         Random generator of the poses.
     max_tilt_rad
-        Largest angle between the board and the image plane, rad.
+        Largest angle between the board and the image plane in rad.
     fill
         Fraction of the picture's height that a board in the middle of the picture fills.
 
@@ -144,7 +144,7 @@ def _dark_squares_m(board: Board) -> Array:
 
 
 def _dark_of_charuco_m(board: Board) -> Array:
-    """Return the squares without a marker and the dark bits of the markers."""
+    """Return the dark areas of a ChArUco board: the squares without a marker, and the dark bits of the markers."""
     assert board.marker_m is not None
     markers = np.asarray(board.charuco.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}

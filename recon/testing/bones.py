@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array
 
 Joints = dict[str, Array]
-"""Positions (T, 3) by name, metres, y up."""
+"""Positions (T, 3) of each joint by name, in metres with y up."""
 
 
 def read_mot(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a .mot file by name."""
+    """Return the columns of a .mot file (OpenSim's motion) by name."""
     header, _, rows = path.read_text(encoding="utf-8").partition("endheader\n")
     assert "inDegrees=no" in header
     names, *lines = (line.split("\t") for line in rows.splitlines())
@@ -32,7 +32,7 @@ def read_mot(path: Path) -> dict[str, list[float]]:
 
 
 def read_osim_as_xml(path: Path) -> Joints:
-    """Compute the positions of a model's markers, in the motion of the .mot file next to it, from the XML alone."""
+    """Compute the positions of an OpenSim model's markers in the motion of its .mot file, from the XML alone."""
     model = ElementTree.parse(path).getroot().find("Model")
     assert model is not None
     motion = read_mot(path.with_suffix(".mot"))
@@ -70,7 +70,7 @@ def _numbers(element: ElementTree.Element, name: str) -> Array:
 
 
 def read_osim_with_opensim(path: Path) -> Joints:
-    """Return the positions of a model's markers, in the motion of the .mot file next to it, computed by OpenSim."""
+    """Return the positions of an OpenSim model's markers in the motion of its .mot file, computed by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     opensim.Logger.setLevelString("error")
@@ -90,7 +90,7 @@ def read_osim_with_opensim(path: Path) -> Joints:
 
 
 def read_trc_with_opensim(path: Path) -> Joints:
-    """Return the positions of the markers in the .trc file next to a model, read by OpenSim."""
+    """Return the positions of the markers in an OpenSim model's .trc file, read by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     table = opensim.TimeSeriesTableVec3(str(path.with_suffix(".trc")))
@@ -102,7 +102,7 @@ def read_trc_with_opensim(path: Path) -> Joints:
 
 
 def read_gltf_as_json(path: Path) -> Joints:
-    """Compute the positions of a glTF file's nodes during its animation, from the JSON and the binary data alone."""
+    """Compute the positions of a glTF file's nodes during its animation from the JSON and the binary data."""
     content = path.read_bytes()
     magic, version, size, length, kind = struct.unpack_from("<4sIII4s", content)
     assert (magic, version, size, kind) == (b"glTF", 2, len(content), b"JSON")
@@ -176,7 +176,7 @@ def read_bvh_with_blender(path: Path) -> Joints:
 
 
 def _read_with_blender(path: Path, read: Callable[..., object], first_frame: int) -> Joints:
-    """Return the positions of the bones' heads, y up, in all frames of a file that `read` imports into Blender.
+    """Return the positions of the bones' heads with y up in all frames of a file that `read` imports into Blender.
 
     Blender has z up, and samples a file at the scene's frame rate.
     """
@@ -214,7 +214,7 @@ READERS: dict[str, tuple[tuple[str, Callable[[Path], Joints]], ...]] = {
 
 
 def largest_error_m(joints: Joints, names: tuple[str, ...], xyz_m: Array) -> float:
-    """Return the largest difference along any axis, m, from joints (T, J, 3), z up, in a file's first frames."""
+    """Return the largest coordinate difference in metres between a file's first frames and `xyz_m` (T, J, 3), z up."""
     expected = np.stack([xyz_m[..., 0], xyz_m[..., 2], -xyz_m[..., 1]], axis=2)
     positions = np.stack([joints[name] for name in names], axis=1)
     return float(np.abs(positions - expected[: len(positions)]).max())

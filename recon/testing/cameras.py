@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from recon.testing.gallop import SyntheticClip
 
 SHAKE_DEG = 0.3
-"""Standard deviation of a handheld camera's shake about each axis, degrees."""
+"""Standard deviation of a handheld camera's shake about each axis, in degrees."""
 SHAKE_S = 0.033
-"""Time over which the shake is smooth."""
+"""Correlation time of a handheld camera's shake, in seconds."""
 FOLLOW_S = 0.05
-"""Time over which the rotation that follows an animal is smooth."""
+"""Time in seconds over which a camera that follows an animal smooths its rotation."""
 
 
 def level_rotation(centre_m: Array, target_m: Array) -> Array:
@@ -36,28 +36,28 @@ def level_rotation(centre_m: Array, target_m: Array) -> Array:
 
 
 def aim_camera(lens: Camera, centre_m: Array, target_m: Array) -> Camera:
-    """Return a camera with a pose that looks at a point.
+    """Return a camera that stands at a point and looks at another point.
 
     Parameters
     ----------
     lens
-        A camera; its pose, if any, is replaced.
+        Camera whose pose, if any, is replaced.
     centre_m
-        Centre (3,) of the camera in a world with z up, metres.
+        Centre (3,) of the camera in metres, in a world with z up.
     target_m
-        Point (3,) that the camera looks at, without roll.
+        Point (3,) that the camera looks at without roll, in metres.
 
     Returns
     -------
     Camera
-        The same lens with this pose, in a world that is marked as z-up.
+        Camera with this lens and pose, in a world that is marked as z-up.
     """
     rotation = level_rotation(np.asarray(centre_m, dtype=float), np.asarray(target_m, dtype=float))
     return replace(lens, rotation=rotation, translation_m=-rotation @ centre_m, world_z_up=True)
 
 
 def camera_ring(count: int, length_m: float, random: np.random.Generator) -> list[Camera]:
-    """Set up cameras around an animal, at five times its length; the world's z is up."""
+    """Return `count` cameras around an animal at five times its length, in a world with z up."""
     cameras = []
     for i in range(count):
         bearing = 2 * np.pi * (i + random.uniform(-0.2, 0.2)) / count
@@ -68,7 +68,7 @@ def camera_ring(count: int, length_m: float, random: np.random.Generator) -> lis
 
 
 def level_pose(centre_m: Sequence[float], heading_rad: float) -> Array:
-    """Return T_camera_world (4, 4) of a level camera at a point (3,) that looks along a heading, rad, 0 along x."""
+    """Return T_camera_world (4, 4) of a level camera at a point (3,), with its heading in rad from the x axis."""
     right = np.array([np.sin(heading_rad), -np.cos(heading_rad), 0.0])
     ahead = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
     rotation = np.stack([right, [0.0, 0.0, -1.0], ahead])
@@ -76,7 +76,7 @@ def level_pose(centre_m: Sequence[float], heading_rad: float) -> Array:
 
 
 def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: float = 2.0, seed: int = 0) -> View:
-    """Return a camera's detections of points.
+    """Simulate a camera's detections of points.
 
     Parameters
     ----------
@@ -109,12 +109,12 @@ def turn_view(view: View, angle_deg: float, random: np.random.Generator) -> View
 
 
 def panning_camera(clip: SyntheticClip, seed: int = 0) -> Callable[[float], Camera]:
-    """Return a camera that turns to follow the middle of the animal, with the shake of a hand.
+    """Return a handheld camera that turns to follow the middle of the animal.
 
     Parameters
     ----------
     clip
-        A clip of a still camera.
+        Clip of a still camera.
     seed
         Seed of the shake, which is 0 in the first frame.
 

@@ -10,13 +10,13 @@ from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def cumulative(deviations: float) -> float:
-    """Return the fraction of a Student's t distribution below a value in standard deviations from the mean."""
+    """Return the fraction of the fits' Student's t distribution below a value in standard deviations."""
     nu = DEGREES_OF_FREEDOM
     return float(stdtr(nu, deviations * np.sqrt(nu / (nu - 2))))
 
 
 def coverage(error: Array, covariance: Array, level: float) -> float:
-    """Return the fraction of errors inside the regions that should contain a given fraction of them.
+    """Return the fraction of errors inside the regions that should contain the fraction `level`.
 
     Parameters
     ----------
@@ -40,6 +40,6 @@ def coverage(error: Array, covariance: Array, level: float) -> float:
 
 
 def coordinate_coverage(error: Array, covariance: Array, level: float) -> float:
-    """Return the fraction of coordinates of errors (..., k) inside their intervals, which should be about `level`."""
+    """Return the fraction of coordinates of errors (..., k) inside the intervals that should contain `level`."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     return float(np.mean(np.abs(error) < radius(level) * sigma))

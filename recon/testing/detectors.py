@@ -2,7 +2,7 @@
 
 Each file has the names and the layout of the detector's program: DeepLabCut 3 (`video_inference_superanimal`, the 2D
 file of FMPose3D, a project of one animal), AP-10K annotations, and MMPose's demo for a video. Keypoints that the sample
-lacks are placed in the middle of the others, so that a wrong assignment is noticed.
+lacks are placed in the middle of its keypoints, so that a wrong assignment is noticed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ UNSEEN = 10
 
 
 def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Array:
-    """Return the sample's keypoints under other names.
+    """Return the sample's keypoints as a detector with other keypoint names would detect them.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
     names
         Names of the K keypoints of the detector.
     bundled
-        Bundled map from these names to the sample's; None if the names are the same.
+        Name of the bundled map from these names to the sample's names; None if the names are the same.
 
     Returns
     -------
     Array
-        x (px), y (px) and likelihood, shape (T, K, 3); NaN in the frame `UNSEEN`.
+        x and y in pixels and likelihood, shape (T, K, 3); NaN in the frame `UNSEEN`.
     """
     renamed = {} if bundled is None else load_names(bundled)
     values = np.empty((len(sample.frames), len(names), 3))
@@ -87,7 +87,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
 
 
 def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: str, padding: float) -> None:
-    """Write a table of three animals as DeepLabCut 3 does: the sample's animal, then two filled with `padding`."""
+    """Write a DeepLabCut 3 table of three animals: the sample's animal, and two whose cells are `padding`."""
     import pandas as pd
 
     levels = [[scorer], ["animal0", "animal1", "animal2"], list(names), ["x", "y", "likelihood"]]
@@ -125,7 +125,7 @@ def write_acinoset(path: Path, sample: Keypoints) -> None:
 
 
 def write_ap_10k(path: Path, sample: Keypoints) -> None:
-    """Write the sample as AP-10K annotations of a video's frames; all species have the same keypoints."""
+    """Write the sample as AP-10K annotations of a video's frames, in which all species have the same keypoints."""
     values = detect(sample, AP_10K, "ap-10k")
     species = [{"id": i, "name": name, "supercategory": "Felidae", "keypoints": AP_10K, "skeleton": [[1, 2], [1, 3]]}
                for i, name in enumerate(("cheetah", "lion"), start=19)]  # fmt: skip
@@ -174,4 +174,4 @@ FILES: dict[str, tuple[str | None, Callable[[Path, Keypoints], None]]] = {
     "mmpose.json": ("ap-10k", write_mmpose),
     "acinoset.csv": (None, write_acinoset),
 }
-"""Bundled map of names and writer of each file, by file name."""
+"""Bundled map of names, and writer, for each file by its name."""

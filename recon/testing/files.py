@@ -34,7 +34,7 @@ def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str
 
 
 def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str = SCORER) -> None:
-    """Write a DeepLabCut label file of some frames, with rows named by image and empty cells for missing points."""
+    """Write a DeepLabCut label file of some frames, in which missing points are empty cells."""
     rows = [
         ["scorer"] + [scorer] * 2 * len(keypoints.names),
         ["bodyparts"] + [name for name in keypoints.names for _ in range(2)],
@@ -47,7 +47,7 @@ def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str
 
 
 def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
-    """Write the joint positions of a clip in the world, metres."""
+    """Write the true joint positions of a clip in metres in the world."""
     rows = [
         ["bodyparts"] + [name for name in clip.names for _ in range(3)],
         ["coords"] + ["x", "y", "z"] * len(clip.names),
@@ -58,7 +58,7 @@ def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
 
 
 def write_outliers(keypoints: Keypoints, outliers: Bools, path: Path) -> None:
-    """Write the frame and keypoint of each detection that is a gross outlier, given as a mask (T, K)."""
+    """Write the frame and the keypoint of each gross outlier in a mask (T, K)."""
     rows = [[str(keypoints.frames[t]), keypoints.names[k]] for t, k in np.argwhere(outliers)]
     _write(path, [["frame", "keypoint"], *rows])
 
@@ -87,13 +87,13 @@ TRACK_HEADER = "frame,qw,qx,qy,qz,tx,ty,tz"
 
 
 def track_rows(frames: Integers, poses: Array) -> list[list[float]]:
-    """Return a camera's track as rows (N, 8): frame, quaternion and translation of T_camera_world (N, 4, 4)."""
+    """Return rows (N, 8) of a camera track with frame, quaternion and translation of each pose (N, 4, 4)."""
     q = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     return np.column_stack([frames, q, poses[:, :3, 3]]).tolist()
 
 
 def write_track(path: Path, frames: Integers, poses: Array, intrinsics_px: Array | None = None) -> Path:
-    """Write the CSV table of a moving camera with poses (N, 4, 4) and, if given, fx, fy, cx, cy (N, 4)."""
+    """Write a camera track as CSV with poses T_camera_world (N, 4, 4) and, if given, fx, fy, cx, cy (N, 4)."""
     rows, header = track_rows(frames, poses), TRACK_HEADER
     if intrinsics_px is not None:
         header = f"{header},fx,fy,cx,cy"

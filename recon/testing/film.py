@@ -24,7 +24,7 @@ from recon.testing.gallop import SyntheticClip, project_clip, whole_gallop
 
 Colour = tuple[float, float, float]
 
-# Markers at both ends of each body part of `cheetah-24`, the part's radii there, and its offset below the markers, m.
+# Markers at both ends of each body part of `cheetah-24`, radii at both ends, and offset below the markers, in metres.
 _LEG = (("knee", 0.075, 0.05), ("ankle", 0.045, 0.028), ("paw", 0.028, 0.03))
 PARTS: tuple[tuple[str, str, float, float, float], ...] = (
     ("tail_base", "tail1", 0.035, 0.03, 0.0),
@@ -38,52 +38,52 @@ COAT, SPOT, BELLY = (70.0, 130.0, 185.0), (30.0, 50.0, 75.0), (140.0, 180.0, 210
 SKY, HAZE, SAND, SHRUB = (205.0, 165.0, 120.0), (215.0, 205.0, 195.0), (105.0, 150.0, 180.0), (50.0, 90.0, 85.0)
 """Colours (blue, green, red) of sky, haze, sand and shrubs."""
 EXPOSURE = 0.4
-"""Exposure as a fraction of the time between two frames."""
+"""Exposure time of the film as a fraction of the time between two frames."""
 EXPOSURES = 5
 """Number of moments drawn during the exposure, whose mean is the picture."""
 NOISE = 2.5
-"""Standard deviation of the sensor noise, grey levels."""
+"""Standard deviation of the sensor noise in grey levels from 0 to 255."""
 LIGHT = np.array([-0.35, 0.25, 0.9])
-"""Direction towards the sun, in the world."""
+"""Direction towards the sun in the world."""
 _SHIFT = 4
 
 FPS = 120
-"""Frame rate of the film, Hz."""
+"""Frame rate of the film in Hz."""
 FRAMES = 90
-"""Number of frames."""
+"""Number of frames of the film."""
 LABELLED = 40
-"""Number of frames with labels."""
+"""Number of frames of the film with labels."""
 SIZE_PX = (640, 360)
 FOCAL_PX = 640.0
-"""Focal length of the film's camera, pixels."""
+"""Focal length of the film's camera in pixels."""
 DISTANCE_M = 11.5
-"""Distance of the camera from the animal's path."""
+"""Distance of the film's camera from the animal's path."""
 HEIGHT_M = 1.7
-"""Height of the camera above the ground."""
+"""Height of the film's camera above the ground."""
 
 
 def render_frames(
     points_m: Array, names: tuple[str, ...], camera_at: Callable[[float], Camera], ground_m: float, seed: int = 0
 ) -> Iterator[Image]:
-    """Draw a picture of each frame, (height, width, 3) in blue, green, red.
+    """Draw a picture of each frame of a film of the cheetah.
 
     Parameters
     ----------
     points_m
-        Markers (T, J, 3) in the world, metres.
+        Positions (T, J, 3) of the markers in the world, in metres.
     names
         Names of the J markers of `cheetah-24`.
     camera_at
         Function from a time, in frames, to the camera. For a still camera, it always returns the same object.
     ground_m
-        Height of the ground, metres.
+        Height of the ground in metres.
     seed
         Seed of the ground and the coat, which are the same for any camera.
 
     Yields
     ------
     Image
-        One picture per frame, exposed symmetrically about the frame's time.
+        One picture (height, width, 3) in blue, green, red per frame, exposed symmetrically about the frame's time.
     """
     rng = np.random.default_rng(seed)
     drawn_camera = camera_at(0)
@@ -114,7 +114,7 @@ def _parts() -> list[tuple[str, str, float, float, float]]:
 
 
 def _between(points_m: Array, t: float) -> Array:
-    """Return points at a time t, in frames, interpolated linearly, and extrapolated at the ends."""
+    """Return points at time t in frames, interpolated linearly, and extrapolated at the ends."""
     a = min(max(math.floor(t), 0), len(points_m) - 2)
     return points_m[a] + (t - a) * (points_m[a + 1] - points_m[a])
 
@@ -151,7 +151,7 @@ def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Arr
 
 
 def _noise(rng: np.random.Generator, points: NDArray[np.float32], cell: float) -> Array:
-    """Return smooth noise with mean 0, standard deviation about 1 and grains of size `cell`, at points (h, w, 2)."""
+    """Return smooth noise with mean 0, standard deviation about 1 and grain size `cell` at points (h, w, 2)."""
     table = np.pad(rng.standard_normal((256, 256)).astype(np.float32), (0, 1), mode="wrap")
     index = np.mod(points / cell, 256).astype(np.float32)
     return np.asarray(cv2.remap(table, index[..., 0], index[..., 1], cv2.INTER_LINEAR), float) * 1.5
@@ -189,7 +189,7 @@ def _draw_animal(
 def _draw_part(
     canvas: Image, ends: Array, part: tuple[str, str, float, float, float], camera: Camera, light: float, spots: Array
 ) -> None:
-    """Draw a body part lit from above, in layers from its dark outline to a bright line near the top, with spots."""
+    """Draw a body part, in layers from its dark outline to a bright line near the top, with spots."""
     at_camera = camera.world_to_camera(ends)
     xy, _ = camera.project(at_camera)
     focal = camera.matrix[0, 0]
@@ -255,18 +255,19 @@ class PanningFilm:
     """Clip filmed by a camera that turns to follow the animal."""
 
     clip: SyntheticClip
-    """Camera without a pose, its keypoints, and the truth in the world frame of the camera's track.
+    """Clip with the turning camera's keypoints, and the truth in the world frame of the camera's track.
 
-    In this frame z is up. The camera is at the origin and, in the first frame, looks along y and `tilt_deg` downwards.
+    In this frame z is up. The camera, which has no pose in the clip, is at the origin. In the first frame it looks
+    along y and `tilt_deg` downwards.
     """
     rotations: Array
-    """R_camera_world of each frame, shape (T, 3, 3)."""
+    """Rotation R_camera_world in each frame, shape (T, 3, 3)."""
     tilt_deg: float
-    """Angle by which the camera looks down in the first frame, degrees."""
+    """Angle in degrees by which the camera looks down in the first frame."""
 
 
 def film_clip() -> tuple[SyntheticClip, float]:
-    """Return the clip of a film of a gallop by a still camera, and the height of the ground in metres."""
+    """Simulate the clip that is filmed by a still camera; return it and the height of the ground in metres."""
     clip, _ = whole_gallop(FPS, FRAMES)
     paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
     ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03
@@ -303,7 +304,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
     Parameters
     ----------
     clip
-        The clip of a still camera.
+        Clip of a still camera.
     camera_at
         Function from a time in frames to the camera, as returned by `recon.testing.cameras.panning_camera`.
 
@@ -325,7 +326,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
 
 
 def _project_moving(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
-    """Return the clip with the detections that the moving camera makes in each frame."""
+    """Return the clip with the detections of the turning camera in each frame."""
     keypoints = clip.keypoints
     xy_px = np.empty(keypoints.xy_px.shape)
     for t, points_m in enumerate(clip.truth_m):

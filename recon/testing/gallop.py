@@ -39,10 +39,10 @@ KEYPOINT_NAMES = (
 )
 IMAGE_SIZE_PX = (1920, 1080)
 MARGIN_PX = 20.0
-"""Smallest distance of the joints from the picture's edges in the first second."""
+"""Smallest distance in pixels of the joints from the picture's edges in the first second."""
 
 START_SPEED_M_S = 9.5
-"""Speed in the first frame."""
+"""Speed of the animal in the first frame."""
 TOP_SPEED_M_S = 20.0
 """Speed that the animal approaches in time."""
 START_STRIDES_HZ = 3.2
@@ -50,10 +50,11 @@ START_STRIDES_HZ = 3.2
 TOP_STRIDES_HZ = 3.5
 """Strides per second at the top speed."""
 RISE_S = 0.85
-"""Time in which the differences of speed and stride frequency from their limits fall by a factor of e."""
+"""Time constant in seconds with which speed and stride frequency approach their limits."""
 START_PHASE = 0.40
-"""Phase of the first frame, shortly before the near forefoot's mid-stance; hind stance begins at 0, fore stance at
-0.42.
+"""Phase of the stride in the first frame, shortly before the stance of the near fore foot.
+
+The stance of the near hind foot begins at 0, the stance of the near fore foot at 0.42.
 """
 SLOPE = 0.03
 """Slope of the ground, which rises in the direction of travel."""
@@ -65,7 +66,7 @@ _HIND_LAG = 0.08
 _FORE_LAG = 0.11
 """Delay of the far fore leg behind the near one, as a fraction of the stride."""
 _SWING_SPEED_M_S = 14.0
-"""Speed for which `_SERIES` holds."""
+"""Speed for which the amplitudes of `_SERIES` hold."""
 _SWING_POWER = 0.26
 """Exponent with which the amplitude of `_SERIES` grows with speed."""
 # Inclination of each link to the ground (rad; 0 forwards, pi/2 down), and the root's height (m), over the stride's
@@ -91,7 +92,7 @@ class SyntheticClip:
     """Exact detections; points outside the picture are missing."""
     camera: Camera
     truth_m: Array
-    """True positions in the world, metres, shape (T, K, 3)."""
+    """True positions of the keypoints in metres in the world, shape (T, K, 3)."""
     names: tuple[str, ...]
     """Names of the keypoints, shape (K,)."""
     state: Array
@@ -179,7 +180,7 @@ def gallop(
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """W slow waves about small means, each field of shape (W,)."""
+    """W slow sine waves about small means; each field has the shape (W,)."""
 
     mean: Array
     amplitude: Array
@@ -197,7 +198,7 @@ class _Waves:
         )
 
     def __call__(self, t: Array) -> Array:
-        """Return the waves (T, W) at times (T,), seconds."""
+        """Return the waves (T, W) at times (T,) in seconds."""
         return self.mean + self.amplitude * np.sin(2 * np.pi * t[:, None] * self.frequency_hz + self.phase_rad)
 
 
@@ -218,7 +219,7 @@ def _series(name: str, phase: Array, swing: Array) -> Array:
 
 
 def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
-    """Return the sagittal angles (T, A), rad, of the links relative to their parents."""
+    """Return the sagittal angles (T, A) of the links relative to their parents, in rad."""
     trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
     hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
     fore = {name: _series(name, phase - fore_lag, swing) for name in ("T2", "T3", "T4")}
@@ -242,7 +243,7 @@ class _Run(NamedTuple):
 
 
 def _run(chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]) -> _Run:
-    """Return the states and joints of the animal at times t (T,), seconds."""
+    """Return the states and joints of the animal at times t (T,) in seconds."""
     speed, distance = _rising(t, START_SPEED_M_S, TOP_SPEED_M_S)
     _, strides = _rising(t, START_STRIDES_HZ, TOP_STRIDES_HZ)
     phase, swing = START_PHASE + strides, (speed / _SWING_SPEED_M_S) ** _SWING_POWER
@@ -302,7 +303,7 @@ def _place_camera(model: CameraModel, points_m: Array) -> Camera:
 
 
 def _look(camera: Camera, centre_m: Array, target_m: Array, roll_rad: float) -> Camera:
-    """Return the camera with a centre in the world (3,), looking at a target (3,), with a roll about its axis."""
+    """Return the camera at a point (3,) in the world, looking at a target (3,), with a roll about its axis."""
     forward = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -321,12 +322,12 @@ def add_noise(
     keypoints
         Exact detections.
     sigma_px
-        Standard deviation of the Gaussian noise of each coordinate, px.
+        Standard deviation of the Gaussian noise of each coordinate in pixels.
     dropout
         Fraction of points that become missing, rounded to a whole number of points.
     outlier
-        Fraction of points, also rounded, that are moved by 40 to 300 px in a random direction, within the picture if
-        its size is known.
+        Fraction of points that are moved by 40 to 300 px in a random direction, rounded in the same way. They stay
+        within the picture if its size is known.
     seed
         Random seed.
 
@@ -361,7 +362,7 @@ def add_noise(
 
 
 def project_clip(camera: Camera, clip: SyntheticClip) -> Keypoints:
-    """Return a camera's exact detections of a clip's truth; points outside the picture are missing."""
+    """Project the true positions of a clip into a camera; points outside the picture are missing."""
     xy_px, valid = camera.project(camera.world_to_camera(clip.truth_m))
     visible = valid & camera.in_image(xy_px)
     return Keypoints(
@@ -377,7 +378,7 @@ def project_clip(camera: Camera, clip: SyntheticClip) -> Keypoints:
 def whole_gallop(
     fps: float = 60, n_frames: int = 60, detector: Path | None = None
 ) -> tuple[SyntheticClip, SyntheticClip]:
-    """Simulate the skeleton `cheetah-24` in the gallop of `gallop`.
+    """Simulate a whole cheetah (skeleton `cheetah-24`) in the gallop that the function `gallop` simulates.
 
     The poses match the gallop's trunk and legs as closely as possible; the head stays level and the tail swings.
 

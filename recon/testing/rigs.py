@@ -21,19 +21,19 @@ from recon.io.deeplabcut import write_csv
 from recon.testing.cameras import aim_camera, camera_ring
 
 FPS = 60.0
-"""Frame rate of a clip, Hz."""
+"""Default frame rate of a simulated clip in Hz."""
 FRAMES = 72
-"""Number of frames of a clip."""
+"""Default number of frames of a simulated clip."""
 BIAS = 0.5
 """Standard deviation of the keypoints' bias along each axis, relative to the skeleton's keypoint_sigma_m."""
 SIGMA_PX = 2.0
-"""Standard deviation of the detections' noise along each axis."""
+"""Standard deviation of the detections' noise along each axis in pixels."""
 MISSING = 0.05
 """Fraction of detections that are missing."""
 
 
 def body_length_m(body: Body) -> float:
-    """Return the largest extent of an animal in its expected pose, metres."""
+    """Return the largest extent in metres of an animal in its expected pose."""
     return float(np.ptp(_expected_points(body), axis=1).max())
 
 
@@ -42,7 +42,7 @@ def _expected_points(body: Body) -> Array:
 
 
 def random_motion(body: Body, random: np.random.Generator, frames: int = FRAMES, fps: float = FPS) -> Array:
-    """Draw a motion in which every angle swings about its expected value and the animal follows a curved path.
+    """Simulate a motion in which every angle swings about its expected value and the animal follows a curved path.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def random_motion(body: Body, random: np.random.Generator, frames: int = FRAMES,
     Returns
     -------
     Array
-        States (T, D). The lowest point is close to the ground z = 0; the speed is two thirds of a body length per
+        States (T, D). The lowest point is close to the ground z = 0, and the speed is two thirds of a body length per
         second.
     """
     time_s, n, length_m = np.arange(frames) / fps, body.n_state - 4, body_length_m(body)
@@ -72,23 +72,23 @@ def random_motion(body: Body, random: np.random.Generator, frames: int = FRAMES,
 
 
 def random_clip(body: Body, length_sigma: float, cameras: int, seed: int) -> tuple[list[View], Array]:
-    """Simulate an individual inside a ring of cameras.
+    """Simulate an animal with its own lengths inside a ring of cameras.
 
     Parameters
     ----------
     body
         The skeleton that a fit will assume.
     length_sigma
-        Relative standard deviation between the individual's lengths and the skeleton's; left and right are equal.
+        Relative standard deviation of the animal's lengths from the skeleton's. Left and right lengths are equal.
     cameras
-        Number of cameras, five body lengths away.
+        Number of cameras, which are five body lengths away.
     seed
         Seed of the lengths, the keypoints' bias, the motion, the cameras and the noise.
 
     Returns
     -------
     tuple
-        A view of each camera, and the true markers (T, J, 3) in the world, metres.
+        A view of each camera, and the true markers (T, J, 3) in metres in the world.
     """
     random = np.random.default_rng(seed)
     shape = Shape.of_body(body)
@@ -128,14 +128,14 @@ def write_rig_clip(
     fps
         Frame rate, Hz.
     centres_m
-        Centres of the cameras, which look at (0, 0, target_height_m), shape (V, 3).
+        Centres of the V cameras in metres, shape (V, 3). All look at (0, 0, target_height_m).
     size
         Size of the animal, relative to the skeleton.
     target_height_m
-        Height of the point that the cameras look at.
+        Height in metres of the point that the cameras look at.
     sigma_px
-        Standard deviation of the detections' noise, px. One detection in twenty has a low likelihood, and keypoints
-        have a bias (`BIAS`).
+        Standard deviation of the detections' noise in pixels. One detection in twenty has a low likelihood, and
+        keypoints have a bias (`BIAS`).
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Simulate a gallop and a trot in which poses, masses and vertical forces are consistent and known exactly.
 
 Each foot stands for a fraction of the stride, with a force of a given shape. These forces and gravity move the centre
-of mass up and down; it moves forwards at a constant speed. The paws stand still on level ground, and swing in between.
+of mass up and down, while its forward speed is constant. The paws stand still on level ground, and swing in between.
 The trunk is placed so that the centre of mass of the skeleton's segments is where the forces put it.
 """
 
@@ -26,27 +26,28 @@ FINE = 4096
 """Number of instants per stride at which the forces are integrated."""
 LEGS = {"H": ("hind_thigh", "hind_shin", "hind_foot"), "F": ("fore_upper", "fore_lower", "fore_foot")}
 CENTRE_M = 0.46
-"""Mean height of the centre of mass above the ground, metres."""
+"""Mean height in metres of the centre of mass above the ground."""
 PAW_M = 0.02
-"""Height of a standing paw's marker above the ground, metres."""
+"""Height in metres of a standing paw's marker above the ground."""
 LIFT_M = 0.1
-"""Height by which a paw is lifted in the swing, metres."""
+"""Height in metres by which a paw is lifted in the swing."""
 
 
 @dataclass(frozen=True)
 class SteadyGait:
-    """Steady gait on level ground, with its forces."""
+    """Steady gait on level ground with known vertical forces of the feet."""
 
     speed_m_s: float
     stride_s: float
     duty_factor: float
     landings: Mapping[str, float]
-    """Touch-down of each foot (LH, RH, LF, RF), as a fraction of the stride."""
+    """Time of touch-down of each foot (LH, RH, LF, RF) as a fraction of the stride."""
     fore: float
-    """Fraction of the impulse from the fore feet."""
+    """Fraction of the vertical impulse of a stride that comes from the fore feet."""
     skew: float
-    """Exponent of time in the force of a stance. At 1 the force is a half-sine; at lower values it rises faster than it
-    falls.
+    """Exponent of time in the force of a stance.
+
+    The force is a half-sine if the exponent is 1, and rises faster than it falls if the exponent is less.
     """
     lift_off_speed: float = 0.22
     """Speed of a paw at lift-off as a fraction of its speed in the middle of the swing."""
@@ -54,7 +55,7 @@ class SteadyGait:
     """Speed of a paw at touch-down as a fraction of its speed in the middle of the swing."""
 
     def force_bw(self, foot: str, time_s: Array) -> Array:
-        """Return the vertical force of a foot at times (T,), in body weights."""
+        """Return the vertical force of a foot in body weights at times (T,) in seconds."""
         grid = (np.arange(FINE) + 0.5) / FINE
         share = (self.fore if foot.endswith("F") else 1 - self.fore) / 2
         peak = share / self.duty_factor / np.mean(np.sin(np.pi * grid**self.skew))
@@ -62,7 +63,7 @@ class SteadyGait:
         return np.where(progress < 1, peak * np.sin(np.pi * np.minimum(progress, 1.0) ** self.skew), 0.0)
 
     def height_m(self, time_s: Array, rate: int = 0) -> Array:
-        """Return the height, m, of the centre of mass above its mean at times (T,), or its velocity, m/s, for rate=1.
+        """Return the height of the centre of mass above its mean in m, or its vertical velocity in m/s if `rate` is 1.
 
         The height is the force integrated twice over a stride.
         """
@@ -75,7 +76,7 @@ class SteadyGait:
         return CubicSpline(np.append(grid_s, self.stride_s), closed, bc_type="periodic")(time_s % self.stride_s, rate)
 
     def paw_m(self, foot: str, time_s: Array) -> Array:
-        """Return a paw's marker (T, 2), m, as its position along the path (up to a constant) and its height."""
+        """Return a paw marker's position along the path, up to a constant, and height in metres, shape (T, 2)."""
         strides = time_s / self.stride_s - self.landings[foot]
         swing = np.maximum(strides % 1.0 - self.duty_factor, 0.0) / (1 - self.duty_factor)
         middle = (self.lift_off_speed + self.touch_down_speed) / 2
@@ -91,7 +92,7 @@ class SteadyGait:
     def states(self, body: Body, time_s: Array) -> Array:
         """Return states (T, D) of a `cheetah-24` that runs along x with a straight back.
 
-        The trunk is moved together with the legs until the centre of mass is exactly where it has to be.
+        The trunk is moved together with the legs until the centre of mass is exactly where the forces put it.
         """
         segments = {segment.name: segment for segment in body.tree.segments}
         column = {name: i for i, name in enumerate(body.state_names)}
@@ -125,7 +126,7 @@ TROT = SteadyGait(3.0, 0.45, 0.42, {"LH": 0.0, "RF": 0.0, "RH": 0.5, "LF": 0.5},
 
 
 def centre_m(body: Body, states: Array) -> Array:
-    """Return the centre of mass (T, 3), m, of the segments' masses, each in the middle of its capsules."""
+    """Return the centre of mass (T, 3) in metres of the segments' masses, each in the middle of its capsules."""
     share = np.array([body.mass[segment.name][0] for segment in body.tree.segments])
     middles = middles_m(body.tree, capsules(body.tree, body.markers))
     positions_m = body.tree.origins(states) + np.einsum("tsij,sj->tsi", body.tree.orientations(states), middles)
@@ -140,9 +141,9 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
     motion
         Motion of T frames, whose body and cameras are kept.
     states
-        The new states (T, D), with a stated uncertainty of a tenth of a millimetre.
+        New states (T, D), whose stated uncertainty becomes a tenth of a millimetre.
     fps
-        The new frame rate, Hz.
+        New frame rate in Hz.
 
     Returns
     -------
@@ -169,20 +170,21 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
 
 @dataclass(frozen=True)
 class ForceErrors:
-    """Errors of an analysis of a steady gait."""
+    """Errors of an analysis of a simulated steady gait, compared with its exact forces."""
 
     centre_m: float
-    """Largest error of the centre of mass in a frame, metres."""
+    """Largest error of the centre of mass over the frames, in metres."""
     kinetic_j_kg: float
-    """Largest error of the kinetic energy of the centre of mass, forwards or up, except in two frames at either end,
-    J/kg.
+    """Largest error in J/kg of the centre of mass's forward or vertical kinetic energy.
+
+    Two frames at either end of the clip are left out.
     """
     rms_bw: float
-    """RMS error of single feet's forces in stances that are complete in the clip, body weights."""
+    """RMS error in body weights of single feet's forces in stances that are complete in the clip."""
     timed_rms_bw: float
-    """RMS error of the forces as in `rms_bw`, with the true times of touch-down and lift-off, body weights."""
+    """RMS error in body weights as `rms_bw`, if the true times of touch-down and lift-off are given."""
     inside: float
-    """Fraction of the forces within their 90 % intervals."""
+    """Fraction of the true forces within the analysis' 90 % intervals."""
 
 
 def compare_forces(run: SteadyGait, analysis: ClipAnalysis) -> ForceErrors:

@@ -8,7 +8,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array
 
 STANCE_SHARE = 0.62
-"""Fraction of the stride for which a foot stands."""
+"""Fraction of the stride for which a foot of the walking person stands."""
 ROOT_HEIGHT_M, ANKLE_HEIGHT_M = 0.8, 0.055
 
 
