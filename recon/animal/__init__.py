@@ -1,1 +1,1 @@
-"""Describe animals by bodies (trees of segments), skeletons, subjects, detectors, names and motion priors."""
+"""Describe animals: skeleton files, measured subjects, detector offsets, keypoint names and motion priors."""

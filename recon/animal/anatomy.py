@@ -20,21 +20,24 @@ FLEXES_CAUDALLY: Mapping[str, int] = {
     "spine": 1,
     "neck": 1,
 }
-"""Names allowed in `[anatomy]`, each with the joint's direction of flexion.
+"""Names of joints allowed in the table `[anatomy]` of a skeleton file, each with the joint's direction of flexion.
 
-At 1, flexion turns the lower bone backwards, or the front of the trunk and the head downwards. At -1, flexion turns the
-lower bone forwards.
+If the direction is 1, flexion turns the lower bone backwards, or the front of the trunk and the head downwards. If the
+direction is -1, flexion turns the lower bone forwards.
 """
 GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
     **dict.fromkeys(("shoulder", "elbow", "carpus", "fetlock"), "F"),
     **dict.fromkeys(("hip", "stifle", "hock", "hind_fetlock"), "H"),
     **dict.fromkeys(("spine", "neck")),
 }
-"""Fore or hind limb of each joint; None for the trunk."""
+"""Limb of each anatomical joint, F for fore and H for hind; None for joints of the trunk."""
 
 
 def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:
-    """Return the joints of `[anatomy]` by name and side, such as left_elbow, including those of the right side."""
+    """Return the joints of a table `[anatomy]`, which lists left and midline joints only, completed by the right side.
+
+    The names in the result include the side, such as left_elbow. The values are the joints' three markers.
+    """
     joints: dict[str, tuple[str, str, str]] = {}
     for joint, markers in table.items():
         side = next((side for marker in reversed(markers) if (side := side_of(marker)) is not None), None)
@@ -46,7 +49,7 @@ def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str,
 
 
 def joint_and_side(name: str) -> tuple[str, Side | None]:
-    """Return joint and side of a name such as left_elbow; the side is None on the midline and in a chain."""
+    """Split a name such as left_elbow into joint and side; the side is None for a name without a side."""
     side, _, joint = name.partition("_")
     if side == "left" or side == "right":
         return joint, side
@@ -54,7 +57,7 @@ def joint_and_side(name: str) -> tuple[str, Side | None]:
 
 
 def anatomy_problems(table: Mapping[str, tuple[str, str, str]], source: str) -> Iterator[Problem]:
-    """Yield the problems with `[anatomy]`: unknown joints, and joints whose markers are not all different."""
+    """Yield a problem for each joint of a table `[anatomy]` that is unknown or whose markers are not all different."""
     for joint, markers in table.items():
         if joint not in FLEXES_CAUDALLY:
             yield Problem(source, f"anatomy.{joint}", "no joint with this name", f"one of {', '.join(FLEXES_CAUDALLY)}")

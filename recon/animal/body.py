@@ -1,11 +1,11 @@
 """Describe an animal by its segments, its markers and the expected pose.
 
-A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. States are those of the tree, with
-x forwards, y left and z up. The class `Body` describes both a whole animal and a chain (`recon.animal.chain`). A chain
-is a tree with the limbs of one side, and has a left and a right keypoint for each marker.
+A body is a kinematic tree (`recon.geometry.kinematics`) with an expected pose and its standard deviations. In the frame
+of a segment, x points forwards, y left and z up. The class `Body` describes both a whole animal and a chain
+(`recon.animal.chain`). A chain has the limbs of one side only, and a left and a right keypoint for each marker.
 
-Only this module decides what is left, right, fore and hind. A word in the name of a segment or marker gives its side
-(`SIDES`), and the skeleton file states which foot is which (`FOOT_LABELS`).
+Only this module decides what is left, right, fore and hind. The side of a segment or marker follows from a word in its
+name (`SIDES`), and the position of a foot from the skeleton file (`FOOT_LABELS`).
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 ROUGH_SIZE_SIGMA = 0.25
-"""Relative standard deviation of the size above which a skeleton counts as belonging to no particular species.
+"""Relative standard deviation of the animal's size above which a skeleton belongs to no particular species.
 
-The value of skeletons of one species is at most 0.15.
+The standard deviation of skeletons of a single species is at most 0.15.
 """
 MIN_JOINTS = 5
-"""Smallest number of detected joints that determine an animal's pose."""
+"""Minimum number of detected joints required to determine an animal's pose."""
 MIN_REACH_PX = 50.0
-"""Length of the outstretched animal in the picture, in pixels, below which the animal is too small to be detected."""
+"""Length of the outstretched animal in the picture below which the animal is too small to be detected."""
 
 Side = Literal["left", "right"]
 
 SIDES = {"left": "right", "near": "off", "l": "r"}
-"""Words for the left side, each with the word for the right side.
+"""Words for the left side in names, each with the word for the right side.
 
-A horse's near side is its left, from any point of view.
+The near side of a horse is its left side, whatever the position of the camera.
 """
 _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
 
 
 def _side_pattern() -> re.Pattern[str]:
-    """Return a pattern for the word in a name that states a side.
+    """Return a pattern that matches the word for a side in a name.
 
     The word stands between separators, as in front_left_paw or eye.L, or is set off by capitals, as in frontLeftPaw,
     hipR or Nearknee. A letter may be part of a leg's code: LF, FL, RH, HR, LB, BL. A letter next to a digit does not
@@ -70,25 +70,25 @@ def _side_pattern() -> re.Pattern[str]:
 SIDE_WORD = _side_pattern()
 
 FOOT_LABELS = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
-"""Labels of a whole animal's feet, by their positions."""
+"""Label of each foot of a whole animal, with the foot's position as the key."""
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
 CHAIN_FOOT_LABELS = {"fore": "F", "hind": "H"}
-"""Labels of a chain's feet, by their positions. The letter of the fitted side is put before a label."""
+"""Label of each foot of a chain without the letter of the fitted side, with the foot's position as the key."""
 
 
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
-    """Return a validator for a table of feet, with one message for all problems."""
+    """Return a validator for the table of feet in a skeleton file, which raises the same message for every problem."""
 
     def checked(value: object) -> object:
         if isinstance(value, dict) and {*value} <= {*allowed} and all(isinstance(foot, str) for foot in value.values()):
             return value
-        raise ValueError(f"a table that says where each foot is, as {example}")
+        raise ValueError(f"a table with the position of each foot, such as {example}")
 
     return BeforeValidator(checked)
 
 
 def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
-    """Yield a problem for each foot on the wrong side, and for each foot that is named twice."""
+    """Yield a problem for each foot whose name contradicts its side, and a problem if a foot is listed twice."""
     for position, foot in feet.items():
         side = side_of(foot)
         if side is not None and position in FOOT_LABELS and not position.startswith(side):
@@ -100,7 +100,7 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
 
 
 def side_of(name: str) -> Side | None:
-    """Return the side given by the first word for a side in a name; None for a name on the midline."""
+    """Return the side that the first word for a side in a name states; None for a name without such a word."""
     word = SIDE_WORD.search(name)
     return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
@@ -112,29 +112,29 @@ def other_side(name: str) -> str:
 
 
 def opposites(names: Sequence[str]) -> Index:
-    """Return the index of each name's counterpart on the other side, shape (N,).
+    """Return the index of each name's counterpart on the other side of the body, shape (N,).
 
-    Names on the midline and names without a counterpart have their own index.
+    The counterpart of a name on the midline, or of a name that has none, is the name itself.
     """
     index_of = {name: i for i, name in enumerate(names)}
     return np.array([index_of.get(other_side(name), i) for name, i in index_of.items()], dtype=np.intp)
 
 
 def opposite_word(word: str) -> str:
-    """Return the word of the other side, in the same case."""
+    """Return the word for the other side of the body, in the same case, such as Right for Left."""
     opposite = _OPPOSITE[word.lower()]
     return opposite.upper() if word.isupper() else opposite.title() if word.istitle() else opposite
 
 
 def common_side(sides: Iterable[Side | None]) -> Side | None:
-    """Return the side if all sides are the same; None if they differ or are all on the midline."""
+    """Return the side that all items have in common; None if the sides differ or all items are on the midline."""
     distinct: set[Side] = {side for side in sides if side is not None}
     return distinct.pop() if len(distinct) == 1 else None
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Base class of skeletons with their own file format, which are converted to a body (`recon.animal.chain`)."""
+    """Base class of skeletons with a file format of their own, which can be converted to a body (`Chain`)."""
 
     name: str
     title: str
@@ -142,47 +142,50 @@ class Skeleton:
 
 @dataclass(frozen=True, repr=False)
 class Body(Brief):
-    """Tree with J markers and D unknowns per frame, and the expected values of the unknowns."""
+    """Kinematic tree of an animal with J markers and D unknowns per frame, and the expected values of the angles."""
 
     name: str
     title: str
     tree: Tree
     keypoints: tuple[tuple[str, str], ...]
-    """Name of each marker's keypoint if the left limbs are fitted, and if the right limbs are fitted, (J,)."""
+    """Names of each marker's keypoints for a fit of the left limbs and for a fit of the right limbs, J pairs."""
     limbs: dict[str, tuple[str, ...]]
-    """Marker names along each limb, for drawing."""
+    """Names of the markers along each limb, with the limbs' names as keys; used for drawing."""
     forward: tuple[str, str]
-    """Two markers of the trunk, from rear to front."""
+    """Rear and front marker of the trunk, which define the direction in which the animal faces."""
     feet: tuple[str, ...]
-    """Markers that touch the ground."""
+    """Names of the markers that touch the ground."""
     foot_labels: tuple[str, ...]
     """Position of each foot, a key of `FOOT_LABELS`, or of `CHAIN_FOOT_LABELS` for a chain."""
     keypoint_sigma_m: float
-    """Standard deviation of a keypoint's distance from its marker."""
+    """Standard deviation of a detected keypoint about its marker in a single frame."""
     size_sigma: float
-    """Relative standard deviation of the size, a factor of about 1 that scales all lengths."""
+    """Relative standard deviation of the animal's size, a factor near 1 that scales all lengths."""
     mean_rad: Array
-    """Expected values of state[:, 4:], the root's pitch and roll and the joints' angles, shape (D - 4,)."""
+    """Expected values of the root's pitch and roll and the joints' angles, which are state[:, 4:], shape (D - 4,)."""
     sigma_rad: Array
-    """Standard deviations of the angles of `mean_rad`, shape (D - 4,)."""
+    """Standard deviations of the angles about `mean_rad`, shape (D - 4,)."""
     acceleration_rad_s2: Array
-    """Standard deviations of the accelerations of the angles of `mean_rad`, shape (D - 4,)."""
+    """Standard deviations of the angular accelerations of the same angles as in `mean_rad`, shape (D - 4,)."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Offset of a detector's keypoint from its marker, (x, y, z) in the frame of the marker's segment, by marker."""
+    """Offset of a detector's keypoint from its marker, with the markers' names as keys.
+
+    An offset is (x, y, z) in the frame of the marker's segment.
+    """
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
-    """Standard deviation of a keypoint's offset between clips, along each axis, by marker."""
+    """Standard deviation of a keypoint's offset between clips, along each axis, with the markers' names as keys."""
     marker_sigma_m: float = 0.0
-    """Standard deviation, along each axis, of a marker's offset from the point of the animal that it represents."""
+    """Standard deviation, along each axis, of the difference between a marker and the same point of the real animal."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
-    """Standard deviation of a keypoint's offset in a single frame, by marker; `keypoint_sigma_m` for other markers."""
+    """Values that replace `keypoint_sigma_m` for single keypoints, with the markers' names as keys."""
     detector: str | None = None
-    """Name of the detector for which the offsets hold (`recon.animal.skeleton_file`)."""
+    """Name of the detector to which the keypoints' offsets belong (`recon.animal.skeleton_file`); None without any."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Fraction of the body's mass in each segment, and its standard deviation; empty if unknown."""
+    """Fraction of the body's mass in each segment, with its standard deviation; empty if unknown."""
     mass_source: str | None = None
-    """Source of the masses."""
+    """Publication or data from which the masses were taken; None if the masses are unknown."""
     anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
-    """Markers above, at and below each joint, by the joint's name and side, such as left_elbow."""
+    """Markers above, at and below each anatomical joint; the keys are names with sides, such as left_elbow."""
     subject: str | None = None
     """Name of the animal whose measured lengths the body has; None if the lengths are those of the skeleton file."""
 
@@ -207,7 +210,7 @@ class Body(Brief):
 
     @cached_property
     def detected(self) -> Tree:
-        """Return the tree with its markers at the points that the detector sees."""
+        """Return the kinematic tree with its markers moved to the detector's keypoints (`keypoint_offset_m`)."""
         if not self.keypoint_offset_m:
             return self.tree
         zero = (0.0, 0.0, 0.0)
@@ -225,34 +228,31 @@ class Body(Brief):
 
     @cached_property
     def one_sided(self) -> bool:
-        """Return whether the body is a chain, which is fitted to the limbs of one side."""
+        """Return whether the body is a chain, which represents the limbs of one side."""
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
-        """Return the names (J,) of the markers' keypoints for a fit of the limbs of `side`.
-
-        `side` is None for a whole animal.
-        """
+        """Return the names of the J markers' keypoints for a fit of the limbs of `side`; None for a whole animal."""
         return tuple(right if side == "right" else left for left, right in self.keypoints)
 
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
-        """Return the markers of the feet by their labels LF, RF, LH and RH.
+        """Return a dictionary of the feet's markers, with the labels LF, RF, LH and RH as keys.
 
-        `side` is the fitted side of a chain.
+        `side` is the fitted side of a chain; None for a whole animal.
         """
         start = "" if side is None else side[0].upper()
         labels = (label if label in FOOT_LABELS.values() else start + label for label in self.foot_labels)
         return dict(zip(labels, self.feet, strict=True))
 
     def side_of(self, marker: str) -> Side | None:
-        """Return the side of a marker, from its foot label if it is a foot, otherwise from its name."""
+        """Return the side of a marker from its foot label or, if it is not a foot, from its name."""
         label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
         return _LABELLED[label[0]] if label in FOOT_LABELS.values() else side_of(marker)
 
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
-        """Return the side of each limb; None for a limb on the midline or on both sides.
+        """Return the side of each limb; None for a limb on the midline or with markers on both sides.
 
-        `side` is the fitted side of a chain.
+        `side` is the fitted side of a chain; None for a whole animal.
         """
         one_sided = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
         return {
@@ -262,7 +262,7 @@ class Body(Brief):
 
     @cached_property
     def limb_rows(self) -> dict[str, tuple[int, ...]]:
-        """Return the indices of the markers along each limb, for drawing."""
+        """Return the indices of the markers along each limb, with the limbs' names as keys; used for drawing."""
         index_of = {marker: j for j, marker in enumerate(self.markers)}
         return {limb: tuple(index_of[marker] for marker in markers) for limb, markers in self.limbs.items()}
 
@@ -273,13 +273,13 @@ class Body(Brief):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Return the names of the unknowns (D,), the root's position and heading first."""
+        """Return the names of the D unknowns of a frame, beginning with the root's position and heading."""
         return self.tree.state_names
 
     def expected_points_m(self, angle: int | None = None, off_rad: float = 0.0) -> Array:
-        """Return the markers (J, 3), metres, with all angles at their means and the root at zero.
+        """Return the positions of the markers in the expected pose, metres, shape (J, 3), with the root at the origin.
 
-        If `angle`, an index into state[4:], is given, this angle differs from its mean by `off_rad`.
+        If `angle`, an index into state[4:], is given, this angle differs from its expected value by `off_rad`.
         """
         state = np.concatenate([np.zeros(4), self.mean_rad])
         if angle is not None:
@@ -288,9 +288,9 @@ class Body(Brief):
 
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
-        """Return the permutation and the signs, (D,) each, that mirror a state in the x-z plane.
+        """Return the permutation and the signs, (D,) each, that exchange left and right in a state of the animal.
 
-        state[..., permutation] * sign is the mirrored animal.
+        state[..., permutation] * sign is the state after reflection in the x-z plane.
         """
         flips = np.array([False, True, False, *(axis != "y" for axis in self.tree.axes)])
         return opposites(self.state_names), np.where(flips, -1.0, 1.0)

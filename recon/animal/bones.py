@@ -1,7 +1,7 @@
 """Name the bones of an animal and the joints that they connect, from the skeleton's `[anatomy]`.
 
-A bone connects two joints of a limb or of the trunk. The length of a bone is that of the offset of a segment from its
-parent, or of a marker from its segment, as given in the skeleton file.
+A bone connects two joints of a limb or of the trunk. Its length is the length of an offset in the skeleton file, of a
+segment from its parent or of a marker from its segment.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ NAMES: dict[tuple[str, str], str] = {
     ("spine", "neck base"): "front trunk",
     ("neck base", "nose"): "head and neck",
 }
-"""Name of each bone by the two joints that it connects, from the trunk outwards."""
+"""Name of each bone, with the two joints that it connects as the key, from the trunk outwards."""
 CHAINS = (("shoulder", "elbow", "carpus", "fetlock"), ("hip", "stifle", "hock", "hind_fetlock"))
 """Joints of the fore and the hind limb, from the trunk outwards."""
 
 
 @dataclass(frozen=True)
 class Bone:
-    """Bone, or several bones in a line, such as the trunk."""
+    """A bone, or several bones that form a line, such as the trunk."""
 
     name: str
     """Anatomical name, such as upper arm."""
     connects: tuple[str, str]
     """Joints at both ends, such as shoulder and elbow."""
     offsets: tuple[str, ...]
-    """Segments or markers whose offsets, laid end to end, have the bone's length."""
+    """Names of the segments or markers whose offsets add up to the bone."""
     length_m: float
     side: Side | None = None
 
@@ -54,7 +54,7 @@ class Bone:
 
 
 def bones_of(body: Body) -> tuple[Bone, ...]:
-    """Return the bones of the trunk and of the left or only side; empty without `[anatomy]`."""
+    """Return the bones of the trunk and of the limbs on the left, or on the only side; empty without `[anatomy]`."""
     bones = [*_trunk(body), *_limbs(body)]
     return tuple(bone for bone in bones if bone.length_m > 0)
 
@@ -111,6 +111,6 @@ def _segment_of(body: Body, marker: str) -> str:
 
 
 def _segment_at_origin(body: Body, marker: str) -> str | None:
-    """Return the segment whose origin a marker coincides with, or None."""
+    """Return the name of the segment whose origin is at a marker, or None if there is none."""
     item = next(item for item in body.tree.markers if item.name == marker)
     return None if any(item.offset_m) else item.segment

@@ -12,27 +12,27 @@ from recon.base.arrays import Array
 from recon.geometry.kinematics import Tree
 
 _SLENDER = 0.12
-"""Smallest radius of a segment's capsules, relative to the length of the longest one."""
+"""Minimum radius of a segment's capsules, relative to the length of the segment's longest capsule."""
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """Cylinder with round ends from a segment's origin to a point (x, y, z) in the segment's frame, metres."""
+    """Cylinder with round ends from a segment's origin to the point `end_m`, (x, y, z) in the segment's frame."""
 
     segment: int
-    """Index of the tree's segment that carries the capsule."""
+    """Index of the segment that the capsule represents."""
     end_m: tuple[float, float, float]
     radius_m: float
     side: Side | None
 
 
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
-    """Return the capsules of a tree.
+    """Return the capsules that represent the segments of a tree.
 
-    The capsules lie in the median plane of a segment and extend from its origin to the origins of its child segments
-    and to its markers. The thickness of the capsules is the spread of these points. A segment of the trunk between two
-    others is at least as thick as the thinner of the two. Sides follow from the names of the segments and from `names`
-    (J,), the keypoint names of the markers.
+    The capsules lie in the x-z plane of a segment and extend from its origin to the origins of its child segments and
+    to its markers. Their radius is the largest distance of these points from that plane. A segment of the trunk between
+    two others is at least as thick as the thinner of the two. The side of a capsule follows from the name of the
+    segment and from `names`, the keypoints' names of the J markers.
     """
     segments = tree.segments
     ends, radii, sides = [], [], []
@@ -55,13 +55,16 @@ def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
 
 
 def middles_m(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """Return the centre of each segment's capsules in the segment's frame (S, 3), the origin if it has no capsules."""
+    """Return the middle of each segment's capsules in the segment's frame, metres, shape (S, 3).
+
+    Return the origin for a segment without capsules.
+    """
     ends = [[c.end_m for c in shape if c.segment == i] or [(0.0, 0.0, 0.0)] for i in range(len(tree.segments))]
     return np.array([np.mean(segment_ends, axis=0) / 2 for segment_ends in ends])
 
 
 def inertias_m2(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """Return each segment's inertia tensor about `middles_m`, per kilogram, shape (S, 3, 3).
+    """Return each segment's inertia tensor about the middle of its capsules, per kilogram, m^2, shape (S, 3, 3).
 
     Capsules are treated as solid cylinders of uniform density, without the round ends.
     """

@@ -7,8 +7,8 @@ and a link of length r adds
 
     r (cos T cos P,  sin T,  cos T sin P)
 
-to the position, so that the link keeps its length for any angles. `Chain.body` is the chain as a tree of segments, like
-any animal. The published unknowns of a frame are in `recon.thesis.chain`.
+to the position, so that the link keeps its length for any angles. `Chain.body` converts a chain to a tree of segments,
+as for other animals. The published unknowns of a frame are in `recon.thesis.chain`.
 
 Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
 Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
@@ -42,11 +42,11 @@ UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _PITCH_RAD = 0.3
 """Standard deviation of the pitch of a running animal, rad."""
 _ROOT_RAD_S2 = 40.0
-"""Standard deviation of the angular acceleration of a running animal's pitch and roll, rad/s^2."""
+"""Standard deviation of the pitch and roll acceleration of a running animal, rad/s^2."""
 
 
 def _left_and_right(keypoint: object) -> object:
-    """Return the keypoint names (left, right), given a table of both or one name for both sides."""
+    """Return the names of the left and the right keypoint, given a table of both or a name for both sides."""
     if isinstance(keypoint, dict) and {*keypoint} == {"left", "right"}:
         return keypoint["left"], keypoint["right"]
     return (keypoint, keypoint) if isinstance(keypoint, str) else keypoint
@@ -75,7 +75,7 @@ class _Link(FileTable):
 
     @property
     def free(self) -> bool:
-        """Return whether the link has angles; a link without angles lies on its parent's axis."""
+        """Return whether the link has angles; a link without angles is in line with its parent."""
         return self.theta is not None
 
 
@@ -108,17 +108,17 @@ class _ChainFile(FileTable):
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """Joints of the chain above, at and below each anatomical joint."""
+    """Names of the chain's joints above, at and below each anatomical joint."""
     length_m: dict[str, Sigma] = Field(default_factory=dict)
-    """Measured lengths of links, which replace their ratios."""
+    """Measured lengths of links, which replace the lengths computed from `ratio`."""
 
 
 @dataclass(frozen=True)
 class AngleRanges:
-    """Expected ranges of the free links' angles, as arrays (A,) in the order of the state."""
+    """Expected ranges of theta or phi of the A free links, as arrays (A,) in the order of the state."""
 
     mean_rad: Array
-    """Middle of the expected range; the range is mean ± tolerance."""
+    """Middle of the expected range, which is mean ± tolerance."""
     tolerance_rad: Array
     max_rate_rad_s: Array
     """Largest expected angular velocity, rad/s."""
@@ -132,12 +132,12 @@ class Chain(Skeleton):
     """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""
 
     file: _ChainFile
-    """The content of the skeleton's file."""
+    """Content of the skeleton file."""
     nominal_base_length_m: float
 
     @cached_property
     def links(self) -> tuple[_Link, ...]:
-        """Return the links of the file, with measured lengths instead of ratios where there are any."""
+        """Return the links of the skeleton file, with measured lengths where these are given."""
         nominal_m = self.file.base_length.nominal_m
         measured = {name: length_m / nominal_m for name, length_m in self.file.length_m.items()}
         return tuple(
@@ -147,7 +147,7 @@ class Chain(Skeleton):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of the joints, the root first, then the ends of the links in order."""
+        """Return the names of the joints: the root, then the ends of the links in order."""
         return self.file.root, *(link.end for link in self.links)
 
     @cached_property
@@ -162,7 +162,7 @@ class Chain(Skeleton):
 
     @cached_property
     def n_angles(self) -> int:
-        """Return the number of free links A."""
+        """Return A, the number of links that have angles."""
         return sum(link.free for link in self.links)
 
     @cached_property
@@ -173,7 +173,7 @@ class Chain(Skeleton):
 
     @cached_property
     def unknown_names(self) -> tuple[str, ...]:
-        """Return the published names of the unknowns of a frame, in order, (2 A + 7,); 21 for the 8U chain."""
+        """Return the published names of the 2 A + 7 unknowns of a frame, in order; 21 for the 8U chain."""
         angles = (name.replace("theta_", "th").replace("phi_", "ph") for name in self.angle_names)
         return (*angles, "x0", "y0", "z0", "xi", "psi", "zeta", "base_length")
 
@@ -203,8 +203,7 @@ class Chain(Skeleton):
         expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
         expected[1, self.body_angles] = np.repeat([prior.theta_sigma_rad, prior.phi_sigma_rad], self.n_angles)
         # A sinusoid that spans the expected range and just reaches the largest rate has the angular frequency w = rate
-        # / tolerance. Its largest acceleration is w^2 tolerance, and its root mean square acceleration is 1 / sqrt(2)
-        # of this.
+        # / tolerance. Its root mean square acceleration is 1 / sqrt(2) of its largest acceleration, w^2 tolerance.
         swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
         expected[2, self.body_angles] = np.concatenate(swing)
         return Body(
@@ -226,14 +225,17 @@ class Chain(Skeleton):
 
     @cached_property
     def body_angles(self) -> Index:
-        """Return the columns of the body's state that hold the thetas and then the phis, (2 A,)."""
+        """Return the columns of the body's state with the theta angles, followed by the phi angles, shape (2 A,)."""
         # After the six unknowns of the root, every free link has its yaw and then its pitch.
         pitch = 7 + 2 * np.arange(self.n_angles)
         return np.concatenate([pitch, pitch - 1])
 
 
 def upright_rotation(heading: Array, up: Array) -> Array:
-    """Return R_camera_local (..., 3, 3) of a level animal with U along heading (..., 3), V down and W to the side."""
+    """Return the rotation from the local frame UVW of a level animal to the camera frame, shape (..., 3, 3).
+
+    U points along `heading`, shape (..., 3) in the camera frame, and V points down.
+    """
     down = np.broadcast_to(-up, heading.shape)
     return np.stack([heading, down, np.cross(heading, down)], axis=-1)
 
@@ -245,7 +247,7 @@ def builtin_chains() -> tuple[str, ...]:
 
 
 def load_chain(name_or_path: str | Path) -> Chain:
-    """Return the chain of a skeleton, by its name or file.
+    """Load a chain by the name of a built-in skeleton or from a skeleton file.
 
     Raises
     ------
@@ -264,7 +266,7 @@ def _read(name: str | Path, suggested: Iterable[str] | None = None) -> tuple[dic
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """Return the tables of a file, merged with those of the skeleton that it `extends`."""
+    """Return the tables of a skeleton file, merged with those of the skeleton that its key `extends` names."""
     if "extends" not in raw:
         return raw
     if not isinstance(name := raw["extends"], str):
@@ -277,13 +279,16 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
 
 
 def _file_or_builtin(name: str, source: str) -> str:
-    """Return the skeleton that a file names, which is built in or a file in the same or the current folder."""
+    """Return the name of a built-in skeleton, or the path of a skeleton file, that the file `source` refers to.
+
+    The skeleton file is in the folder of `source` or in the current folder.
+    """
     file = Path(source).parent / name
     return str(file) if os.path.isfile(file) and name not in documents.builtin_names(_SKELETONS, ".toml") else name
 
 
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
-    """Return the chain that the tables of a file describe.
+    """Return the chain that the tables of a skeleton file describe.
 
     Raises
     ------
@@ -327,9 +332,9 @@ def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
 
 
 def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
-    """Return the side of the animal that faces an upright camera, and the reason.
+    """Return the side of the animal that an upright camera sees, and the reason as text.
 
-    An animal that faces the right of the picture shows its right side.
+    An animal that faces the right edge of the picture shows its right side.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Read and write the measured lengths of animals (subject files); write files of detectors and priors."""
+"""Read and write subject files, the measured lengths of an animal, and write detector and prior files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _SubjectFile(FileTable):
 
 
 def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
-    """Check and return a subject's table.
+    """Return the validated content of a subject file, given the file's table.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
 
 
 class _Row(Protocol):
-    """Segment or marker in the table of a skeleton."""
+    """Segment or marker in a skeleton file."""
 
     @property
     def name(self) -> str: ...
@@ -50,7 +50,7 @@ class _Row(Protocol):
 
 
 class _SkeletonTable(Protocol):
-    """Part of a skeleton's table (`recon.animal.skeleton_file`) that a subject changes."""
+    """Part of a skeleton file's content (`recon.animal.skeleton_file`) that a subject file replaces."""
 
     @property
     def name(self) -> str: ...
@@ -65,7 +65,7 @@ _Table = TypeVar("_Table", bound=_SkeletonTable)
 
 
 def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) -> Iterator[Problem]:
-    """Yield the reasons why a subject does not fit a skeleton's table (`recon.animal.skeleton_file`)."""
+    """Yield a problem for each entry of a subject file that does not fit the skeleton file."""
     if animal.skeleton != file.name:
         yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton in use")
         return
@@ -78,7 +78,10 @@ def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) ->
 
 
 def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
-    """Return a skeleton's table with the lengths and keypoint offsets of a measured animal; the root stays as it is."""
+    """Return the content of a skeleton file with the lengths and keypoint offsets of a measured animal.
+
+    The offset of the root is not changed.
+    """
 
     def changed(item: _Row) -> _Row:
         measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
@@ -131,7 +134,7 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
 
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
-    """Write a prior to an .npz file, with arrays in single precision and texts as JSON, without pickles."""
+    """Write a motion prior to an .npz file without pickles, with arrays in single precision and texts as JSON."""
     description: dict[str, Any] = {"format": 1, "name": prior.name, "source": prior.source}
     description |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}

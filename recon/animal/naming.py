@@ -1,7 +1,7 @@
-"""Translate a detector's keypoint names into a skeleton's, by a map.
+"""Translate the keypoint names of a detector into the names of a skeleton's keypoints, given a name map.
 
-A map is a CSV file with two columns: a keypoint's name in the keypoint file, and the skeleton's name for it. If the
-second cell is empty, the keypoint is left out. Built-in maps are the files in `recon/animal/names`.
+A name map is a CSV file with two columns: the name in the keypoint file, and the name in the skeleton. If the second
+cell is empty, the keypoint is left out. Built-in maps are the files in `recon/animal/names`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import Keypoints
 
 HEADER = ("file", "skeleton")
-"""Optional first row of a map."""
+"""Optional first row of a name map."""
 _EXPECTED = "a CSV file with two columns: a keypoint's name in the file, and the skeleton's"
 _SAME_WORDS: dict[str, str] = {
     "thai": "thigh",
@@ -34,23 +34,23 @@ _SAME_WORDS: dict[str, str] = {
     "tarsi": "tarsus",
     "stiffle": "stifle",
 }
-"""Synonyms and common misspellings, each with the word that replaces it."""
+"""Synonyms and common misspellings in keypoint names, each with the word that replaces it."""
 _LIMB_OF = {
     **dict.fromkeys(("shoulder", "elbow", "carpus", "wrist"), "front"),
     **dict.fromkeys(("hip", "stifle", "hock", "tarsus"), "back"),
 }
-"""Joints that only the fore or only the hind limbs have, with their limb."""
+"""Joints that occur only in the fore or only in the hind limbs, each with the word for these limbs."""
 _LEG_WORDS = {*_LIMB_OF, "paw", "foot", "hoof", "hand", "knee", "ankle", "toe", "fetlock", "stiffle"}
-"""Parts of a leg that a letter for fore or hind may precede, as in LFpaw and RHhock."""
+"""Words for parts of a leg before which a letter may mean fore or hind, as in LFpaw and RHhock."""
 _SEPARATORS = "_-. "
 _FILLERS = {"of", "the", "limb"}
-"""Words that are ignored when names are compared."""
+"""Words that are ignored when keypoint names are compared."""
 ANATOMICAL = "anatomical"
-"""Name of the built-in map of veterinary terms."""
+"""Name of the built-in name map for veterinary terms."""
 _NEAR = 0.8
-"""Similarity of two names, from 0 to 1, above which they may mean the same keypoint."""
+"""Similarity of two names, from 0 to 1, above which they are suggested as names of the same keypoint."""
 _MOST_OF_FILE = 0.8
-"""Smallest fraction of a file's keypoints that a skeleton needs to be suggested as the right one."""
+"""Minimum fraction of a file's keypoints that a skeleton must have to be suggested for this file."""
 
 
 _Default = TypeVar("_Default")
@@ -58,7 +58,7 @@ _Default = TypeVar("_Default")
 
 @dataclass(frozen=True)
 class NameMap:
-    """Map from a file's keypoint names to the skeleton's."""
+    """Map from the keypoint names in a file to the names in a skeleton."""
 
     source: str
     """Name of the built-in map, or path of the map's file."""
@@ -83,22 +83,22 @@ class NameMap:
         return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
-        """Return how many of the wanted names are present after the map has been applied to `names`."""
+        """Return the number of the wanted names that are present after the map has been applied to `names`."""
         return len({self.get(name, name) for name in names} & {*wanted})
 
 
 def builtin_maps() -> tuple[str, ...]:
-    """Return the names of the built-in maps."""
+    """Return the names of the built-in name maps."""
     return documents.builtin_names("animal/names", ".csv")
 
 
 def load_names(name_or_path: str | Path) -> NameMap:
-    """Load a map of names by its built-in name or from a CSV file.
+    """Load a name map by its built-in name or from a CSV file.
 
     Raises
     ------
     InputError
-        If the file is not a map; every problem is listed.
+        If the file is not a name map. The error lists every problem.
     """
     source = str(name_or_path)
     content, _ = documents.named_file(name_or_path, "animal/names", ".csv", "--rename", "map of names")
@@ -129,12 +129,12 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
-    """Return keypoints renamed by a map, with a note on what was renamed.
+    """Return keypoints with the names of a skeleton, and with a note that states which were renamed.
 
     Raises
     ------
     InputError
-        As in `new_names`.
+        If the map does not fit the names (`new_names`).
     """
     keep, names, note = new_names(keypoints.names, name_map, keypoints.source or "the keypoints")
     return replace(
@@ -147,9 +147,9 @@ def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
 
 
 def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[list[int], tuple[str, ...], str]:
-    """Return the indices of the names that are kept, their new names, and a note on what was renamed.
+    """Return the indices of the keypoints that are kept, their new names, and a note that states which were renamed.
 
-    `source` is the name of the keypoint file for messages.
+    `source` is the name of the keypoint file in error messages.
 
     Raises
     ------
@@ -180,7 +180,10 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
 
 
 def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]:
-    """Return the most similar missing name for each unused name, the closest pairs first; each name is used once."""
+    """Return a dictionary that suggests a similar missing name for unused names, beginning with the most similar pair.
+
+    Every missing name is suggested at most once.
+    """
     pairs = [(likeness, a, b) for a in unused for b in missing if (likeness := _likeness(a, b)) >= _NEAR]
     matches: dict[str, str] = {}
     for _, a, b in sorted(pairs, key=lambda pair: -pair[0]):
@@ -190,7 +193,7 @@ def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]
 
 
 def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
-    """Return the built-in maps with which more of the wanted names are present, the most helpful map first."""
+    """Return the names of the built-in maps that increase the number of wanted names, the best map first."""
     wanted = {*wanted}
     shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
     better = [name for name, share in shares.items() if share > len({*names} & wanted)]
@@ -198,18 +201,19 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 
 
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
-    """Return the options for the built-in skeleton that has most of the named keypoints, and the number of these.
+    """Return the command-line options for the built-in skeleton with the most of the named keypoints, and their number.
 
-    The options include a map if it helps, such as `--skeleton human-25 --rename coco-17`.
+    The options include a name map if it helps, such as `--skeleton human-25 --rename coco-17`.
     """
     (skeleton, name_map), count = _best_skeleton(names)
     return f"--skeleton {skeleton}{name_map.source and ' --rename '}{name_map.source}", count
 
 
 def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
-    """Return the built-in skeleton that has most of the named keypoints, and their indices by the skeleton's markers.
+    """Return the built-in skeleton that has the most of the named keypoints, and a dictionary of their indices.
 
-    Names are compared unchanged and after each built-in map. The skeleton is None if none has any of the keypoints.
+    The keys are the skeleton's markers. Names are compared unchanged and after each built-in name map. The skeleton is
+    None if no skeleton has any of the keypoints.
     """
     (skeleton, name_map), count = _best_skeleton(names)
     if not count:
@@ -220,7 +224,7 @@ def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
 
 
 def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
-    """Return the built-in skeleton and map that give the most keypoints a marker, and the number of such keypoints."""
+    """Return the built-in skeleton and name map that fit the most of the named keypoints, and the number of these."""
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
     counts = [
         ((skeleton, name_map), name_map.common(names, markers))
@@ -231,7 +235,7 @@ def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
 
 
 def _whole_animals() -> dict[str, tuple[str, ...]]:
-    """Return the markers of the built-in skeletons of whole animals, by name."""
+    """Return the markers of each built-in skeleton of a whole animal, with the skeletons' names as keys."""
     from recon.animal.chain import builtin_chains  # imported here because few clips use a chain
 
     chains = builtin_chains()
@@ -239,9 +243,9 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
 
 
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
-    """Return the problem with a file whose names are not those of the skeleton, with a remedy.
+    """Return the problem that a file's keypoint names differ from those of the skeleton, with a remedy.
 
-    The remedy is another skeleton, a built-in map or, if no built-in map has every name, a map whose lines are shown.
+    The remedy is another skeleton, a built-in name map or, if no built-in map has every name, the lines of a new map.
     """
     detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
     if matching := skeleton_of(names):
@@ -259,7 +263,10 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
-    """Yield the lines of a map for a file with these names, with similar and anatomical names filled in."""
+    """Yield the lines of a new name map for a file's keypoint names, filled in where a wanted name is similar.
+
+    Names that the built-in map of veterinary terms contains are also filled in.
+    """
     names, wanted = list(names), list(wanted)
     unused, missing = [n for n in names if n not in wanted], [w for w in wanted if w not in names]
     near, anatomical = suggestions(unused, missing), load_names(ANATOMICAL)
@@ -272,7 +279,7 @@ def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
 
 
 def _likeness(a: str, b: str) -> float:
-    """Return the similarity of two names from 0 to 1, which is 0 for different sides."""
+    """Return the similarity of two keypoint names from 0 to 1; 0 for names of different sides."""
     if side_of(a) != side_of(b):
         return 0.0
     if _written(a) == _written(b):
@@ -284,14 +291,14 @@ def _likeness(a: str, b: str) -> float:
 
 
 def _written(name: str) -> tuple[str | None, ...]:
-    """Return the side and the words of a name in a fixed order and case."""
+    """Return the side and the words of a keypoint name in a fixed order, in lower case."""
     return side_of(name), *sorted(_words(name))
 
 
 def _words(name: str) -> list[str]:
-    """Return the words of a name without its side, in lower case, such as base and tail for rootOfTail.
+    """Return the words of a keypoint name without its side, in lower case, such as base and tail for rootOfTail.
 
-    A word that another word implies is left out, such as front in LF_carpus and tip in hoof_tip.
+    Words that another word implies are left out, such as front in LF_carpus and tip in hoof_tip.
     """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
     whole = [word.lower() for word in words]
@@ -325,7 +332,7 @@ def both_sides(name: str) -> str:
 
 
 def skeleton_of(keypoints: Iterable[str]) -> str | None:
-    """Return the largest built-in skeleton whose markers are all among the given keypoints, or None."""
+    """Return the name of the largest built-in skeleton whose markers are all among the given keypoints, or None."""
     names = {*keypoints}
     fitting = {name: len(markers) for name, markers in _whole_animals().items() if {*markers} <= names}
     return max(fitting, key=lambda name: fitting[name], default=None)

@@ -1,4 +1,4 @@
-"""Describe which poses occur in a class of motions, how likely they are, and how they change.
+"""Describe by a motion prior which poses occur in a kind of motion, how likely they are, and how they change.
 
 A prior describes the angles z = state[4:] of a body: the root's pitch and roll, and the joints' angles. Built-in priors
 are the files in `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` creates priors.
@@ -22,11 +22,11 @@ from recon.base.documents import FileTable
 from recon.base.errors import InputError, Problem, raise_problems
 
 ANGLES = slice(4, None)
-"""Columns of the state that a prior describes."""
+"""Columns of the state whose angles a motion prior describes."""
 NONE = "none"
-"""Name of the prior that consists of the skeleton file's expectations only."""
+"""Name of the prior that consists only of the expected angles in the skeleton file."""
 LARGEST = 1e12
-"""Largest number in a valid prior; a larger number means that the file is damaged."""
+"""Largest absolute value in the arrays of a valid prior; a larger value means that the file is damaged."""
 SHAPES = {
     "weights": "K",
     "means": "KA",
@@ -36,12 +36,12 @@ SHAPES = {
     "drift": "AB",  # B stands for 2A
     "acceleration_covariance": "AA",
 }
-"""Shapes of a prior's arrays, by name: K components, A angles."""
+"""Shape of each array of a prior, with K components and A angles."""
 
 
 @dataclass(frozen=True)
 class SegmentRow:
-    """Continuous segment of motion, and whether the prior was fitted to it."""
+    """Continuous segment of motion for fitting a prior; `used` is false if the segment was too slow."""
 
     name: str
     frames: int
@@ -52,32 +52,35 @@ class SegmentRow:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
-    """Statistics of the poses and accelerations of A angles, rad, with K mixture components.
+    """Motion prior: statistics of the poses and accelerations of A angles, with a mixture of K Gaussians.
 
     Raises
     ------
     ValueError
-        If the arrays do not form a prior; every problem is listed.
+        If an array has the wrong shape, or is not a valid covariance or weight. The error lists every problem.
     """
 
     name: str
     angles: tuple[str, ...]
-    """Names of the angles, state_names[4:] of the body, (A,)."""
+    """Names of the A angles, which are `state_names[4:]` of the body."""
     weights: Array
-    """Gaussian mixture of the poses: weights (K,), means (K, A) and covariances (K, A, A)."""
+    """Weights of the Gaussian mixture of the poses, shape (K,).
+
+    The means have the shape (K, A), rad, and the covariances (K, A, A), rad^2.
+    """
     means: Array
     covariances: Array
     mean: Array
-    """Single Gaussian of the same poses: mean (A,) and covariance (A, A)."""
+    """Mean of a single Gaussian of the same poses, shape (A,); its covariance has the shape (A, A)."""
     covariance: Array
     drift: Array
-    """Matrix (A, 2A) of the model of accelerations, d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
+    """Matrix of the linear model of accelerations, d2z/dt2 = drift @ [z - mean, dz/dt] + noise, shape (A, 2A)."""
     acceleration_covariance: Array
-    """Covariance of the noise in the model of accelerations, rad^2/s^4, shape (A, A)."""
+    """Covariance of the noise in the linear model of accelerations, rad^2/s^4, shape (A, A)."""
     source: str
-    """Source of the poses, as text."""
+    """Description of the data from which the poses were taken."""
     segments: tuple[SegmentRow, ...] = ()
-    """Continuous segments of motion that were available to fit the prior."""
+    """Continuous segments of motion that were given to fit the prior, used or not."""
 
     def __post_init__(self) -> None:
         wrong = array_problems({name: getattr(self, name) for name in SHAPES}, len(self.angles))
@@ -86,21 +89,24 @@ class MotionPrior:
 
     @cached_property
     def pose_whitener(self) -> Array:
-        """Return L' (A, A) with L L' = covariance^-1: L' d has unit covariance."""
+        """Return the matrix L', where L L' is the inverse of the covariance of the poses, shape (A, A).
+
+        Multiplied by L', a deviation of a pose from the mean has unit covariance.
+        """
         return _whitener(self.covariance)
 
     @cached_property
     def mixture_whiteners(self) -> Array:
-        """Return L' as in `pose_whitener` for the covariance of each component of the mixture, shape (K, A, A)."""
+        """Return the matrices of `pose_whitener` for the K components of the mixture, shape (K, A, A)."""
         return _whitener(self.covariances)
 
     @cached_property
     def acceleration_whitener(self) -> Array:
-        """Return L' as in `pose_whitener` for the covariance of the accelerations' noise, shape (A, A)."""
+        """Return the matrix of `pose_whitener` for the noise of the accelerations, shape (A, A)."""
         return _whitener(self.acceleration_covariance)
 
     def with_accelerations(self, scale: Array) -> MotionPrior:
-        """Return the prior with the standard deviations of the accelerations multiplied by factors (A,)."""
+        """Return the prior with the standard deviation of each angle's acceleration multiplied by a factor (A,)."""
         return replace(self, acceleration_covariance=self.acceleration_covariance * np.outer(scale, scale))
 
 
@@ -109,7 +115,7 @@ def _whitener(covariance: Array) -> Array:
 
 
 def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
-    """Return each problem with a prior's arrays as (field, found, expected)."""
+    """Return the problems with the arrays of a prior, each as (field, found, expected)."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:
@@ -134,7 +140,7 @@ def _is_positive_definite(matrices: Array) -> bool:
 
 
 def prior_from_body(body: Body) -> MotionPrior:
-    """Return a prior from the skeleton file alone, with independent angles as the file expects them."""
+    """Return a prior of independent angles, with the expected values and standard deviations in the skeleton file."""
     mean, covariance, n = body.mean_rad, np.diag(body.sigma_rad**2), len(body.mean_rad)
     dynamics = np.zeros((n, 2 * n)), np.diag(body.acceleration_rad_s2**2)
     arrays = (np.ones(1), mean[None], covariance[None], mean, covariance, *dynamics)
@@ -142,7 +148,7 @@ def prior_from_body(body: Body) -> MotionPrior:
 
 
 def mean_speed_m_s(states: Array, fps: float) -> float:
-    """Return the mean horizontal speed, m/s, of the root over states (T, D); 0 without consecutive frames."""
+    """Return the mean horizontal speed of the root over states (T, D), m/s; 0 without consecutive frames."""
     steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
@@ -168,13 +174,13 @@ def builtin_priors() -> tuple[str, ...]:
 def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     """Load a prior by its built-in name or from a file.
 
-    "none" selects `prior_from_body`. None selects the first built-in prior for a body with these angles, or
+    The name "none" selects `prior_from_body`. None selects the first built-in prior for a body with the same angles, or
     `prior_from_body` if there is no such prior.
 
     Raises
     ------
     InputError
-        If the file is not a prior of this body; every problem is listed.
+        If the file is not a prior for this body. The error lists every problem.
     """
     if name_or_path is None:
         for name in builtin_priors():
@@ -193,7 +199,7 @@ def _builtin_prior(name: str, body: str, angles: tuple[str, ...]) -> MotionPrior
 
 
 def _read_prior(name_or_path: str, body: str, angles: tuple[str, ...]) -> MotionPrior:
-    """Return a prior for the body of this name, with these angles."""
+    """Read the file of a prior, and check that it fits a body with the given name and angles."""
     names = (*builtin_priors(), NONE)
     content, source = documents.named_file(name_or_path, "animal/priors", ".npz", "--prior", "prior", names)
     with documents.damage_as_input_error(source, _EXPECTED, "file"):

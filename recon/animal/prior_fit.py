@@ -18,27 +18,30 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
-"""Smallest number of frames per component of the mixture.
+"""Minimum number of frames per component of the Gaussian mixture.
 
 A component with fewer frames could describe a short part of a single segment.
 """
 POSE_FLOOR_RAD = 0.1
-"""Standard deviation added to that of every angle, because no reconstruction is exact.
+"""Standard deviation that is added in quadrature to that of every angle, because no reconstruction is exact.
 
 The value maximises the likelihood of held-out segments (docs/priors.md).
 """
 STILL_SIGMA_RAD = 0.15
 """Standard deviation assumed for angles that are constant in the data."""
 MISSING_BELOW_RAD = 0.01
-"""Standard deviation below which an angle counts as missing from the model that produced the poses."""
+"""Standard deviation below which an angle counts as constant, because the data's skeleton does not have it."""
 _EM_ITERATIONS = 30
-"""Number of iterations of expectation-maximisation."""
+"""Number of iterations of expectation-maximisation that fit the mixture."""
 _K_MEANS_ITERATIONS = 50
 """Number of iterations of k-means, whose result initialises the mixture."""
 RIDGE_PER_ROW = 0.1
-"""Ridge penalty per row of data; the value maximises the likelihood of held-out accelerations (docs/priors.md)."""
+"""Ridge penalty of the linear model of accelerations per frame of data.
+
+The value maximises the likelihood of held-out accelerations (docs/priors.md).
+"""
 ACCELERATION_FLOOR_RAD_S2 = 10.0
-"""Standard deviation added to that of every acceleration."""
+"""Standard deviation that is added in quadrature to that of every angle's acceleration."""
 
 
 def fit_prior(
@@ -51,9 +54,7 @@ def fit_prior(
     min_speed_m_s: float = 0.0,
     apart: Sequence[str] = (),
 ) -> MotionPrior:
-    """Fit a prior to segments of motion.
-
-    Every segment is also used mirrored left to right.
+    """Return a motion prior fitted to segments of motion and to their mirror images.
 
     Parameters
     ----------
@@ -62,15 +63,15 @@ def fit_prior(
     segments : sequence of tuple
         Name, states (T, D) and frames per second of each segment. Frames with NaN are left out.
     name, source : str
-        Name of the prior, and source of the poses.
+        Name of the prior, and a description of the data.
     components : int
         Number of components of the mixture.
     shrink : float
-        Weight, 0 to 1, with which each component's covariance is moved towards the mean covariance of all components.
+        Weight of the mean covariance of all components in each component's covariance, 0 to 1.
     min_speed_m_s : float
         Speed below which segments are listed in the prior but not used, m/s.
     apart : sequence of str
-        Segments of the body, such as a tail, whose movement neither follows from the pose nor affects the other angles.
+        Segments of the body whose movement neither follows from the pose nor affects other angles, such as a tail.
         Their accelerations are modelled as noise.
 
     Raises
@@ -110,16 +111,16 @@ def fit_prior(
 
 
 class _PosesAndChanges(NamedTuple):
-    """Poses of N frames, M of which are inner frames with a frame before and after them."""
+    """Poses of N frames, and the rates and accelerations in the M frames that have both neighbours."""
 
     poses: Array
-    """Angles, rad, shape (N, A)."""
+    """Angles in all frames, rad, shape (N, A)."""
     inner_poses: Array
-    """Angles of the inner frames, rad, shape (M, A)."""
+    """Angles in the frames with both neighbours, rad, shape (M, A)."""
     rates: Array
-    """Rates of the angles in the inner frames, rad/s, shape (M, A)."""
+    """Rates of the angles in these frames, rad/s, shape (M, A)."""
     accelerations: Array
-    """Accelerations of the angles in the inner frames, rad/s², shape (M, A)."""
+    """Accelerations of the angles in these frames, rad/s², shape (M, A)."""
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _PosesAndChanges:
@@ -146,9 +147,9 @@ def _still(poses: Array) -> Bools:
 def _mixture(
     poses: Array, components: int, shrink: float, extra: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Return weights (K,), means (K, A) and covariances (K, A, A) of poses (N, A).
+    """Return weights (K,), means (K, A) and covariances (K, A, A) of a Gaussian mixture fitted to poses (N, A).
 
-    `shrink` moves each covariance towards the mean of all components; `extra` (A, A) is added to each.
+    `shrink` is the weight of the mean covariance of all components in each covariance. `extra` (A, A) is added to each.
     """
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
     with warnings.catch_warnings(action="ignore"):  # repeated poses can leave a cluster empty
@@ -175,13 +176,14 @@ def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array)
 
 
 def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
-    """Fit accelerations (M, A) to states (M, 2A), and return the drift (A, 2A) and the residual covariance (A, A).
+    """Return the drift (A, 2A) and the residual covariance (A, A) of a linear model of the accelerations (M, A).
 
-    `loose` (A,) marks angles that neither follow from the others nor affect them; their drift is 0.
+    The model predicts accelerations from `states` (M, 2A), the deviations of the angles from their means and the rates.
+    `loose` is a mask (A,) of the angles that neither follow from the others nor affect them, whose drift is 0.
     """
     scale = states.std(axis=0)
     n_angles = accelerations.shape[1]
-    # An angle that is constant or changes only by the noise of the fit explains nothing.
+    # An angle that is constant, or changes only by the noise of the fit, cannot predict accelerations.
     moves = np.tile(~_still(states[:, :n_angles]) & ~loose, 2) & (scale > 0)
     scaled = np.where(moves, states / np.where(moves, scale, 1.0), 0.0)
     normal = scaled.T @ scaled + RIDGE_PER_ROW * len(scaled) * np.eye(scaled.shape[1])
@@ -193,18 +195,18 @@ def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Arr
 
 
 def as_one_gaussian(prior: MotionPrior) -> MotionPrior:
-    """Return the prior with its single Gaussian of poses instead of the mixture."""
+    """Return the prior with its mixture replaced by the single Gaussian of the poses."""
     return replace(prior, weights=np.ones(1), means=prior.mean[None], covariances=prior.covariance[None])
 
 
 def log_likelihood(prior: MotionPrior, states: Array) -> float:
-    """Return the log density (per rad^A) of the mixture at states (T, D), averaged over the frames."""
+    """Return the mean over the frames of the mixture's log density (per rad^A) at states (T, D)."""
     poses = states[np.isfinite(states).all(axis=1)][:, ANGLES]
     return float(logsumexp(log_densities(poses, prior.weights, prior.means, prior.covariances), axis=1).mean())
 
 
 def log_densities(poses: Array, weights: Array, means: Array, covariances: Array) -> Array:
-    """Return the log of weight times density of each component at poses (N, A), shape (N, K)."""
+    """Return the logarithm of each mixture component's weight times its density at poses (N, A), shape (N, K)."""
     roots = np.linalg.cholesky(covariances)
     white = (solve_triangular(L, (poses - mean).T, lower=True) for L, mean in zip(roots, means, strict=True))
     squares = np.stack([(offset**2).sum(axis=0) for offset in white], axis=1)

@@ -1,8 +1,8 @@
-"""Load skeletons by name or from a TOML file, with one animal's lengths and a detector's offsets.
+"""Load skeletons by name or from a TOML file, with the lengths of a measured animal and the offsets of a detector.
 
-Built-in files are in `recon/animal/skeletons`, `subjects` (one animal's lengths) and `detectors` (offsets from a
-skeleton's markers to the points on the skin that a network detects). The scorer of a keypoint file identifies its
-detector.
+Built-in skeletons, subjects and detectors are in folders of `recon/animal`. A subject file has the lengths of one
+animal. A detector file has the offsets from a skeleton's markers to the points on the skin that a network detects. The
+scorer in a keypoint file identifies its detector.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     Parameters
     ----------
     name_or_path : str or path
-        Name or file of the skeleton.
+        Name of a built-in skeleton, or path of a skeleton file.
     subject : str or path, optional
-        Name or file of a measured animal; only for skeletons of whole animals.
+        Name of a built-in subject, or path of a subject file. Only skeletons of whole animals can have a subject.
 
     Raises
     ------
     InputError
-        If a file cannot be used; every problem is listed.
+        If a file cannot be used. The error lists every problem.
     """
     if subject is None and str(name_or_path) in builtin_names():
         return _builtin_skeleton(str(name_or_path))
@@ -77,7 +77,7 @@ def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
 ) -> tuple[dict[str, Any], str]:
-    """Return the tables of a named or given file, and the file's name for messages."""
+    """Return the tables of a built-in or given file, and the file's name for messages."""
     option = "--set detector" if kind == "detector" else f"--{kind}"
     return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 
@@ -147,7 +147,7 @@ class _BodyFile(FileTable):
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """Markers above, at and below each joint; a left joint also defines the right one."""
+    """Markers above, at and below each anatomical joint; a joint on the left also defines the one on the right."""
     mass: _Mass | None = None
 
 
@@ -172,7 +172,10 @@ _Item = TypeVar("_Item", _Segment, _Marker)
 
 
 def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
-    """Yield every segment or marker with its row in the file; a mirrored item twice, first left, then right."""
+    """Yield every segment or marker with its index in the file.
+
+    A mirrored item on the left is followed by its mirror image on the right, with the same index.
+    """
     for i, item in enumerate(items):
         yield i, item
         if item.mirrored and side_of(item.name) == "left":
@@ -188,7 +191,7 @@ def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
 
 
 def _expected_angles(segment: _Segment) -> list[str]:
-    """Return the angles of a segment for which the file states expectations, in the order of the state."""
+    """Return the names of the angles for which a segment needs expected values, in the order of the state."""
     return [ANGLE_OF_AXIS[axis] for axis in AXES[segment.joint] if (segment.joint, axis) != ("free", "z")]
 
 
@@ -209,7 +212,7 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
 
 
 def _segment_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems with the names, joints, parents and angles of the segments; add the names to `used`."""
+    """Yield problems with the names, joints, parents and angles of the segments, and add the names to `used`."""
     segments = list[str]()
     for i, segment in _both_sides(file.segments):
         row = f"segments[{i}]"
@@ -234,7 +237,7 @@ def _segment_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[
 
 
 def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems with the names, segments and number of the markers; add the names to `used`."""
+    """Yield problems with the names, segments and number of the markers, and add the names to `used`."""
     segments = {segment.name for _, segment in _both_sides(file.segments)}
     markers = [*_both_sides(file.markers)]
     for i, marker in markers:
@@ -246,7 +249,7 @@ def _marker_problems(file: _BodyFile, used: set[str], source: str) -> Iterator[P
 
 
 def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: str) -> Iterator[Problem]:
-    """Yield problems with mass fractions that belong to no segment, and with segments without a mass fraction."""
+    """Yield a problem for each mass fraction without a segment, and for each segment without a mass fraction."""
     yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
     for name in sorted(segments):
         if name not in shares and other_side(name) not in shares:
@@ -254,7 +257,7 @@ def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: s
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems with an item's name, and add the name to `used`, the names of earlier items."""
+    """Yield problems with the name of a segment or marker, and add the name to `used`, the names before it."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":
@@ -295,9 +298,9 @@ def _body(f: _BodyFile) -> Body:
 
 
 NONE = "none"
-"""Name of the detector whose keypoints are at the markers."""
+"""Name of a detector whose keypoints coincide with the skeleton's markers."""
 OWN = "own"
-"""Name of the detector whose offsets are in the skeleton's or the subject's own file."""
+"""Name of a detector whose offsets are in the skeleton file or the subject file."""
 
 
 class _Keypoint(FileTable):
@@ -315,7 +318,7 @@ class _DetectorFile(FileTable):
 
 
 def detector_of_scorer(scorer: str | None, skeleton: str) -> str:
-    """Return the built-in detector that writes `scorer` into its files, or "none" if there is none."""
+    """Return the name of the built-in detector whose keypoint files have the scorer `scorer`, or "none"."""
     for name in documents.builtin_names("animal/detectors", ".toml") if scorer else ():
         raw, _ = read_named(name, "detector")
         if raw["skeleton"] == skeleton and any(
@@ -337,10 +340,10 @@ def with_detector_offsets(
     body : Body
         The animal.
     detector : str or path, optional
-        Name or file of a detector, or "none"; by default the detector named in the subject's or the skeleton's file, or
-        else that of the scorers.
+        Name or file of a detector, or "none". By default, the detector named in the subject or skeleton file or, if
+        there is none, the detector that the scorers identify.
     scorers : mapping, optional
-        Scorers of the keypoint files, by file.
+        Scorer of each keypoint file, with the files' names as keys.
 
     Raises
     ------
