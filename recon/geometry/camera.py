@@ -1,8 +1,11 @@
 """Project points into a camera with exact derivatives, and turn pixels back into rays.
 
-Camera frame: x right, y down, z forward, metres. Pixels: centres at whole numbers, (0, 0) is the top left pixel.
-Projection is `sigma * (u, v, 1) = K (x', y', 1)`, `K = [[fx, s, ox], [0, fy, oy], [0, 0, 1]]`, where (x', y') are the
-normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`).
+The camera frame has x to the right, y down and z forward, in metres. The centres of pixels are at whole numbers, and
+(0, 0) is the centre of the top left pixel. The pixel (u, v) of a point is given by
+
+    (u, v, 1) = K (x', y', 1),   K = [[fx, s, ox], [0, fy, oy], [0, 0, 1]]
+
+where (x', y') are the normalised coordinates (x/z, y/z) after the distortion of the lens (`recon.geometry.lens`).
 """
 
 from __future__ import annotations
@@ -23,14 +26,14 @@ from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
 LARGEST = 1e9
-"""Largest absolute value that an array of a camera may contain; larger values mean a damaged file."""
+"""Largest absolute value that an array of a camera may contain; a larger value means that the file is damaged."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
     "distortion": ((), "the lens coefficients"),
     "rotation": ((3, 3), "a rotation, world to camera: 3x3 or a Rodrigues vector"),
     "translation_m": ((3,), "a translation of 3 numbers"),
 }
-"""Shape and meaning of each array of a camera; the shape is () if it depends on the lens model."""
+"""Shape and meaning of each array of a `Camera`; the shape is () if it depends on the lens model."""
 POSE = ("rotation", "translation_m")
 TILT = "radians between -pi/2 and pi/2, or 0 if the pose defines the upward direction"
 
@@ -42,16 +45,16 @@ class Camera(Brief):
     Raises
     ------
     InputError
-        If the camera is faulty; the message names every fault: wrong shapes or numbers of coefficients, values that are
-        not finite, focal lengths or image sizes that are not positive, a rotation that is not orthonormal and
-        right-handed to 1e-6, a tilt of more than a right angle, or a tilt in addition to a pose that defines the upward
-        direction.
+        If a field of the camera is impossible. The error lists every such field: a wrong shape or number of
+        coefficients, a value that is not finite, a focal length or picture size that is not positive, a rotation that
+        is not orthonormal and right-handed to 1e-6, a tilt of more than a right angle, or a tilt in addition to a pose
+        that defines the upward direction.
     """
 
     name: str
     """Name of the camera in its calibration file."""
     matrix: Array
-    """Camera matrix K, shape (3, 3), with skew s = K[0, 1]."""
+    """Camera matrix K, pixels, shape (3, 3), with the skew s = K[0, 1]."""
     distortion: Array
     """Coefficients of the lens model, in OpenCV's order, shape (n,)."""
     model: str
@@ -59,11 +62,12 @@ class Camera(Brief):
     image_size_px: tuple[int, int]
     """Width and height of the picture, pixels."""
     rotation: Array | None = None
-    """Rotation of T_camera_world, shape (3, 3): X_camera = rotation X_world + translation_m. None if the pose is
-    unknown.
+    """Rotation from the world to the camera frame, shape (3, 3); None if the pose is unknown.
+
+    X_camera = rotation X_world + translation_m.
     """
     translation_m: Array | None = None
-    """Translation of T_camera_world, shape (3,), metres; None if the pose is unknown."""
+    """Position of the world's origin in the camera frame, shape (3,), metres; None if the pose is unknown."""
     world_z_up: bool = True
     """Whether the world's z axis points up; False if a calibration board defines the world."""
     tilt_rad: float = 0.0
@@ -80,7 +84,7 @@ class Camera(Brief):
         raise_problems(Problem(f"camera {self.name!r}", *fault) for fault in self._faults())
 
     def _faults(self) -> Iterator[tuple[str, str, str]]:
-        """Yield each impossible field, its value, and the expected value."""
+        """Yield the name of each impossible field, its value, and the expected value."""
         sound = set[str]()
         for field, (shape, expected) in BLOCKS.items():
             array = getattr(self, field)
@@ -112,7 +116,7 @@ class Camera(Brief):
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
         """Return a pinhole camera with a given horizontal field of view.
 
-        Pixels are square and the principal point is central.
+        Pixels are square, and the principal point is in the middle of the picture.
 
         Raises
         ------
@@ -129,34 +133,37 @@ class Camera(Brief):
     # Projection
 
     def project(self, points_m: npt.ArrayLike) -> tuple[Array, Bools]:
-        """Project points of the camera frame to pixels.
+        """Project points in the camera frame to pixels.
 
         Parameters
         ----------
-        points_m : (..., 3)
-            Points in the camera frame.
+        points_m : ndarray
+            Points in the camera frame, metres, shape (..., 3).
 
         Returns
         -------
-        pixels : (..., 2)
-            NaN where invalid.
-        valid : (...)
-            Whether the point is in front of the camera and within the range where the distorted radius increases with
-            the angle from the optical axis. Beyond this range a polynomial folds points back into the image. A valid
-            point may lie outside the image: see `in_image`.
+        pixels : ndarray
+            Pixels of the points, shape (..., 2); NaN where invalid.
+        valid : ndarray
+            Whether each point is in front of the camera and within the range in which the distorted radius increases
+            with the angle from the optical axis, shape (...). Beyond this range, a polynomial folds points back into
+            the picture. A valid point may lie outside the picture (`in_image`).
         """
         pixels, _, valid = self.project_with_jacobian(points_m, jacobian=False)
         return pixels, valid
 
     def project_with_jacobian(self, points_m: npt.ArrayLike, jacobian: bool = True) -> tuple[Array, Array, Bools]:
-        """Project points as `project` does, with exact derivatives.
+        """Project points in the camera frame to pixels, with exact derivatives.
 
         Returns
         -------
-        pixels : (..., 2)
-        by_point : (..., 2, 3)
-            Derivatives with respect to the point; zero where invalid, empty unless `jacobian`.
-        valid : (...)
+        pixels : ndarray
+            Pixels of the points, shape (..., 2), as in `project`.
+        by_point : ndarray
+            Derivatives of the pixels with respect to the points, px/m, shape (..., 2, 3). The derivatives are zero
+            where invalid; the array is empty if `jacobian` is false.
+        valid : ndarray
+            Whether each point is valid, shape (...), as in `project`.
         """
         points = np.asarray(points_m, dtype=float)
         x, y, z = points.reshape(-1, 3).T
@@ -186,20 +193,19 @@ class Camera(Brief):
         return pixels.reshape(*shape, 2), by_point.reshape(*(shape if jacobian else (0,)), 2, 3), valid.reshape(shape)
 
     def in_image(self, pixels: npt.ArrayLike) -> Bools:
-        """Return whether pixels (..., 2) lie on the image.
+        """Return whether pixels (..., 2) lie in the picture, shape (...).
 
-        The edges of the image are half a pixel outside the outermost pixel centres.
+        The edges of the picture are half a pixel outside the outermost pixel centres.
         """
         uv = np.asarray(pixels, dtype=float)
         return np.asarray(((uv >= -0.5) & (uv <= np.array(self.image_size_px) - 0.5)).all(axis=-1))
 
     def sees(self, pixels: npt.ArrayLike, unzoomed_px: Array | None = None) -> Bools:
-        """Return whether detections at pixels (..., 2) are possible.
+        """Return whether detections at pixels (..., 2) are possible, shape (...).
 
-        A detection is possible if the pixel has a ray and is not further outside the picture than the picture's own
-        width and height, because trackers and interpolation carry points beyond the edge. NaN gives False. If the
-        camera zooms, `unzoomed_px` (..., 2) are the same detections as pixels of the unzoomed camera, whose matrix is
-        `matrix`.
+        A detection is possible if the pixel has a ray and is outside the picture by no more than the picture's width
+        and height, because trackers and interpolation carry points beyond the edge. Pixels with NaN are not possible.
+        If the camera zooms, `unzoomed_px` (..., 2) are the pixels of the same detections without zoom.
         """
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
@@ -209,14 +215,15 @@ class Camera(Brief):
     # Pixels to rays
 
     def rays(self, pixels: npt.ArrayLike) -> tuple[Array, Bools]:
-        """Return unit rays in the camera frame through pixels.
+        """Return unit vectors in the camera frame along the rays through pixels (..., 2).
 
         Returns
         -------
-        rays : (..., 3)
-            NaN where invalid.
-        valid : (...)
-            False for pixels that are NaN or that no point within the lens model's range projects to.
+        rays : ndarray
+            Unit vectors, shape (..., 3); NaN where invalid.
+        valid : ndarray
+            False for pixels that are NaN, and for pixels to which no point within the range of the lens model
+            projects, shape (...).
         """
         uv, (fx, s, ox, fy, oy) = np.asarray(pixels, dtype=float), self._intrinsics
         u, v = uv.reshape(-1, 2).T
@@ -234,7 +241,7 @@ class Camera(Brief):
 
     @cached_property
     def lens(self) -> Lens:
-        """Return the lens, which distorts and undistorts rays by the camera's coefficients."""
+        """Return the lens model with the camera's coefficients, which distorts and undistorts rays."""
         return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property
@@ -258,8 +265,8 @@ class Camera(Brief):
     def up(self) -> Array:
         """Return the upward unit vector (3,) in the camera frame.
 
-        The vector follows from the pose if the world's z axis points up. Otherwise the camera's x axis is assumed to be
-        level and the tilt is `tilt_rad`, which gives (0, -1, 0) for a level camera.
+        The vector follows from the pose if the world's z axis points up. Otherwise, the camera's x axis is assumed to
+        be level and the camera to look down by `tilt_rad`, which gives (0, -1, 0) for a level camera.
         """
         if self.rotation is not None and self.world_z_up:
             return self.rotation[:, 2].copy()
@@ -304,7 +311,7 @@ class Camera(Brief):
         return self.rotation, self.translation_m
 
     def corrected(self, correction: Array) -> Camera:
-        """Return the camera after an extrinsic correction (6,) by three Euler angles, rad, and a shift, m.
+        """Return the camera after a correction of its pose by three Euler angles, rad, and a shift, m, shape (6,).
 
         Points in the camera frame become X_new = R(angles) X + shift, as in `View.corrected`.
 
@@ -335,7 +342,7 @@ class Camera(Brief):
 def is_rotation(matrix: Array, tolerance: float) -> bool:
     """Return whether a 3x3 matrix is finite, orthonormal and right-handed.
 
-    `tolerance` bounds the largest entry of |R R' - I|.
+    `tolerance` is the largest allowed absolute value in R R' - I.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         error = np.abs(matrix @ matrix.T - np.eye(3)).max()

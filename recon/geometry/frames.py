@@ -1,16 +1,16 @@
 """Convert points and rotations between frames of reference.
 
-`T_a_b` (4, 4) takes points from frame b to frame a: p_a = T_a_b p_b, metres.
+The rigid transform `T_a_b` (4, 4) converts points from frame b to frame a, p_a = T_a_b p_b, in metres. The frames are:
 
-- camera: x to the picture's right, y down, z forward (OpenCV's).
+- camera: x to the picture's right, y down, z forward, as in OpenCV.
 - level: origin at a camera's centre, x to the picture's right, y away from the camera, z up.
-- world: the frame in which motion is solved, right-handed, at rest, with z up. It is the world of the camera files if
-  its z axis is known to point up, otherwise the level frame of the first camera.
-- reference: the frame of results: the camera files' world if there is one, otherwise the first camera's frame.
+- world: the frame in which the motion is solved, right-handed, at rest, with z up. It is the world of the camera files
+  if its z axis is known to point up, otherwise the level frame of the first camera.
+- reference: the frame of the results. It is the world of the camera files if there is one, otherwise the first camera's
+  frame.
 
-Rotations are given by Euler angles, with derivatives, which scipy's `Rotation` does not provide. R = Rx(xi) Ry(psi)
-Rz(zeta) throughout, right-handed rotations about X, Y and Z multiplied in that order (scipy's intrinsic "XYZ"), in
-radians.
+Rotations are given by Euler angles, with derivatives, which scipy's `Rotation` does not provide. Every rotation is R =
+Rx(xi) Ry(psi) Rz(zeta), a product of right-handed rotations about x, y and z (scipy's intrinsic "XYZ"), in radians.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _CROSS_TWICE = _CROSS @ _CROSS
 
 
 def level_axes(up: Array) -> tuple[Array, Array]:
-    """Return two horizontal unit vectors (3,) in the camera frame, to the right and away from the camera.
+    """Return the horizontal unit vectors to the right and away from the camera, shape (3,) in the camera frame.
 
-    The first points to the picture's right, or down if the picture's right is up. The second points away from the
-    camera. `up` (3,) is the upward unit vector in the camera frame.
+    If the right of the picture points straight up, the first vector points to the bottom of the picture. `up` (3,) is
+    the upward unit vector in the camera frame.
     """
     sideways = np.eye(3)[int(abs(up[0]) > 0.999)]
     right = sideways - up * (sideways @ up)
@@ -38,7 +38,10 @@ def level_axes(up: Array) -> tuple[Array, Array]:
 
 
 def level_from_camera(up: Array) -> Array:
-    """Return the rotation (3, 3) from the camera frame to the level frame; `up` (3,) is upward in the camera frame."""
+    """Return the rotation (3, 3) from the camera frame to the level frame.
+
+    `up` (3,) is the upward unit vector in the camera frame.
+    """
     right, ahead = level_axes(up)
     return np.stack([right, ahead, up])
 
@@ -62,15 +65,15 @@ def moved(T: Array, points_m: Array) -> Array:
 
 
 def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
-    """Return the rotations R = Rx(xi) Ry(psi) Rz(zeta) (..., 3, 3) by Euler angles (..., 3), rad."""
+    """Return the rotation matrices (..., 3, 3) of Euler angles (xi, psi, zeta), shape (..., 3), rad."""
     x, y, z = _turns(angles_rad)
     return x @ y @ z
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
-    """Return the rotations (..., 3, 3) by Euler angles (..., 3), rad, and their exact derivatives dR (..., 3, 3, 3).
+    """Return the rotation matrices (..., 3, 3) of Euler angles (..., 3), rad, and their derivatives (..., 3, 3, 3).
 
-    The derivative with respect to angle k is dR[..., k, :, :].
+    The derivative dR with respect to angle k is dR[..., k, :, :].
     """
     x, y, z = _turns(angles_rad)
     rotation = x @ y @ z
@@ -80,7 +83,8 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
 def quaternions(rotations: Array) -> Array:
     """Return the unit quaternions (N, 4), in the order x, y, z, w, of rotations (N, 3, 3).
 
-    A quaternion's largest component is positive. scipy's `Rotation` gives the same, but takes 60 ms to import.
+    The largest component of each quaternion is positive. scipy's `Rotation` gives the same values, but takes 60 ms to
+    import.
     """
     R, trace, i, j, k = rotations, np.trace(rotations, axis1=1, axis2=2), [0, 1, 2], [1, 2, 0], [2, 0, 1]
     products = np.empty((len(R), 4, 4))  # four times the product of each two components
@@ -94,9 +98,10 @@ def quaternions(rotations: Array) -> Array:
 
 
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
-    """Return the three rotations (..., 3, 3) about the x, y and z axis by angles (..., 3), rad.
+    """Return the rotation matrices (..., 3, 3) about the x, the y and the z axis by angles (..., 3), rad.
 
-    R = I + sin G + (1 - cos) G G (Rodrigues) and dR = G R, where G is the cross-product matrix of an axis.
+    They follow from Rodrigues' formula, R = I + sin(angle) G + (1 - cos(angle)) G G, where G is the cross-product
+    matrix of the axis. The derivative is dR = G R.
     """
     angles = np.asarray(angles_rad, dtype=float)[..., None, None]
     turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE

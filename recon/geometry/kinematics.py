@@ -1,4 +1,4 @@
-"""Compute forward kinematics of a tree of rigid segments, with exact derivatives, for many frames.
+"""Compute the forward kinematics of a tree of rigid segments, with exact derivatives, for many frames.
 
 Every segment has an origin fixed in its parent's frame and up to three rotations about its own z, y and x axes, in that
 order (yaw, pitch, roll; right-handed; x forwards, y left, z up):
@@ -6,19 +6,20 @@ order (yaw, pitch, roll; right-handed; x forwards, y left, z up):
     O_segment = O_parent Rz(yaw) Ry(pitch) Rx(roll)        o_segment = o_parent + size O_parent offset
 
 The first segment is the root. It moves freely, and its parent frame is the world. Markers are points fixed on segments.
-The unknowns of one frame, the state, are [root's origin (3), metres; root's yaw, pitch, roll, rad; the other segments'
-angles, rad].
+The state contains the unknowns of one frame: the root's origin (x, y, z), metres, the root's yaw, pitch and roll, rad,
+and the angles of the other segments, rad.
 
 The kinds of joints differ in their axes: y for a hinge, z and y for a universal joint, z, y and x for a ball joint and
 for the free root. Joints of machines turn about z ("turn") or slide along z ("slide", with a distance in metres instead
-of an angle); a fixed rotation leads from their frame to the parent's. A "summed" universal joint belongs to the 8U
+of an angle). Their frame has a fixed rotation relative to the parent's. A "summed" universal joint belongs to the 8U
 chain (`recon.animal.chain`). It adds the angles of all its summed ancestors to its own, and turns relative to the root:
 O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
 
-A marker's position is the root's origin plus vectors fixed in the frames between the root and the marker. Its
-derivative with respect to an angle is axis x (sum of the vectors in the frames that the angle turns). An angle turns
-all frames that follow; the angle of a summed joint only turns those up to the next summed joint. The second derivative
-with respect to two angles is the outer angle's axis x the derivative with respect to the inner angle.
+A marker's position is the root's origin plus a vector in each frame between the root and the marker. Its derivative
+with respect to an angle is the cross product of the angle's axis and the sum of the vectors in the frames that the
+angle turns. An angle turns all frames further from the root, but the angle of a summed joint only turns those before
+the next summed joint. The second derivative with respect to two angles is the cross product of the axis of the angle
+nearer to the root and the derivative with respect to the other angle.
 """
 
 from __future__ import annotations
@@ -45,25 +46,25 @@ AXES: dict[str, str] = {
     "turn": "z",
     "slide": "s",
 }
-"""Axes about which each kind of joint rotates, in the order of the state; "s" is a slide along z."""
+"""Axes about which each kind of joint rotates, in the order of the state; "s" means sliding along z."""
 
 ANGLE_OF_AXIS = {"z": "yaw", "y": "pitch", "x": "roll"}
 """Name of the rotation angle about each axis."""
 _NAMES = ANGLE_OF_AXIS | {"s": "slide"}
 _SUMMED = {"z": "phi", "y": "theta"}
-"""Names of a summed joint's angles, by axis, as published for the 8U chain (`recon.animal.chain`)."""
+"""Published names of the angles of a summed joint about each axis, for the 8U chain (`recon.animal.chain`)."""
 
 _BLOCK = 64
-"""Number of frames whose Jacobians are computed at once: few enough for the processor's cache."""
+"""Number of frames whose Jacobians are computed at once, small enough for the processor's cache."""
 _FRAMES_AT_ONCE = 4096
 """Number of frames whose markers are computed at once without Jacobians, to limit memory."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
-"""Indices of the components x, y, z, x, y, of which the factors of a cross product are slices."""
+"""Indices that repeat the components as x, y, z, x, y, so that the factors of a cross product are slices."""
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
 
 ROOT = slice(0, 3)
-"""Elements of the state that are the root's origin, m."""
+"""Elements of the state that contain the root's origin, m."""
 YAW, PITCH, ROLL = 3, 4, 5
 """Elements of the state that are the root's rotation angles, rad."""
 
@@ -74,21 +75,21 @@ class Segment:
 
     name: str
     parent: str | None
-    """Name of the segment that carries this one, which comes earlier; None for the root."""
+    """Name of the parent segment, which precedes this one in the tree; None for the root."""
     joint: Joint
     """Kind of joint between the segment and its parent."""
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the segment in the parent's frame, (x, y, z)."""
     rotation: tuple[tuple[float, ...], ...] | None = None
-    """Rotation (3, 3) from the segment's frame to its parent's before the joint moves.
+    """Rotation from the segment's frame to its parent's at the joint's zero position, shape (3, 3); None for none.
 
-    Only joints of the kinds turn, slide and fixed have one.
+    Only joints of the kinds turn, slide and fixed have such a rotation.
     """
 
 
 @dataclass(frozen=True)
 class Marker:
-    """A point fixed on a segment, at `offset_m` (x, y, z) from the segment's origin in the segment's frame."""
+    """Point fixed on a segment, at the offset (x, y, z) from the segment's origin in the segment's frame."""
 
     name: str
     segment: str
@@ -97,21 +98,21 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Positions of a tree's J markers for N states, and their derivatives, which are empty unless requested."""
+    """Positions of a tree's J markers for N states; their derivatives are empty unless they were requested."""
 
     points_m: Array
     """Positions of the markers in the world frame, shape (N, J, 3)."""
     jacobian: Array = field(default_factory=lambda: _NONE)
-    """Derivatives of the markers with respect to the state, shape (N, J, 3, D)."""
+    """Derivatives of the markers' positions with respect to the D unknowns of the state, shape (N, J, 3, D)."""
     d_size: Array = field(default_factory=lambda: _NONE)
-    """Derivatives of the markers with respect to the logarithm of the size, shape (N, J, 3)."""
+    """Derivatives of the markers' positions with respect to the logarithm of the size, shape (N, J, 3)."""
 
 
 class _Plan:
-    """Index arrays and masks, computed once for a tree, from which its kinematics follow for any state.
+    """Index arrays and masks that are computed once for a tree, and used for the kinematics of every state.
 
-    Dimensions: S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
-    marker and an angle of the state.
+    The tree has S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
+    marker and an angle of the state that moves it. There is one frame for each segment, and the world's.
     """
 
     def __init__(self, tree: Tree) -> None:
@@ -120,68 +121,76 @@ class _Plan:
         index_of = {segment.name: i for i, segment in enumerate(segments)}
         paths = _paths_of(segments)
         base_segments = [0 if segments[path[-1]].joint == "summed" else path[-2] for path in paths[1:]]
-        """(S - 1,): for each segment but the root, the segment relative to which it turns: its parent, or the root if
-        its joint is summed."""
+        """Segment relative to which each segment except the root turns, shape (S - 1,).
+
+        This is the parent, or the root if the segment's joint is summed.
+        """
         carriers = [path[-2] for path in paths[1:]] + [index_of[marker.segment] for marker in markers]
 
         self.sums = _sums_of(tree, paths)
-        """(K + 1, K): 1 where an angle of the state is part of a rotation's angle; the last row is 0."""
+        """Matrix with 1 where an angle of the state is part of a rotation's angle, shape (K + 1, K); last row 0."""
         base_frame = np.array([0, *(base + 1 for base in base_segments)], dtype=np.intp)
         self.levels = [(1 + level, base_frame[level]) for level in _levels_of(base_segments)]
-        """For each depth in the tree, the frames at this depth, and the frames relative to which they turn."""
+        """Indices of the frames at each depth in the tree, and of the frames relative to which they turn."""
 
         self.carriers = carriers
-        """(S - 1 + J,): the segment to which each origin (except the root's) and each marker is fixed."""
+        """Segment to which each origin (except the root's) and each marker is fixed, shape (S - 1 + J,)."""
         self.points = self._points_of(tree)
-        """(S + J, 3 (S + 1)): for each origin and each marker, the vector in every frame; the point is their sum."""
+        """Vectors in all frames whose sum is an origin or a marker, shape (S + J, 3 (S + 1))."""
         points = self.points.reshape(S + J, 3, S + 1)
 
         self.angle = _angles_of_frames(tree)
-        """(2 or 3, S + 1): angle that turns each frame about z, y and, if any joint rolls, x; K if none."""
+        """Index of the angle that turns each frame about z, y and, if any joint rolls, x; K if there is none."""
         axes = _axes_of_rotations(tree, base_frame)
         self.axes = axes @ (S + 1, 1)
-        """(K,): for each rotation, the index of the frame's column that is its axis."""
+        """Index of the column, in the matrices of all frames, that is the axis of each rotation, shape (K,)."""
         pitched = [k for k, (i, axis) in enumerate(rotations) if axis == "y" and (i, "x") in rotations]
         self.pitched = np.array(pitched, dtype=np.intp)
-        """Pitch rotations of joints that also roll: the axis is the segment's y axis turned back by the roll angle."""
+        """Indices of the pitch rotations of joints that also roll.
+
+        Their axis is the segment's y axis, turned back by the roll angle.
+        """
         self.rolls = self.pitched + 1
         self.z_axes = 2 * (S + 1) + axes[pitched, 1]
 
         pairs = _pairs_of(tree, paths, carriers, points)
         self.marker, self.turning, self.arm, self.centre = pairs.T.copy()
-        """(M,) each: marker and rotation of each pair, and the points at the end (`arm`) and the start (`centre`) of
-        its lever arm. The rotation moves the marker by axis x (arm - centre).
+        """Marker and rotation of each pair, and the end (`arm`) and the start (`centre`) of its lever arm, shape (M,).
+
+        The ends are indices of points. The rotation moves the marker by axis x (arm - centre).
         """
         marker, moving_angle, self.merge = self.marker, self.turning, None
-        """(P, M): matrix that sums the M pairs to the P pairs of a marker and an angle of the state; None for the
-        identity."""
+        """Matrix that sums the M pairs to the P pairs of a marker and an angle of the state, shape (P, M).
+
+        None means the identity.
+        """
         if any(segment.joint == "summed" for segment in segments):
             moving = (marker == np.arange(J)[:, None])[:, None] * self.sums[self.turning].T  # (J, K, M)
             marker, moving_angle = np.nonzero(moving.any(axis=2))
             self.merge = moving[marker, moving_angle]
         self.entries = (3 * marker[:, None] + np.arange(3)) * tree.n_state + 3 + moving_angle[:, None]
-        """(P, 3): indices of the P pairs in a flat Jacobian (J, 3, D)."""
+        """Indices of the P pairs in a flattened Jacobian (J, 3, D), shape (P, 3)."""
 
         self.placed = None
-        """(S + 1, 3, 3): fixed rotations of the segments; None if no segment has one."""
+        """Fixed rotation of each frame, shape (S + 1, 3, 3); None if no segment has a fixed rotation."""
         if any(segment.rotation is not None for segment in segments):
             self.placed = np.array([_IDENTITY, *(_IDENTITY if s.rotation is None else s.rotation for s in segments)])
         slides = [k for k, (_, axis) in enumerate(rotations) if axis == "s"]
         self.slides = np.array(slides, dtype=np.intp)
-        """(L,): indices of the rotations that are slides."""
+        """Indices of the L rotations that are slides, shape (L,)."""
         reached = [*paths, *(paths[i] for i in carriers[S - 1 :])]
         self.slid = np.array([[float(rotations[k][0] in path) for k in slides] for path in reached])
-        """(S + J, L): 1 for the points that each slide shifts, otherwise 0."""
+        """Matrix with 1 where a slide shifts an origin or a marker, otherwise 0, shape (S + J, L)."""
         self.sliding = np.flatnonzero(np.isin(self.turning, slides))
-        """Indices of the pairs whose rotation is a slide."""
+        """Indices of the M pairs whose rotation is a slide."""
 
         self.outer = _outer_of(tree, base_segments)
-        """(K, K): 1 where the first of two rotations turns the axis and the points of the second, otherwise 0."""
+        """Matrix with 1 where the first of two rotations turns the axis and the points of the second, shape (K, K)."""
         self.gathered = (np.arange(K)[:, None] == self.turning).astype(float)
-        """(K, M): 1 where a pair has the rotation, otherwise 0."""
+        """Matrix with 1 where a pair has a rotation, otherwise 0, shape (K, M)."""
 
     def _points_of(self, tree: Tree) -> Array:
-        """Return the vectors in every frame whose sum is an origin or a marker, (S + J, 3 (S + 1))."""
+        """Return the vectors, in all frames, whose sum is an origin or a marker, shape (S + J, 3 (S + 1))."""
         S, J = len(tree.segments), len(tree.markers)
         points = np.zeros((S + J, 3, S + 1))
         for i, (parent, item) in enumerate(
@@ -192,14 +201,14 @@ class _Plan:
         return points.reshape(S + J, 3 * (S + 1))
 
     def with_lengths_of(self, tree: Tree) -> _Plan:
-        """Return this plan for a tree that differs only in lengths (`Tree.use_plan_of`)."""
+        """Return this plan, adapted to a tree that differs only in its lengths (`Tree.use_plan_of`)."""
         plan = copy(self)
         plan.points = self._points_of(tree)
         return plan
 
 
 def _paths_of(segments: Sequence[Segment]) -> list[list[int]]:
-    """Return the path to each of the S segments: the indices of all segments from the root to it."""
+    """Return the path from the root to each of the S segments, as the indices of the segments along the path."""
     index_of = {segment.name: i for i, segment in enumerate(segments)}
     paths: list[list[int]] = []
     for i, segment in enumerate(segments):
@@ -208,7 +217,7 @@ def _paths_of(segments: Sequence[Segment]) -> list[list[int]]:
 
 
 def _sums_of(tree: Tree, paths: Sequence[Sequence[int]]) -> Array:
-    """Return a mask (K + 1, K) of the angles of the state that add up to each rotation's angle."""
+    """Return a mask of the angles of the state that add up to the angle of each rotation, shape (K + 1, K)."""
     sums = np.eye(len(tree.rotations) + 1, len(tree.rotations))
     for k, (i, axis) in enumerate(tree.rotations):
         for j in paths[i][:-1]:
@@ -218,7 +227,7 @@ def _sums_of(tree: Tree, paths: Sequence[Sequence[int]]) -> Array:
 
 
 def _levels_of(base_segments: Sequence[int]) -> list[Index]:
-    """Return the indices of the segments at each depth, where the root has depth 0."""
+    """Return the indices of the segments at each depth in the tree, beginning with the root at depth 0."""
     depth = [0]
     for base in base_segments:
         depth.append(depth[base] + 1)
@@ -243,9 +252,9 @@ def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int
 
 
 def _angles_of_frames(tree: Tree) -> Index:
-    """Return the index of the angle that turns each frame about z, y and, if any joint rolls, x, (2 or 3, S + 1).
+    """Return the index of the angle that turns each frame about z, y and, if any joint rolls, x.
 
-    The index is K where a frame has no such angle.
+    The shape is (2, S + 1) or (3, S + 1). The index is K where no angle turns a frame about an axis.
     """
     rotations, S = tree.rotations, len(tree.segments)
     angles = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), len(rotations), dtype=np.intp)
@@ -256,7 +265,7 @@ def _angles_of_frames(tree: Tree) -> Index:
 
 
 def _axes_of_rotations(tree: Tree, base_frame: Index) -> Index:
-    """Return the axis of each rotation (0 to 2 for x to z) and the index of the frame that has this axis, (K, 2).
+    """Return the axis of each rotation (0 to 2 for x to z) and the index of the frame with this axis, shape (K, 2).
 
     Yaw turns about the z axis of the frame from which the joint starts (`base_frame`, by segment), roll about the
     segment's x axis, and pitch about the segment's y axis if the joint does not roll. A joint that only turns about z
@@ -270,10 +279,10 @@ def _axes_of_rotations(tree: Tree, base_frame: Index) -> Index:
 
 
 def _outer_of(tree: Tree, base_segments: Sequence[int]) -> Array:
-    """Return a mask (K, K) of the pairs of rotations of which the first turns the axis and the points of the second.
+    """Return a mask (K, K) of the pairs of rotations in which the first turns the axis and the points of the second.
 
-    A segment is turned by the segment relative to which it turns, by that segment's own base and so on to the root, and
-    by its own earlier angles.
+    These are the rotations of all segments between the root and the second rotation's segment, and the segment's own
+    rotations up to the second. A summed joint turns relative to the root, so only the root's rotations turn it.
     """
     outer = np.zeros((len(tree.rotations), len(tree.rotations)))
     for k, (inner, _) in enumerate(tree.rotations):
@@ -290,16 +299,16 @@ _Placed = TypeVar("_Placed", Segment, Marker)
 
 @dataclass(frozen=True, repr=False)
 class Tree(Brief):
-    """A tree of rigid segments with J markers, whose state has D unknowns: 6 of the root, and all other angles.
+    """Tree of S rigid segments with J markers, whose state has D unknowns: 6 of the root, and all other angles.
 
-    The root is the first segment, and every parent comes before its children.
+    The root is the first segment, and every parent precedes its children.
     """
 
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]
 
     def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
-        """Return the tree with the offset of each segment and marker multiplied by `factor_of` its name."""
+        """Return the tree with the offset of each segment and marker multiplied by a factor, a function of its name."""
 
         def longer(item: _Placed) -> _Placed:
             return replace(item, offset_m=tuple(float(factor_of(item.name)) * value for value in item.offset_m))
@@ -312,9 +321,10 @@ class Tree(Brief):
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Return the names of the state's unknowns, (D,).
+        """Return the names of the D unknowns of the state.
 
-        The names are x_m, y_m, z_m, then <segment>_yaw etc., and phi_6 and theta_6 for the summed joint of segment J6.
+        The names are x_m, y_m, z_m, then <segment>_yaw and so on. For a summed joint of segment J6, they are phi_6 and
+        theta_6.
         """
         names = [
             f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{_NAMES[axis]}"
@@ -325,7 +335,7 @@ class Tree(Brief):
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Return the axis of each angle of the state, (D - 3,): "x", "y", "z", or "s" for a slide along z."""
+        """Return the axes of the D - 3 angles of the state, each "x", "y", "z", or "s" for sliding along z."""
         return tuple(axis for _, axis in self.rotations)
 
     @cached_property
@@ -335,39 +345,42 @@ class Tree(Brief):
 
     @cached_property
     def rotations(self) -> list[tuple[int, str]]:
-        """Return the index of the segment and the axis of every angle of the state."""
+        """Return the index of the segment and the axis for every angle of the state."""
         return [(i, axis) for i, s in enumerate(self.segments) for axis in AXES[s.joint]]
 
     @cached_property
     def plan(self) -> _Plan:
-        """Return the precomputed arrays that the kinematics need in addition to the state."""
+        """Return the arrays that are computed once for the tree and used for the kinematics of every state."""
         return _Plan(self)
 
     def use_plan_of(self, tree: Tree) -> None:
-        """Take over the plan of another tree if the two trees differ only in the lengths of offsets that are not zero.
+        """Use the plan of another tree, which is much faster than computing a new one.
 
-        This is much faster than a new plan. Other trees are ignored.
+        The other tree is ignored unless the two trees differ only in the lengths of offsets that are not zero.
         """
         if self._pattern == tree._pattern:
             self.__dict__["plan"] = tree.plan.with_lengths_of(self)
 
     @cached_property
     def _pattern(self) -> tuple[object, ...]:
-        """Return the tree without its lengths: its segments, its markers, and which of their offsets are zero."""
+        """Return a description of the tree without its lengths, which is equal for trees that can share a plan.
+
+        It contains the segments, the markers, and which of their offsets are zero.
+        """
         segments = tuple((s.name, s.parent, s.joint, s.rotation, any(s.offset_m)) for s in self.segments)
         return segments, tuple((m.name, m.segment, any(m.offset_m)) for m in self.markers)
 
     # Kinematics
 
     def _frames(self, state: Array) -> tuple[Array, Array, Array]:
-        """Return the orientations of all frames, and cosine and sine of the angles, for states (N, D).
+        """Return the orientations of all frames, and the cosine and sine of the angles, for states (N, D).
 
         Returns
         -------
-        frames : (3, S + 1, 3, N)
-            Rotation matrices, by column, frame (the world first) and component.
-        cosine, sine : (K + 1, N)
-            Cosine and sine of each rotation's angle; the last angle is 0.
+        frames : ndarray
+            Rotation matrices, shape (3, S + 1, 3, N), in the order column, frame (the world first), component.
+        cosine, sine : ndarray
+            Cosine and sine of each rotation's angle, shape (K + 1, N); the last angle is 0.
         """
         plan, N = self.plan, len(state)
         angles = plan.sums @ state[:, 3:].T
@@ -390,11 +403,14 @@ class Tree(Brief):
         return frames, cosine, sine
 
     def orientations(self, state: Array) -> Array:
-        """Return the rotation R_world_segment of every segment, (N, S, 3, 3)."""
+        """Return the rotation from each segment's frame to the world for states (N, D), shape (N, S, 3, 3)."""
         return self._frames(state)[0][:, 1:].transpose(3, 1, 2, 0)
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Return the markers for states (N, D), without derivatives; `size`, a scalar or (N,), scales all offsets."""
+        """Return the positions of the markers for states (N, D), without derivatives.
+
+        `size` is the factor by which all offsets are scaled, a number or an array (N,).
+        """
         sizes, relative = np.ones(len(state)) * size, np.empty((len(state), len(self.markers), 3))
         for first in range(0, len(state), _FRAMES_AT_ONCE):
             block = slice(first, first + _FRAMES_AT_ONCE)
@@ -403,12 +419,15 @@ class Tree(Brief):
         return TreePose(state[:, None, ROOT] + relative)
 
     def origins(self, state: Array) -> Array:
-        """Return the segments' origins in the world (N, S, 3), for states (N, D)."""
+        """Return the segments' origins in the world for states (N, D), metres, shape (N, S, 3)."""
         relative = self._points(self._frames(state)[0], state, 1.0)[: len(self.segments)]
         return state[:, None, ROOT] + relative.transpose(2, 0, 1)
 
     def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
-        """Return the positions of `_Plan.points` relative to the root (S + J, 3, N), for the frames of `_frames`."""
+        """Return the positions of all origins and markers relative to the root's origin, shape (S + J, 3, N).
+
+        `frames` are the orientations that `_frames` returns.
+        """
         plan, N = self.plan, len(state)
         columns = frames.reshape(plan.points.shape[1], 3, N)
         points = np.tensordot(plan.points, columns, 1) * size
@@ -418,7 +437,10 @@ class Tree(Brief):
         return points
 
     def pose_with_jacobian(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Return the markers and their exact derivatives for states (N, D); `size` is as in `pose`."""
+        """Return the positions of the markers and their exact derivatives for states (N, D).
+
+        `size` is the factor by which all offsets are scaled, a number or an array (N,).
+        """
         N, J = len(state), len(self.markers)
         sizes = np.ones(N) * size
         relative, jacobian = np.empty((N, J, 3)), np.zeros((N, J, 3, self.n_state))
@@ -434,16 +456,16 @@ class Tree(Brief):
         return TreePose(state[:, None, ROOT] + relative, jacobian, relative)
 
     def moved(self, state: Array, size: Array) -> tuple[Array, Array, Array]:
-        """Return marker positions, rotation axes, and the derivative of each marker with respect to each rotation.
+        """Return the markers, the axes of the rotations, and the markers' derivatives, for states (N, D).
 
         Returns
         -------
-        points : (J, 3, N)
-            Positions of the markers relative to the root's origin, in the axes of the world.
-        axes : (K, 3, N)
-            Unit vectors along the axes of the rotations, in the world frame.
-        moved : (M, 3, N)
-            Derivative of the marker with respect to the rotation, for each pair of `_Plan`.
+        points : ndarray
+            Positions of the markers relative to the root's origin, in the axes of the world, shape (J, 3, N).
+        axes : ndarray
+            Unit vectors along the axes of the rotations, in the world frame, shape (K, 3, N).
+        moved : ndarray
+            Derivative of a marker with respect to a rotation, for each of the M pairs of `_Plan`, shape (M, 3, N).
         """
         plan, N = self.plan, len(state)
         frames, cosine, sine = self._frames(state)
@@ -452,7 +474,6 @@ class Tree(Brief):
         if len(plan.pitched):
             y, z = axes[plan.pitched], columns[plan.z_axes]
             axes[plan.pitched] = cosine[plan.rolls, None] * y - sine[plan.rolls, None] * z
-        # In the order x, y, z, x, y, the factors of a cross product are slices.
         turn_axes = axes.take(CYCLE, axis=1).take(plan.turning, axis=0)
         cyclic = points.take(CYCLE, axis=1)
         arms = cyclic.take(plan.arm, axis=0) - cyclic.take(plan.centre, axis=0)
@@ -463,27 +484,28 @@ class Tree(Brief):
 
 
 Moved = tuple[Array, Array, Array]
-"""Marker positions, rotation axes and derivatives, as `Tree.moved` returns them."""
+"""Markers, axes of the rotations, and derivatives, as `Tree.moved` returns them."""
 
 
 def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Return first and second derivatives of the markers for one state (D,), for inverse kinematics.
+    """Return the first and second derivatives of the markers for one state (D,), for inverse kinematics.
 
     The tree must not have summed joints.
 
     Returns
     -------
-    jacobian : (J, 3, D)
-    axes : (D - 3, 3)
-        Axes of the angles.
+    jacobian : ndarray
+        Derivatives of the markers' positions with respect to the state, shape (J, 3, D).
+    axes : ndarray
+        Unit vectors along the axes of the angles in the world frame, shape (D - 3, 3).
     curvature : function
-        Function from weights (J, 3) to the weighted sum (D - 3, D - 3) of the markers' second derivatives.
+        Function that returns the weighted sum (D - 3, D - 3) of the markers' second derivatives, given weights (J, 3).
     """
     return derivatives_of(tree, tree.moved(state[None], np.ones(1)))
 
 
 def derivatives_of(tree: Tree, moved_now: Moved) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Return first and second derivatives as `derivatives` does, given the result of `Tree.moved` for one state."""
+    """Return the result of `derivatives` for one state, given the result of `Tree.moved`."""
     plan, J = tree.plan, len(tree.markers)
     _, axes, moved = moved_now
     axes, moved = axes[..., 0], moved[..., 0]

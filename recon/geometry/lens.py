@@ -1,7 +1,7 @@
 """Distort and undistort rays by lens models, each of which is a class in the table `LENS_MODELS`.
 
-A lens bends ideal normalised coordinates (a, b) = (x/z, y/z) to distorted coordinates, which the camera's matrix turns
-into pixels. As in OpenCV's documentation (modules calib3d and fisheye):
+A lens model converts the normalised coordinates (a, b) = (x/z, y/z) of a point to distorted coordinates, which the
+camera matrix converts to pixels. The models are those of OpenCV (modules calib3d and fisheye):
 
 - "pinhole": no distortion, no coefficients.
 - "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.
@@ -25,70 +25,74 @@ from numpy.polynomial import Polynomial, polynomial
 from recon.base.arrays import Array, Bools
 
 _ANGLES = 2048
-"""Number of samples of the radial distortion, whose interpolated inverse is the start of Newton's method."""
+"""Number of samples of the radial distortion, whose interpolated inverse is the start value of Newton's method."""
 _LARGEST_RADIUS = 1e8
 """Largest radius, in normalised coordinates, at which the radial distortion is sampled."""
 
 
 class Lens:
-    """Base class of lens models, each of which holds the coefficients of one lens."""
+    """Base class of lens models; an instance has the coefficients of one lens."""
 
     name: ClassVar[str]
-    """Name of the model in recon's own files and options."""
+    """Name of the lens model in recon's own files and options."""
     coefficients: ClassVar[tuple[str, ...]] = ()
-    """All coefficients of the model, in OpenCV's order."""
+    """Names of all coefficients of the lens model, in OpenCV's order."""
     counts: ClassVar[tuple[int, ...]] = (0,)
     """Numbers of coefficients that a camera may state; the other coefficients are 0."""
     aliases: ClassVar[tuple[str, ...]] = ()
-    """Names of the model in ROS (`distortion_model`) and other files."""
+    """Names of the lens model in ROS (`distortion_model`) and other files."""
     colmap: ClassVar[Mapping[str, str]] = {}
-    """COLMAP's models of this kind, with their parameters in order: f or fx fy, cx, cy, and names of `coefficients`."""
+    """COLMAP's names of this lens model, each with the model's parameters in COLMAP's order.
+
+    The parameters are f or fx and fy, cx, cy, and names of `coefficients`.
+    """
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
-    """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.board_calibration`)."""
+    """OpenCV's set of functions that calibrates the lens model from pictures of a board; None if there is none."""
     calibrated: ClassVar[int] = 0
-    """Number of coefficients that OpenCV's functions estimate."""
+    """Number of coefficients that OpenCV's calibration functions estimate."""
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
 
     @cached_property
     def max_radius(self) -> float:
-        """Return the radius sqrt(a^2 + b^2) up to which the distorted radius increases, inf if it always does."""
+        """Return the radius sqrt(a^2 + b^2) up to which the distorted radius increases; inf without a limit."""
         return math.inf
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
-        """Return distorted coordinates of ideal ones, with exact derivatives.
+        """Return the distorted coordinates of points, with exact derivatives.
 
         Parameters
         ----------
-        a, b : (N,)
-            Ideal coordinates x/z and y/z.
-        r2 : (N,)
-            a^2 + b^2.
+        a, b : ndarray
+            Normalised coordinates x/z and y/z of the points, shape (N,).
+        r2 : ndarray
+            Squared radius a^2 + b^2, shape (N,).
 
         Returns
         -------
-        a', b', da'/da, da'/db = db'/da, db'/db
-            The mixed derivative is symmetric in every model.
+        tuple of ndarray
+            The distorted coordinates a' and b', and the derivatives da'/da, da'/db and db'/db. In every model, db'/da
+            equals da'/db.
         """
         raise NotImplementedError
 
     @cached_property
     def _radial(self) -> tuple[Array, Array]:
-        """Return samples of the distorted radius, and the angles of their rays to the optical axis, rad."""
+        """Return samples of the distorted radius, and the angles between their rays and the optical axis, rad."""
         angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
         r, zero = np.tan(angles), np.zeros(_ANGLES)
         ahead, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
         return 0.5 * (ahead - opposite), angles  # cancels the tangential part, the same on both sides
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
-        """Return the ideal coordinates of distorted coordinates, and whether they exist, (N,) each."""
+        """Return the undistorted coordinates a and b of points, and whether they exist, each of shape (N,)."""
         radius_d, (radii_d, angles) = np.hypot(xd, yd), self._radial
         scale = np.where(radius_d > 0, np.tan(np.interp(radius_d, radii_d, angles)) / radius_d, 1.0)
-        # the tangential part can move pixels beyond the largest radius that the radial part reaches
+        # The tangential distortion can move pixels beyond the largest radius that the radial distortion reaches.
         scale = np.where(radius_d < radii_d[-1], scale, 0.95 * scale)
         a, b, tolerance = scale * xd, scale * yd, 1e-14 * (1 + radius_d)
-        # Newton's method for the whole distortion starts from the inverse of the radial part.
+        # Newton's method for the whole distortion starts from the inverse of the radial distortion.
         error = determinant = np.full(a.shape, np.inf)
         for _ in range(30):
             x, y, d_aa, d_ab, d_bb = self.distort(a, b, a * a + b * b)
