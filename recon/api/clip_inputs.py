@@ -120,7 +120,8 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
     files, (body, prior, cameras) = collect_problems(lambda: read_clips(settings), lambda: shared(settings))
     if settings.corrections is not None:
         corrections = read_corrections(settings.corrections)
-        files = with_corrections(files, [camera.name for camera, _ in cameras], corrections, settings.corrections)
+        names, sizes_px = zip(*((camera.name, camera.image_size_px) for camera, _ in cameras), strict=True)
+        files = with_corrections(files, names, corrections, settings.corrections, sizes_px)
     later = settings.offset_s or (0.0,) * len(files)
     fps = files[0].fps
     assert fps is not None

@@ -85,7 +85,10 @@ class CorrectionSession:
             or row.frame + later_frames[row.camera] not in frames
         ]
         if foreign:
-            expected = "frames, cameras and keypoints of this result; another --out begins without corrections"
+            expected = (
+                f"frames {min(frames)} to {max(frames)}, camera {' or '.join(names)}, and keypoints of this result, "
+                f"which are {', '.join(self.motion.names)}; another --out begins without corrections"
+            )
             detail = f"{'; '.join(foreign[:3])}{'; ...' if len(foreign) > 3 else ''}"
             raise InputError(Problem(self.out, "corrections", detail, expected))
         return named

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +28,10 @@ _EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and
 _Point = tuple[float, float]
 SAME_PX = 1.0
 """Largest distance, in pixels, between a detection in the keypoint file and its rounded position in a correction."""
+HALF_PX = 0.5
+"""Distance from the centre of a pixel at the edge, whose coordinate is 0, to the edge of the picture."""
+SHOWN = 3
+"""Largest number of positions outside the picture that a note lists."""
 MANY_CORRECTIONS = 5
 """Minimum number of corrected detections required to check whether corrections belong to a keypoint file."""
 
@@ -120,7 +124,11 @@ def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
 
 
 def with_corrections(
-    files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
+    files: Sequence[Keypoints],
+    cameras: Sequence[str],
+    corrections: Sequence[Correction],
+    source: Path,
+    sizes_px: Sequence[tuple[int, int]] = (),
 ) -> list[Keypoints]:
     """Return the keypoints of V cameras after corrections by hand.
 
@@ -136,6 +144,8 @@ def with_corrections(
         Corrections for any of the cameras.
     source : path
         The file of the corrections, for messages.
+    sizes_px : sequence of (int, int), optional
+        Width and height of the V cameras' pictures, pixels; the notes then name corrected positions that lie outside.
 
     Raises
     ------
@@ -144,7 +154,7 @@ def with_corrections(
     """
     raise_problems(_problems(files, cameras, corrections, source))
     corrected = []
-    for file, camera in zip(files, cameras, strict=True):
+    for file, camera, size_px in zip(files, cameras, sizes_px or (None,) * len(files), strict=True):
         corrected_px = {(row.frame, row.keypoint): row.now_px for row in corrections if row.camera in ("", camera)}
         if not corrected_px:
             corrected.append(file)
@@ -157,9 +167,34 @@ def with_corrections(
             confidence[cell] = 0.0 if now_px is None else 1.0
         verb = "was" if len(corrected_px) == 1 else "were"
         note = f"{counted(len(corrected_px), 'detection')} {verb} corrected by hand ({source.name})"
-        notes, count = (*file.notes, note), len(corrected_px)
+        outside = [] if size_px is None else [*_outside(corrected_px, size_px, source)]
+        notes, count = (*file.notes, note, *outside), len(corrected_px)
         corrected.append(replace(file, xy_px=xy_px, confidence=confidence, notes=notes, corrected=count))
     return corrected
+
+
+def _outside(
+    corrected_px: Mapping[tuple[int, str], _Point | None], size_px: tuple[int, int], source: Path
+) -> Iterable[str]:
+    """Yield a note if corrected positions lie outside the picture.
+
+    They may be right: detectors pad the picture, and a limb that leaves the picture can be placed by eye.
+    """
+    width, height = size_px
+    outside = [
+        f"frame {frame}, {keypoint} at ({now_px[0]:g}, {now_px[1]:g})"
+        for (frame, keypoint), now_px in corrected_px.items()
+        if now_px is not None
+        and not (-HALF_PX <= now_px[0] <= width - HALF_PX and -HALF_PX <= now_px[1] <= height - HALF_PX)
+    ]
+    if outside:
+        is_one = len(outside) == 1
+        shown = f"{'; '.join(outside[:SHOWN])}{'; ...' if len(outside) > SHOWN else ''}"
+        yield (
+            f"{counted(len(outside), 'corrected position')} {'lies' if is_one else 'lie'} outside the picture of "
+            f"{width}x{height} px ({shown}). If {'this is' if is_one else 'these are'} not intended, change "
+            f"{source.name}; empty cells leave a detection out."
+        )
 
 
 def _problems(
@@ -176,14 +211,24 @@ def _problems(
         title = file.source or camera
         unknown = sorted({row.keypoint for row in rows} - {*file.names})
         if unknown:
-            yield Problem(source, "keypoint", ", ".join(unknown)[:100], f"keypoints of {title}")
+            expected = f"keypoints of {title}, which are {', '.join(file.names)}"
+            yield Problem(source, "keypoint", ", ".join(unknown)[:100], expected)
         absent = sorted({row.frame for row in rows} - {*file.frames.tolist()})
         if absent:
-            yield Problem(source, "frame", ", ".join(map(str, absent))[:100], f"frames of {title}")
+            expected = f"frames of {title}, which are {_range_of(file.frames)}"
+            yield Problem(source, "frame", ", ".join(map(str, absent))[:100], expected)
         if not (unknown or absent) and _are_of_other_detections(file, rows):
             detail = f"no detection of {title} at any of the {len(rows)} positions"
             expected = "corrections of this file; rows without was_x_px and was_y_px are not compared with it"
             yield Problem(source, "was_x_px, was_y_px", detail, expected)
+
+
+def _range_of(frames: np.ndarray) -> str:
+    """Return the range of frame numbers as text, such as "0 to 59"."""
+    if not len(frames):
+        return "none"
+    first, last = int(frames.min()), int(frames.max())
+    return f"{first} to {last}{'' if len(frames) == last - first + 1 else ', with gaps'}"
 
 
 def _are_of_other_detections(file: Keypoints, rows: Sequence[Correction]) -> bool:

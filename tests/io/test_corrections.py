@@ -50,6 +50,28 @@ def test_everything_that_is_not_there_is_named_at_once(keypoints: Keypoints):
     with pytest.raises(InputError) as refusal:
         with_corrections([keypoints], ["cam"], rows, Path("corrections.csv"))
     assert [problem.found for problem in refusal.value.problems] == ["cam9", "ear", "40"]
+    expected = [problem.expected for problem in refusal.value.problems]
+    assert [text.split(" ", 3)[-1] for text in expected] == ["cam", "which are nose, tail", "which are 4 to 6"]
+
+
+def test_positions_outside_the_picture_are_named(keypoints: Keypoints):
+    """A position above the picture is used but named; the centre of the first pixel is 0."""
+    rows = [
+        Correction(4, "", "nose", None, (9.0, -5.0)),
+        Correction(5, "", "nose", None, (-0.5, 19.5)),
+        Correction(6, "", "nose", None, None),
+    ]
+    (corrected,) = with_corrections([keypoints], ["cam"], rows, Path("fix.csv"), [(30, 20)])
+    assert corrected.xy_px[0, 0].tolist() == [9.0, -5.0]
+    assert [note for note in corrected.notes if "outside" in note] == [
+        "1 corrected position lies outside the picture of 30x20 px (frame 4, nose at (9, -5)). If this is not "
+        "intended, change fix.csv; empty cells leave a detection out."
+    ]
+    rows = [Correction(frame, "", name, None, (31.0, 2.0)) for frame in (4, 5) for name in keypoints.names]
+    (corrected,) = with_corrections([keypoints], ["cam"], rows, Path("fix.csv"), [(30, 20)])
+    assert "4 corrected positions lie outside" in corrected.notes[-1]
+    assert corrected.notes[-1].count("frame") == 3
+    assert not any("outside" in note for note in with_corrections([keypoints], ["cam"], rows, Path("a"))[0].notes)
 
 
 @pytest.mark.parametrize(
