@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -10,15 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.animal.body import ROUGH_SIZE_SIGMA, Body, Side
+from recon.animal.body import LARGEST_ANIMAL_M, ROUGH_SIZE_SIGMA, Body, Side
 from recon.animal.naming import load_names, problem_of_names, renamed
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
 from recon.api.clip_cameras import Cameras, ClipCamera, read_clip_cameras
 from recon.api.inside_picture import require_inside
-from recon.api.settings import UNITS_M, FitSettings
+from recon.api.settings import UNITS_M, FitSettings, Unit
 from recon.base.arrays import mean_along
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.numbers import rough_length
 from recon.clip import (
     Keypoints,
     Source,
@@ -184,6 +186,41 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
             raise InputError(
                 Problem("--camera-unit", "camera_unit", actual, f"the calibration's unit, probably {unit}")
             )
+
+
+def require_size_of_animal(points_m: np.ndarray, camera_unit: Unit) -> None:
+    """Raise InputError if triangulated points show that the calibration is in another unit, without a skeleton.
+
+    Parameters
+    ----------
+    points_m
+        Positions (T, K, 3) of keypoints in the given unit of the calibration, converted to metres; NaN if missing.
+    camera_unit
+        Unit that was assumed.
+    """
+    known = np.isfinite(points_m[..., 0])
+    size_m = length_of_animal_m(points_m[densest_window(known.mean(axis=1) >= KNOWN_FOR_UNIT, FRAMES_FOR_UNIT)])
+    if size_m <= LARGEST_ANIMAL_M:
+        return
+    smaller = {unit: size_m * UNITS_M[unit] / UNITS_M[camera_unit] for unit in ("cm", "mm")}
+    plausible = {unit: length_m for unit, length_m in smaller.items() if length_m <= LARGEST_ANIMAL_M}
+    units = " or ".join(f"{unit} ({rough_length(length_m)})" for unit, length_m in (plausible or smaller).items())
+    actual = f"{camera_unit}, in which the animal is {rough_length(size_m)} long"
+    raise InputError(Problem("--camera-unit", "camera_unit", actual, f"the calibration's unit, probably {units}"))
+
+
+def length_of_animal_m(points_m: np.ndarray) -> float:
+    """Return the largest of the median distances between two of K points (T, K, 3), m; 0 without two points.
+
+    A median over the frames is not changed by the outliers of a few; in half of the frames or more, at least one of
+    all keypoints may be an outlier.
+    """
+    largest_m = 0.0
+    with warnings.catch_warnings(action="ignore"):  # some pairs are never seen together
+        for k in range(points_m.shape[1] - 1):
+            medians_m = np.nanmedian(np.linalg.norm(points_m[:, k + 1 :] - points_m[:, [k]], axis=2), axis=0)
+            largest_m = max(largest_m, float(np.nanmax(medians_m, initial=0.0)))
+    return largest_m
 
 
 def _spread(points_m: np.ndarray) -> float:

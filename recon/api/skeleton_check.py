@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from recon.animal.body import Body, other_side
+from recon.animal.body import LARGEST_ANIMAL_M, Body, other_side
 from recon.animal.bones import bones_of
 from recon.animal.chain import load_chain
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
-from recon.base.numbers import length_text
+from recon.base.numbers import rough_length
 from recon.fit.body_shape import LENGTH_SIGMA
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
 
 REACH_SIGMAS = 2.0
 """Half-width of the expected range of an angle, in standard deviations."""
-LARGEST_ANIMAL_M = 15.0
-"""Length, in metres, that no legged animal exceeds."""
 
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
@@ -103,7 +101,7 @@ def _remarks(body: Body) -> Iterator[str]:
     point_m = dict(zip(body.markers, body.expected_points_m(), strict=True))
     rear, front = (point_m[marker] for marker in body.forward)
     if (length_m := float(np.ptp([*point_m.values()], axis=0).max())) > LARGEST_ANIMAL_M:
-        yield f"lengths: the animal is {length_text(length_m)} long. Lengths are metres, not mm or cm."
+        yield f"lengths: the animal is {rough_length(length_m)} long. Lengths are metres, not mm or cm."
     if front[0] <= rear[0]:
         yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
     yield from feet_remarks(body)

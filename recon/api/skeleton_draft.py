@@ -25,14 +25,13 @@ from recon.animal.body import FOOT_LABELS, MIN_JOINTS, other_side, side_of
 from recon.animal.naming import fitting_maps, fitting_skeleton, load_names, suggestions
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_cameras import read_clip_cameras
-from recon.api.clip_inputs import arrange, read_clips
+from recon.api.clip_inputs import arrange, read_clips, require_size_of_animal
 from recon.api.rigs import FIRST_CAMERA
-from recon.api.settings import INDIVIDUAL, UNITS_M, FitSettings, Unit
-from recon.api.skeleton_check import LARGEST_ANIMAL_M
+from recon.api.settings import INDIVIDUAL, FitSettings, Unit
 from recon.base.arrays import Array, mean_along
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import length_text, percent, quantity
+from recon.base.numbers import percent, quantity, rough_length
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.sights import triangulated_m
@@ -172,24 +171,9 @@ def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
     ]
     views = views_of(align_cameras(sources, (0.0,) * len(sources)))
     positions_m = triangulated_m(views, fit_settings.trajectory_options().sigma_px, 0.0)
-    _require_size(positions_m, settings)
+    require_size_of_animal(positions_m, settings.camera_unit)
     labels, text = draft_from_points(first.names, positions_m, first.fps, settings.out.stem, source)
     return {name: name for name in labels}, tuple(n for n in first.names if n not in labels), text
-
-
-def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
-    """Raise InputError for an animal so large that the calibration must be in another unit."""
-    known = np.asarray(np.isfinite(positions_m).all(axis=2))
-    enough = known.sum(axis=1) >= MIN_JOINTS
-    if not enough.any():
-        return
-    extents_m = [float(np.ptp(row[seen], axis=0).max()) for row, seen in zip(positions_m, known, strict=True)]
-    size_m = float(np.median(np.array(extents_m)[enough]))
-    smaller = {unit: size_m * UNITS_M[unit] / UNITS_M[settings.camera_unit] for unit in ("cm", "mm")}
-    if size_m > LARGEST_ANIMAL_M:
-        units = " or ".join(f"{unit} ({length_text(length)})" for unit, length in smaller.items() if length < size_m)
-        actual = f"an animal of {length_text(size_m)}, if the calibration is in {settings.camera_unit}"
-        raise InputError(Problem("--camera-unit", "camera_unit", actual, f"the unit of the calibration: {units}"))
 
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
@@ -288,9 +272,10 @@ class _Distances:
     same_m: float
     """Standard deviation below which a distance counts as constant."""
     length_m: float
-    """Largest median distance between two keypoints."""
-    longest_m: float
-    """Length of the animal: the largest distance between two keypoints, without `TAIL` of the frames."""
+    """Length of the animal: the largest median distance between two keypoints.
+
+    A maximum over the frames would be that of an outlier.
+    """
 
 
 def draft_from_points(
@@ -337,7 +322,7 @@ def draft_from_points(
         f"{quantity(1000 * distances.same_m, 1, 'mm')} are kept constant. "
         "Look at it with recon skeleton check, and give its segments names.",
     ]
-    keypoint_sigma_m, bias_m = (share * distances.longest_m for share in (KEYPOINT_SHARE, MARKER_SHARE))
+    keypoint_sigma_m, bias_m = (share * distances.length_m for share in (KEYPOINT_SHARE, MARKER_SHARE))
     marker_sigma_m = math.hypot(bias_m, _bending_m(parts, distances))
     head = [labels[rear], labels[front]], round(keypoint_sigma_m, 5), round(marker_sigma_m, 5), SIZE_SIGMA
     text = head_text(comments, title, "the geometry", **by_name(("forward", *HEAD), head))
@@ -389,10 +374,10 @@ def _distances(points_m: Array, source: Path) -> _Distances:
     same_m = max(NOISE * float(np.median(steadiest_m)), RIGID * length_m)
     if same_m > TOO_MUCH * length_m:
         noise_mm = quantity(1000 * same_m / NOISE, 1, "mm")
-        actual = f"distances between neighbours change by {noise_mm} in an animal of {length_m:.3g} m"
+        actual = f"distances between neighbours change by {noise_mm} in an animal of {rough_length(length_m)}"
         expected = f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras reduce the noise"
         raise InputError(Problem(source, "keypoints", actual, expected))
-    return _Distances(usual_m, changes_m, same_m, length_m, float(longest_m.max()))
+    return _Distances(usual_m, changes_m, same_m, length_m)
 
 
 def _rigid_bodies(distances: _Distances) -> list[list[int]]:
@@ -474,7 +459,7 @@ def _directions_ahead(
     ends = [[k for k, label in enumerate(labels) if word.search(label)] for word in (_REAR_WORDS, _FRONT_WORDS)]
     if body_count == 1 or not any(ends):
         bodies = "1 rigid body" if body_count == 1 else f"{body_count} rigid bodies"
-        actual = f"an animal of {length_m:.3g} m that moves by {path_m:.3g} m, with {bodies}"
+        actual = f"an animal of {rough_length(length_m)} that moves by {rough_length(path_m)}, with {bodies}"
         expected = (
             "two rigid bodies or more; and to find the front, a path of half its length, or points named after head or "
             "tail"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from recon.api.clip_cameras import read_clip_cameras
-from recon.api.clip_inputs import arrange, cleaned_source, read_clips
+from recon.api.clip_inputs import arrange, cleaned_source, read_clips, require_size_of_animal
 from recon.api.clip_results import input_files
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array, Brief
@@ -172,7 +172,9 @@ def triangulate_files(settings: FitSettings, smooth: bool = False) -> Triangulat
             for file, camera, later in zip(files, cameras, later_frames, strict=True)
         )
     )
-    return _triangulated(sources, later_frames, fps, settings.sigma_px, smooth)
+    clip = _triangulated(sources, later_frames, fps, settings.sigma_px, smooth)
+    require_size_of_animal(clip.points_m, settings.camera_unit)
+    return clip
 
 
 def _triangulated(

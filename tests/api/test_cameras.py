@@ -22,8 +22,9 @@ from example_run import (
 from scipy.spatial.transform import Rotation
 
 from recon import Camera, FitSettings, Motion, clean, fit_clip, samples_folder
+from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_cameras import cameras_in
-from recon.api.clip_inputs import prepare
+from recon.api.clip_inputs import length_of_animal_m, prepare
 from recon.api.extrinsics import clips_of, run_extrinsics
 from recon.base.numbers import plus_minus
 from recon.cli.cameras import lines_of
@@ -98,6 +99,22 @@ def test_a_wrong_unit_is_found_from_few_frames(runs, monkeypatch):
     monkeypatch.setattr("recon.api.clip_inputs.FRAMES_FOR_UNIT", 8)
     with refusal(("--camera-unit", "camera_unit", ["mm", "times as large"], "probably m")):
         prepare(settings(runs, 1, 2, camera_unit="mm"))
+
+
+def test_outliers_do_not_make_the_animal_longer():
+    """Most frames have an outlier, so the largest extent of a usual frame is that of an outlier."""
+    rng = np.random.default_rng(0)
+    body = load_skeleton("dog-27")
+    points_m = np.repeat(body.expected_points_m()[None], 60, axis=0)
+    true_m = length_of_animal_m(points_m)
+    assert true_m == pytest.approx(np.linalg.norm(points_m[0, :, None] - points_m[0], axis=2).max())
+    with_outliers_m = points_m.copy()
+    is_outlier = rng.random(points_m.shape[:2]) < 0.1
+    with_outliers_m[is_outlier] += rng.normal(0.0, true_m, (is_outlier.sum(), 3))
+    assert is_outlier.any(axis=1).mean() > 0.8
+    assert np.median(np.ptp(with_outliers_m, axis=1).max(axis=1)) > 1.5 * true_m
+    assert length_of_animal_m(with_outliers_m) == pytest.approx(true_m, rel=0.02)
+    assert length_of_animal_m(np.full((3, 5, 3), np.nan)) == 0.0
 
 
 def test_cameras_can_be_named_by_option(runs):

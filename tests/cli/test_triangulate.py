@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ import pytest
 from recon import InputError, read_pose3d, triangulate
 from recon.api.triangulation import COVARIANCES, POINTS, SUMMARY
 from recon.io.calibration import read_cameras
+from recon.io.camera_files import write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
 from recon.testing.rigs import write_rig_clip
 from recon.testing.walkers import walking_person
-from tests.command_line import run
+from tests.command_line import run, says
 
 FPS, FRAMES = 50.0, 16
 
@@ -106,3 +108,16 @@ def test_points_triangulated_from_python_are_near_the_truth(clip):
     assert result.pose3d.names == truth.names
     with pytest.raises(InputError, match="two or more"):
         triangulate(keypoints[:1], cameras[:1])
+
+
+def test_a_calibration_in_millimetres_is_refused(clip, tmp_path):
+    _, files, _ = clip
+    cameras = [
+        replace(c, translation_m=1000 * np.asarray(c.translation_m)) for c in read_cameras((files["rig"],), None)
+    ]
+    write_cameras(cameras, tmp_path / "in_mm.toml")
+    in_mm = {**files, "rig": tmp_path / "in_mm.toml"}
+    refused = command((None, in_mm, None), tmp_path / "points")
+    assert (refused.code, refused.out) == (2, "")
+    assert says(refused.err, "--camera-unit: found m, in which the animal is", "mm (1.")
+    assert command((None, in_mm, None), tmp_path / "points", "--camera-unit", "mm").code == 0
