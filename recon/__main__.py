@@ -12,10 +12,7 @@ LEAST_MB = 640
 
 
 def main() -> None:
-    """Run the command line.
-
-    Ctrl-C ends the command at any moment, even during imports, with one line and its exit code.
-    """
+    """Run the command line; Ctrl-C ends it at any moment, even during imports."""
     _open_streams()
     _require_memory()
     collect_rarely()
@@ -68,7 +65,7 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Flush standard output, and report a failure before Python does so at exit."""
+    """Flush standard output, so that recon and not Python reports a failure."""
     try:
         sys.stdout.flush()
     except OSError as error:

@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX = 1.0
-"""Largest x and y, in pixels, of the corner in which a constant position may stand for missing points."""
+"""Maximum x and y, in pixels, of a constant position in the picture's corner that may stand for missing points."""
 CONSTANT_SHARE = 0.005
-"""Smallest fraction of a file's points at one position for it to count as the constant for missing points."""
+"""Minimum fraction of a file's points at exactly one position that then stands for missing points."""
 CONSTANT_KEYPOINTS = 3
-"""Smallest number of keypoints at the constant position for missing points; a single keypoint may be stuck."""
+"""Minimum number of keypoints at a position that stands for missing points; a single keypoint may be stuck."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Keypoints(Brief):
     """Detections of K named keypoints in T frames of one camera.
 
-    A reader returns the values of its file: a confidence of NaN means that the file has none, and a missing point may
-    still have a confidence. `clean` turns these values into the form below.
+    A reader of files returns the values as they are stored: a confidence of NaN if the file has none, and sometimes a
+    confidence of a missing point. `clean` turns them into the form that the attributes describe.
 
     Raises
     ------
@@ -53,15 +53,15 @@ class Keypoints(Brief):
     frames: np.ndarray
     """Original frame numbers, shape (T,), integer, strictly increasing."""
     fps: float | None = None
-    """Frame rate of the video, Hz, if known."""
+    """Frame rate of the video, Hz; None if unknown."""
     stated_fps: float | None = None
-    """Frame rate stated by the file, Hz, if the user gave another one."""
+    """Frame rate that the file states, Hz, if the user gave another one; otherwise None."""
     image_size_px: tuple[int, int] | None = None
-    """Width and height of the picture, if known."""
+    """Width and height of the picture, pixels; None if unknown."""
     individual: str | None = None
-    """Name of the animal, if the file has several."""
+    """Name of the animal, if the file has several animals; otherwise None."""
     source: str | None = None
-    """Path of the keypoint file."""
+    """Path of the keypoint file; None if the keypoints are from memory."""
     scorer: str | None = None
     """Name of the network or person that labelled the file; None if the file has none."""
     notes: tuple[str, ...] = ()
@@ -109,12 +109,13 @@ class Keypoints(Brief):
 
     @classmethod
     def from_xarray(cls, dataset: xr.Dataset, fps: float | None = None, individual: str | None = None) -> Keypoints:
-        """Return keypoints from movement's dataset of poses, in pixels.
+        """Return keypoints from a dataset of poses of the package movement, in pixels.
 
         Parameters
         ----------
         dataset : xarray.Dataset
-            Poses; their times are seconds if the dataset has a frame rate or `fps` is given.
+            Poses. Their times are in seconds if the dataset has a frame rate or `fps` is given, otherwise frame
+            numbers.
         fps : float, optional
             Frames per second.
         individual : str, optional
@@ -139,11 +140,11 @@ COUNTS = (
     *("frames", "used", "missing", "rejected", "missing_zero_zero", "missing_nan_with_likelihood", "missing_empty"),
     *("missing_absent_frame", "missing_constant", "likelihood_unknown"),
 )
-"""Names of the counts of a keypoint's frames; used + missing + rejected = frames.
+"""Names of the counts of frames for each keypoint; used + missing + rejected = frames.
 
-A point is missing if it was stored as (0, 0) without a likelihood, as NaN with a likelihood, as an empty cell, or as a
-constant for missing points (`CleaningReport.constant_px`), or if the file lacks its frame. `likelihood_unknown` counts
-used points without a likelihood.
+A keypoint is missing in a frame if it was stored as (0, 0) without a likelihood, as NaN with a likelihood, as an empty
+cell, or at the constant position for missing points (`CleaningReport.constant_px`), or if the file lacks the frame.
+`likelihood_unknown` counts used keypoints without a likelihood.
 """
 
 
@@ -152,9 +153,9 @@ class LeftOut(Brief):
     """N detections of a file that the fit does not use."""
 
     names: tuple[str, ...] = ()
-    """Names of the keypoints to which `keypoint` refers."""
+    """Names of the keypoints, to which the array `keypoint` refers."""
     reasons: tuple[str, ...] = ()
-    """Reasons to which `reason` refers."""
+    """Reasons for leaving out detections, to which the array `reason` refers."""
     frame: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     """Frame number of each detection in its file, shape (N,)."""
     keypoint: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -171,9 +172,9 @@ class LeftOut(Brief):
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
     def with_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return these detections and those in the mask `points` (T, K), which were left out for `reason`.
+        """Return the record with further detections, a mask `points` (T, K), that were left out for `reason`.
 
-        `later_frames` is the clip's frame number minus that of the file.
+        `later_frames` is the clip's frame number minus the file's frame number.
         """
         rows, columns = np.nonzero(points)
         names = tuple(dict.fromkeys((*self.names, *keypoints.names)))
@@ -203,13 +204,13 @@ class CleaningReport(Brief):
     frames_dropped: int
     """Number of frames of the file outside the requested range."""
     inserted: tuple[tuple[int, int], ...]
-    """Ranges of frames that the file lacks, inserted with all points missing."""
+    """Half-open ranges of frames that the file lacks, which were inserted with all points missing."""
     keypoints: dict[str, dict[str, int]]
-    """Counts of each keypoint, by the names in `COUNTS`."""
+    """Counts for each keypoint, by the keypoint's name and a name in `COUNTS`."""
     notes: tuple[str, ...] = ()
     """Choices of the file's reader and of the cleaning, in plain sentences."""
     constant_px: tuple[float, float] | None = None
-    """Constant position, px, that the file stores for missing points with a likelihood, such as (-1, -1), if any."""
+    """Constant position, px, that the file stores for missing points, such as (-1, -1); None if there is none."""
     left_out: LeftOut = field(default_factory=LeftOut)
     """Detections of the file that the fit does not use."""
 
@@ -219,15 +220,11 @@ class CleaningReport(Brief):
 
 
 def parse_frame_range(text: str) -> tuple[int | None, int | None]:
-    """Parse the frame range "A:B" into (A, B).
+    """Parse the frame range "A:B" into (A, B), with None for an empty side.
 
-    Either side may be empty (None). B is not included, as in a Python slice. A and B are the file's frame numbers, not
-    row indices.
+    B is not included, as in a Python slice. A and B are the file's frame numbers, not row indices.
 
-    Raises
-    ------
-    InputError
-        If the text is not such a range.
+    Raises ------ InputError If the text is not a frame range.
     """
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
@@ -238,13 +235,13 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
 
 
 UNLIKELY = "low likelihood"
-"""Reason for leaving out a detection: its likelihood is below the limit."""
+"""Reason for leaving out a detection whose likelihood is below the limit."""
 
 
 def clean(
     keypoints: Keypoints, likelihood_min: float, frames: tuple[int | None, int | None] | None = None
 ) -> tuple[Keypoints, CleaningReport]:
-    """Mark unreliable points of a file as missing (NaN with confidence 0), and insert the frames that it lacks.
+    """Mark unreliable points of a file as missing (NaN with confidence 0), and insert the frames that the file lacks.
 
     Parameters
     ----------
@@ -253,7 +250,7 @@ def clean(
     likelihood_min : float
         Points with a lower likelihood are rejected.
     frames : (int or None, int or None), optional
-        Half-open range of original frame numbers.
+        Half-open range (A, B) of original frame numbers; None for no limit.
 
     Returns
     -------
@@ -304,9 +301,9 @@ def clean(
 def leave_out(
     keypoints: Keypoints, report: CleaningReport, points: np.ndarray, reason: str, later_frames: int = 0
 ) -> tuple[Keypoints, CleaningReport]:
-    """Mark further points (T, K) of a cleaned clip as missing and rejected, with a note of the reason.
+    """Mark further points, a mask (T, K), of cleaned keypoints as missing, and record the reason in the report.
 
-    `later_frames` is the clip's frame number minus that of the file.
+    `later_frames` is the clip's frame number minus the file's frame number.
     """
     if not points.any():
         return keypoints, report
@@ -328,12 +325,9 @@ def leave_out(
 
 
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
-    """Return the rows with frame numbers in the half-open range (A, B); None means no limit.
+    """Return the keypoints in frames of the half-open range (A, B), where None means no limit.
 
-    Raises
-    ------
-    InputError
-        If no row is left.
+    Raises ------ InputError If no frame is left.
     """
     start, stop = frames or (None, None)
     keep = keypoints.frames >= (-np.inf if start is None else start)
@@ -343,7 +337,7 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
         expected = f"a range of the clip's frames ({has})"
         raise InputError(Problem(_source(keypoints), "frames", f"no frame in the range {shown}", expected))
-    if keep.all():  # a copy of half an hour needs 100 MB
+    if keep.all():  # avoid a copy, since long clips are large
         return keypoints
     xy_px, confidence, numbers = (values[keep] for values in (keypoints.xy_px, keypoints.confidence, keypoints.frames))
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=numbers)
@@ -352,8 +346,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
 def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]]:
     """Set missing points to NaN with confidence 0, and count how they were stored.
 
-    The counts have shape (K,) and names from `COUNTS`. Some programs store a missing point as (0, 0). A point at (0, 0)
-    counts as missing only if its likelihood is 0 or unknown, because the corner of the image can be a detection.
+    The counts (K,) have names from `COUNTS`. Some programs store a missing point as (0, 0). A point at (0, 0) counts as
+    missing only if its likelihood is 0 or unknown, because the corner of the image can be a detection.
     """
     has_likelihood = keypoints.confidence > 0
     no_xy = ~keypoints.present
@@ -369,10 +363,9 @@ def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]
 
 
 def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
-    """Return the constant position, in pixels, that a file stores for missing points, if any.
+    """Return the constant position, in pixels, that a file stores for missing points, or None.
 
-    Several keypoints at exactly the same position, in the picture's corner or outside the picture, cannot come from a
-    detector.
+    A detector does not put several keypoints at exactly one position in the picture's corner or outside the picture.
     """
     points, names = keypoints.xy_px[keypoints.present], np.nonzero(keypoints.present)[1]
     corner = (points <= CORNER_PX).all(axis=1) & (keypoints.confidence[keypoints.present] != 0)
@@ -385,7 +378,7 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
 
 
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
-    """Insert rows of missing points for absent frame numbers, so that frames are equally spaced in time.
+    """Insert missing points for absent frame numbers, so that frames are equally spaced in time.
 
     Returns
     -------
@@ -424,7 +417,7 @@ def frame_ranges(frames: np.ndarray) -> tuple[tuple[int, int], ...]:
 
 
 def densest_window(counts: Integers, n: int) -> slice:
-    """Return the window of at most `n` rows with the largest sum of `counts`."""
+    """Return the window of at most `n` frames, as a slice, with the largest sum of `counts` (T,)."""
     n, total = min(n, len(counts)), np.concatenate([[0], np.cumsum(counts)])
     first = int(np.argmax(total[n:] - total[: len(total) - n]))
     return slice(first, first + n)
@@ -443,7 +436,7 @@ def _source(keypoints: Keypoints) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class View(Brief):
-    """Keypoints that one camera saw in the T frames of a clip, and the camera's poses.
+    """Keypoints of one camera in the T frames of a clip, and the camera's poses.
 
     Lengths are metres. Pixels are those of the distorted picture.
     """
@@ -459,7 +452,7 @@ class View(Brief):
     intrinsics_px: Array | None = None
     """fx, fy, cx, cy of each frame, shape (T, 4), for a camera that zooms."""
     offset_frames: float = 0.0
-    """Delay of this camera's pictures relative to the clip's frames, in frames; 0 to below 1 unless estimated."""
+    """Delay of the camera's pictures relative to the clip's frames, in frames; 0 to below 1 unless estimated."""
     rotation_sigma_rad: Array | None = None
     """Standard deviation of each pose's rotation about any axis, shape (T,), if the camera's track states it."""
 
@@ -480,7 +473,7 @@ class View(Brief):
 
     @cached_property
     def centre_m(self) -> Array:
-        """Return the camera's centre of projection in the world frame, (T, 3), metres."""
+        """Return the camera's centre of projection in the world, (T, 3), or (1, 3) for a still camera, metres."""
         return np.broadcast_to(inverse(self.T_camera_world)[..., :3, 3], (len(self.xy_px), 3))
 
     @property
@@ -498,7 +491,7 @@ class View(Brief):
         return variance[:, None, None, None] * perpendicular
 
     def part(self, frames: slice | Index) -> View:
-        """Return the view of only the given frames, which are rows of its arrays."""
+        """Return the view of only the given frames, which are indices of the clip's T frames."""
         names = ["xy_px", "confidence", "intrinsics_px", "rotation_sigma_rad"]
         names += [] if self.is_still else ["T_camera_world"]
         arrays = {name: getattr(self, name) for name in names}
@@ -514,11 +507,11 @@ class View(Brief):
 
     @property
     def seen(self) -> Bools:
-        """Return a mask (T, J) of keypoints near enough to the picture to be detections (`Camera.sees`)."""
+        """Return a mask (T, J) of the keypoints that are in the picture or close to it (`Camera.sees`)."""
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """Return the view after an extrinsic correction (6,) by three Euler angles, rad, and a shift, m.
+        """Return the view with its camera's poses corrected by three Euler angles, rad, and a shift, m, (6,).
 
         Points in the camera frame become X_new = R(angles) X + shift.
         """
@@ -528,17 +521,17 @@ class View(Brief):
         return replace(self, T_camera_world=T_correction @ self.T_camera_world)
 
     def with_focal_scale(self, log_scale: float) -> View:
-        """Return the view with focal lengths multiplied by exp(log_scale); not for a camera that zooms."""
+        """Return the view of a camera that does not zoom with its focal lengths multiplied by exp(log_scale)."""
         return replace(self, camera=self.camera.with_focal_scale(log_scale)) if log_scale else self
 
     def mask_outside_image(self) -> View:
-        """Return the view without keypoints that are too far outside the picture to be detections (`Camera.sees`)."""
+        """Return the view without keypoints that are far outside the picture (`Camera.sees`), which are errors."""
         return replace(self, xy_px=np.where(self.seen[..., None], self.xy_px, np.nan))
 
     def shift_to_exposure(self, points_m: Array) -> Array:
-        """Return points (T, J, 3) of the clip's frames, moved to the times at which this view's pictures were taken.
+        """Return points (T, J, 3), metres, moved from the clip's frames to the times of this view's pictures.
 
-        Points in the last frame before a gap move with the velocity of the frames before.
+        Points in the last frame before a gap move with the velocity of the previous frames.
         """
         if not self.offset_frames or len(points_m) < 2:
             return points_m
@@ -547,7 +540,7 @@ class View(Brief):
         return points_m + self.offset_frames * np.where(np.isnan(following), previous, following)
 
     def to_camera(self, points_m: Array) -> Array:
-        """Transform points (T, J, 3) from the world frame to the camera frame."""
+        """Transform points (T, J, 3), metres, from the world frame to the camera's frame."""
         if self.is_still:
             rotated = points_m.reshape(-1, 3) @ self.T_camera_world[:3, :3].T  # one product instead of T
             return rotated.reshape(points_m.shape) + self.T_camera_world[:3, 3]
@@ -555,12 +548,12 @@ class View(Brief):
         return points_m @ R.swapaxes(1, 2) + t[:, None]
 
     def project(self, points_m: Array) -> tuple[Array, Bools]:
-        """Project points (T, J, 3) of the world frame to pixels (T, J, 2), with validity (T, J)."""
+        """Project points (T, J, 3) in the world to pixels (T, J, 2), with a mask (T, J) of valid projections."""
         pixels, valid = self.camera.project(self.to_camera(points_m))
         return self._zoomed(pixels), valid
 
     def project_with_jacobian(self, points_m: Array) -> tuple[Array, Array, Bools]:
-        """Return pixels (T, J, 2), their derivatives (T, J, 2, 3) with respect to the points, and validity (T, J)."""
+        """Return pixels (T, J, 2), their derivatives (T, J, 2, 3) by the points, and a mask (T, J) of valid ones."""
         pixels, by_point, valid = self.camera.project_with_jacobian(self.to_camera(points_m))
         if self.intrinsics_px is not None:
             by_point = self._zoom[:, None, :, :2] @ by_point
@@ -571,13 +564,13 @@ class View(Brief):
         return self._zoomed(pixels), by_world, valid
 
     def rays(self) -> Array:
-        """Return unit vectors (T, J, 3) in the world frame towards the keypoints, NaN where missing."""
+        """Return unit vectors (T, J, 3) in the world frame from the camera to the keypoints; NaN if missing."""
         rays, _ = self.camera.rays(self._unzoomed_px)
         return rays @ self.rotation if self.is_still else (rays[..., None, :] @ self.rotation)[..., 0, :]
 
     @cached_property
     def _zoom(self) -> Array:
-        """Return the affine map (T, 2, 3) from distorted pixels of the camera's own matrix to those of each frame."""
+        """Return the affine map (T, 2, 3) from pixels of the camera's own matrix to pixels of each frame's matrix."""
         assert self.intrinsics_px is not None
         matrices = np.tile(np.eye(3), (len(self.intrinsics_px), 1, 1))
         matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = self.intrinsics_px.T
@@ -586,7 +579,7 @@ class View(Brief):
 
     @property
     def _unzoomed_px(self) -> Array:
-        """Return the keypoints (T, J, 2) in pixels of the camera's own matrix."""
+        """Return the keypoints (T, J, 2), px, as they would be under the camera's own matrix, without zoom."""
         if self.intrinsics_px is None:
             return self.xy_px
         linear, shift = self._zoom[:, None, :, :2], self._zoom[:, None, :, 2]
@@ -599,7 +592,7 @@ class View(Brief):
 
 
 def world_from_reference(first: Camera) -> Array:
-    """Return the transform from the reference frame to the world frame (4, 4), for a first camera that does not move.
+    """Return the transform (4, 4) from the frame of reference to the world, for a first camera that stands still.
 
     `recon.geometry.frames` defines both frames.
     """
@@ -607,7 +600,7 @@ def world_from_reference(first: Camera) -> Array:
 
 
 def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
-    """Return the poses T_camera_world (4, 4) of still cameras, in the world frame of `recon.geometry.frames`."""
+    """Return the pose T_camera_world (4, 4) of each still camera, in the world frame of `recon.geometry.frames`."""
     T_reference_world = inverse(world_from_reference(cameras[0]))
     return [_pose(camera) @ T_reference_world for camera in cameras]
 
@@ -629,7 +622,7 @@ BRIDGED_S = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FramePoses(Brief):
-    """Poses of a moving camera in T frames, in a world with z up, NaN if unknown."""
+    """Poses of a moving camera in T frames, in a world with z up; NaN in frames without a known pose."""
 
     T_camera_world: Array
     """Pose of the camera in each frame, shape (T, 4, 4)."""
@@ -644,7 +637,7 @@ class FramePoses(Brief):
         return np.isfinite(self.T_camera_world[:, 0, 0])
 
     def map_arrays(self, change: Callable[[Array], Array]) -> FramePoses:
-        """Return the poses with a function applied to every array."""
+        """Return the poses with a function applied to each of the arrays."""
         zoom, sigma = (
             None if array is None else change(array) for array in (self.intrinsics_px, self.rotation_sigma_rad)
         )
@@ -653,7 +646,7 @@ class FramePoses(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Source(Brief):
-    """One camera's cleaned keypoints, and the record of their cleaning."""
+    """Cleaned keypoints of one camera, with the camera, its poses, and the record of the cleaning."""
 
     camera: Camera
     keypoints: Keypoints
@@ -663,11 +656,14 @@ class Source(Brief):
     """
     cleaning: CleaningReport
     file_names: tuple[str, ...]
-    """All keypoint names of the file."""
+    """Names of all keypoints in the file, also those that the body does not have."""
     offset_frames: float = 0.0
-    """Delay of the pictures relative to the clip's frames, at least 0 and below 1."""
+    """Delay of the pictures relative to the clip's frames, in frames, at least 0 and below 1."""
     poses: FramePoses | None = None
-    """Poses of a moving camera, whose `camera` has none; there are no detections in frames without a pose."""
+    """Poses of a moving camera; None for a still camera, whose pose is in `camera`.
+
+    Frames without a pose have no detections.
+    """
     offset_s: float = 0.0
     """Time from the first camera's frame 0 to this camera's frame 0, in seconds, given or estimated."""
 
@@ -678,7 +674,7 @@ class Source(Brief):
 
     @property
     def later_frames(self) -> int:
-        """Return the clip's frame number minus that of the file."""
+        """Return the clip's frame number minus the file's frame number."""
         return round(self.offset_s * (self.keypoints.fps or 0.0) - self.offset_frames)
 
 
@@ -707,7 +703,7 @@ def fill_from_nearest(values: Array) -> Array:
 
 
 def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
-    """Put all cameras on common frames: every frame near a detection by any camera.
+    """Put the keypoints of all cameras on common frames, which are all frames near a detection by any camera.
 
     `later_frames` is the delay, in frames, of each camera's frame 0 relative to the first camera's.
     """
@@ -723,10 +719,10 @@ def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> t
 
 
 def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
-    """Return a mask (T,) of the frames that are first, last or near a detection by any camera.
+    """Return a mask (T,) of the first frame, the last frame, and all frames near a detection by any camera.
 
     A gap that is too long to be bridged keeps its margins and remains too long. `starts` are the sources' first frame
-    numbers, and `bridged` is the longest bridged gap in frames.
+    numbers, and `bridged` is the maximum length, in frames, of a gap that is bridged.
     """
     seen = np.zeros(len(frames), dtype=bool)
     for source, start in zip(sources, starts, strict=True):
@@ -740,9 +736,9 @@ def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: I
 
 
 def _on_frames(source: Source, start: int, frames: Integers) -> Source:
-    """Put a source, whose consecutive frames begin at `start`, on the given frames.
+    """Return a source on the given frames, with missing points in frames that it lacks.
 
-    Points are missing in frames that the source lacks.
+    The source's own frames are consecutive, from `start` on.
     """
     keypoints = source.keypoints
     rows = np.arange(start, start + len(keypoints.frames))

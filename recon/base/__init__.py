@@ -1,1 +1,1 @@
-"""Tools for all of recon: errors, files written whole or not at all, documents, interrupts, progress."""
+"""General tools: errors, files that are written whole or not at all, documents, interrupts, progress."""

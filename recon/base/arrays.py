@@ -1,6 +1,6 @@
-"""Array types, objects shown in one line, and statistics of arrays with missing values.
+"""Define array types, show objects in one line, and compute statistics of arrays with missing values.
 
-The types name the content of an array; docstrings give its shape.
+An array type names the content of an array; docstrings give its shape.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Indices of elements of another array."""
 LONGEST = 250
-"""Largest number of characters shown for an object."""
+"""Maximum number of characters in the text of an object."""
 LONGEST_PART = 75
-"""Largest number of characters shown for a part of an object."""
+"""Maximum number of characters in the text of an object's field."""
 SMALL = 12
-"""Number of elements up to which an array is shown in full."""
+"""Maximum number of elements of an array whose values are shown; a larger array is shown by its shape."""
 
 
 class Brief:
@@ -38,7 +38,7 @@ class Brief:
 
 
 def _brief(part: object) -> str:
-    """Return a short description of part of an object: its shape, its number of items, or its class if it is long."""
+    """Return the text of an object's field, or its shape, number of items or class if the text is too long."""
     if isinstance(part, np.ndarray):
         return f"array {part.shape}" if part.size > SMALL else f"array {part.tolist()}"
     text = f"{part:.6g}" if isinstance(part, float) else " ".join(repr(part).split())
@@ -58,9 +58,9 @@ def to_plain(value: object, digits: int = 9) -> object: ...
 
 
 def to_plain(value: object, digits: int = 9) -> object:
-    """Return a value as JSON types, with NaN and infinities as None.
+    """Convert a value to JSON types, with NaN and infinities as None.
 
-    `digits` is the number of significant digits.
+    Numbers are rounded to `digits` significant digits.
     """
     if isinstance(value, Mapping):
         return {encodable(str(key)): to_plain(item, digits) for key, item in value.items()}
@@ -102,7 +102,7 @@ def running_median(values: Array, count: int) -> Array:
 
 
 def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """Return the mean of the values that are not NaN along one or more axes, NaN if there are none."""
+    """Return the mean along one or more axes of the values that are not NaN; NaN if all are NaN."""
     known = ~np.isnan(values)
     count = known.sum(axis=axis)
     total = np.sum(values, axis=axis, where=known)

@@ -32,12 +32,12 @@ Json: TypeAlias = Any
 """The content of a JSON text: dictionaries, lists, strings, numbers, booleans and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
-"""Largest TOML file, in bytes, because the parser is slow; a skeleton has about 10 kB."""
+"""Maximum size of a TOML file, in bytes, because the parser is slow; a skeleton has about 10 kB."""
 
 
 @contextmanager
 def damage_as_input_error(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
-    """Turn almost every exception that a damaged file causes into an InputError.
+    """Turn every exception that a damaged file can cause in the block into an InputError.
 
     `expected` describes an undamaged file, for the message.
     """
@@ -71,7 +71,7 @@ def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
 
 
 def text_of(content: bytes, source: str | Path, expected: str) -> str:
-    """Decode UTF-8 bytes; raise InputError for other bytes."""
+    """Decode UTF-8 bytes, or raise InputError if they are not UTF-8."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -80,7 +80,7 @@ def text_of(content: bytes, source: str | Path, expected: str) -> str:
 
 
 def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> bytes:
-    """Return the content of a file as bytes, checked as in `read_text` except for its encoding."""
+    """Return the content of a file as bytes, with the checks and errors of `read_text` except for the encoding."""
     content = read_head(path, expected, most_bytes + 1)
     if len(content) > most_bytes:
         raise InputError(Problem(path, "file", f"more than {most_bytes >> 20} MB", expected))
@@ -104,7 +104,7 @@ def read_head(path: Path, expected: str = ANY_FILE, length: int = 64) -> bytes:
 
 
 def utf8_path(path: Path) -> str:
-    """Return an absolute path for a library that accepts only names in UTF-8; raise InputError for another name."""
+    """Return an absolute path for a library that accepts only UTF-8, or raise InputError if its name is not UTF-8."""
     name = str(path.absolute())
     if encodable(name) != name:
         raise InputError(Problem(path, "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"))
@@ -112,10 +112,7 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = ANY_FILE) -> None:
-    """Raise InputError unless a path is a file.
-
-    Reading a pipe, for example, could block for ever.
-    """
+    """Raise InputError unless a path is a regular file; reading a pipe, for example, could block forever."""
     with damage_as_input_error(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))
@@ -129,17 +126,17 @@ def _kind_of(path: Path) -> str:
 
 
 def read_json(path: Path, expected: str) -> Json:
-    """Return the content of a JSON file; raise InputError for anything else."""
+    """Return the content of a JSON file, or raise InputError if it cannot be read."""
     return parse_json(read_text(path, expected), path, expected)
 
 
 def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
-    """Return the table of a TOML file; raise InputError for anything else."""
+    """Return the table of a TOML file, or raise InputError if it cannot be read."""
     return parse_toml(read_text(path, expected, MAX_TOML_BYTES), path, expected)
 
 
 def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Json:
-    """Return the content of a JSON text; raise InputError for anything else."""
+    """Return the content of a JSON text, or raise InputError if the text is not JSON."""
     with damage_as_input_error(source, expected):
         return json.loads(text)
 
@@ -148,7 +145,7 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]
 
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
-    """Return the table of a TOML text; raise InputError for anything else."""
+    """Return the table of a TOML text, or raise InputError if the text is not TOML."""
     with damage_as_input_error(source, expected):
         if _LONG_KEY.search(text):
             raise RecursionError  # the time and memory of tomllib grow with the square of a key's length
@@ -158,7 +155,7 @@ def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[st
 _Model = TypeVar("_Model")
 
 
-_adapter = cache(TypeAdapter)  # kept because making an adapter takes longer than checking a table
+_adapter = cache(TypeAdapter)  # cached because making an adapter takes longer than checking a table
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
@@ -179,11 +176,11 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 
 
 MAX_UNPACKED = 1 << 30
-"""Largest size of an unpacked archive, bytes; a larger one could fill the memory."""
+"""Maximum size of an unpacked archive, in bytes; a larger archive could fill the memory."""
 MAX_ARRAYS = 1 << 16
-"""Largest number of arrays in an archive."""
+"""Maximum number of arrays in an archive."""
 KINDS = "biuf"
-"""NumPy's letters for the types that can be read: booleans, whole numbers and floats."""
+"""NumPy's letters for the types of numbers: booleans, signed and unsigned integers, and floats."""
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
@@ -201,13 +198,13 @@ def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(BytesIO(content)) as archive:
         check_unpacked_size(archive)
         for entry in archive.infolist():
-            with archive.open(entry) as file:  # no more than the stated size, since the content may be larger
+            with archive.open(entry) as file:  # a damaged entry may be larger than it states
                 arrays[entry.filename.removesuffix(".npy")] = _array(file.read(entry.file_size), kinds)
     return arrays
 
 
 def check_unpacked_size(archive: zipfile.ZipFile) -> None:
-    """Raise ValueError for a zip archive that unpacks to more than `MAX_UNPACKED`, or to too many files."""
+    """Raise ValueError for a zip archive that unpacks to more than `MAX_UNPACKED` bytes or `MAX_ARRAYS` files."""
     infos = archive.infolist()
     size = sum(info.file_size for info in infos)
     if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
@@ -218,7 +215,7 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:
-    """Return the array of an .npy file; raise ValueError if its header and its data disagree."""
+    """Return the array of an .npy file, or raise ValueError if its header and its data disagree."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
@@ -239,17 +236,17 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
-"""A standard deviation; values outside these limits indicate damage."""
+"""Type of a standard deviation in a file; values outside the limits indicate damage."""
 
 
 class FileTable(BaseModel):
-    """Base class of a table in a file; fields that its class does not declare are errors."""
+    """Base class for tables in files; a field that the class does not declare is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], prefix: str = "") -> Iterator[Problem]:
-    """Yield a problem for each name that is not known."""
+    """Yield a problem for each pair of field and name whose name is not known."""
     known = [*known]
     for field, name in names:
         if name not in known:
@@ -283,7 +280,7 @@ def named_file(
 def named_table(
     name: str | Path, folder: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[dict[str, Any], str]:
-    """Return the table of a built-in TOML file or of a user's, and its name for messages (see `named_file`)."""
+    """Return the table of a built-in or a user's TOML file, and the file's name for messages, as `named_file` does."""
     content, source = named_file(name, folder, ".toml", option, kind, names)
     return parse_toml(text_of(content, source, f"a {kind} file"), source), source
 

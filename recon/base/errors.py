@@ -1,4 +1,4 @@
-"""Report every problem with an input at once, in the user's words."""
+"""Report all problems with an input at once, in the user's words."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Any, TypeVar, overload
 from recon.base.file_names import encodable
 
 NO_FILE, ANY_FILE = "no such file", "a file that can be read"
-"""Words of messages about a missing file."""
+"""Texts for messages about a missing file: the value found, and the value expected."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One problem with an input.
+    """Problem with an input.
 
-    As text, a problem is one line, with codes for characters that cannot be printed.
+    The text of a problem is one line, with codes for characters that cannot be printed.
     """
 
     file: str | Path
-    """The file, or the option of the command line."""
+    """File or command-line option with the problem."""
     field: str
-    """The location in the file: a column, key or row."""
+    """Column, key, row or other part of the file with the problem."""
     found: str
-    """The value found, in the user's words, with units where they matter."""
+    """Description of the value found, with its unit."""
     expected: str
-    """The value expected, in the user's words, with units where they matter."""
+    """Description of the value expected, with its unit."""
     details: tuple[str, ...] = ()
     """Further lines of the message, such as a file to write."""
 
@@ -58,7 +58,7 @@ def printable(text: str) -> str:
 
 
 class InputError(ValueError):
-    """Error about an input that cannot be used, with all its problems, not only the first."""
+    """Error about an input that cannot be used, with all problems of the input."""
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
@@ -66,9 +66,9 @@ class InputError(ValueError):
 
     @property
     def merged(self) -> tuple[Problem, ...]:
-        """Return the problems, with those that differ only in the file merged into one.
+        """Return the problems, of which those that differ only in the file are merged into one.
 
-        The files of a clip's cameras have the same names of keypoints, and the message would repeat all of them.
+        The keypoint files of a clip's cameras often have the same problem, which the message would repeat.
         """
         files: dict[Problem, dict[str | Path, None]] = {}
         for problem in self.problems:
@@ -91,7 +91,7 @@ def raise_problems(problems: Iterable[Problem]) -> None:
 
 
 def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
-    """Return the problems with an input, or nothing if it can be read."""
+    """Return the problems of the InputError that `read` raises; empty if it raises none."""
     try:
         read()
     except InputError as error:
@@ -131,9 +131,9 @@ def collect_problems(first: Callable[[], _A], /, *reads: Callable[[], _B]) -> tu
 
 
 def collect_problems(*reads: Callable[[], object]) -> tuple[object, ...]:
-    """Return the results of several functions; raise one InputError with the problems of all of them.
+    """Call several functions and return their results, or raise one InputError with the problems of all of them.
 
-    A problem that several functions have in common is reported once.
+    A problem that several functions report is included once.
     """
     results, problems = [], []
     for read in reads:

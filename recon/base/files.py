@@ -1,4 +1,4 @@
-"""Write files whole or not at all, and the manifest of the files that one run wrote together.
+"""Write files whole or not at all, with a manifest of the files that one run wrote together.
 
 `recon.base.outputs` decides which files a command may replace.
 """
@@ -68,9 +68,9 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write bytes to a file; raise OSError that names the path.
+    """Write bytes to a file, or raise an OSError that names the path.
 
-    Callers make the bytes in memory, since many libraries hang, crash or report nothing if the disk is full.
+    Callers make the bytes in memory, because many libraries hang, crash or report nothing if the disk is full.
     """
     try:
         path.write_bytes(content)
@@ -80,7 +80,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def names_in(folder: Path) -> list[str]:
-    """Return the names of everything in a folder, sorted."""
+    """Return the sorted names of all files, folders and links in a folder."""
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -168,7 +168,7 @@ def require_no_folders(folder: Path, names: Iterable[str]) -> None:
 
 
 class FileState(NamedTuple):
-    """Size, time and inode of a file, which show whether it has changed since."""
+    """Size, time and inode of a file, which show whether the file changes later."""
 
     size: int
     modified_ns: int
@@ -176,20 +176,20 @@ class FileState(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> FileState:
-        """Return the state of a file, or of a link itself instead of its target."""
+        """Return the state of a file; of a link, the state of the link itself."""
         state = os.lstat(path)
         return cls(state.st_size, state.st_mtime_ns, state.st_ino)
 
 
 def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> None:
-    """Move old files out of a folder and new files in.
+    """Move old files out of a folder, and new files into it.
 
-    The manifest moves out first and in last. After an exception the folder is unchanged.
+    The manifest is the first file to leave and the last to arrive. After an exception the folder is unchanged.
 
     Parameters
     ----------
     staging
-        The folder of `staging_in`, with the new files.
+        Staging folder of `staging_in`, with the new files.
     folder
         The destination.
     leaving
@@ -249,7 +249,7 @@ def relative_path(folder: Path, path: str | Path) -> str:
 
 
 def relative_name(folder: Path, name: str) -> str:
-    """Return the path of a file relative to a folder, or a built-in name unchanged."""
+    """Return the path of a file relative to a folder, or the name of a built-in item unchanged."""
     return relative_path(folder, name) if Path(name).suffix else name
 
 
@@ -259,7 +259,7 @@ def is_plain_name(name: str) -> bool:
 
 
 # The manifest is removed before the first file of a run is replaced, and added after the last (`exchange`). A killed
-# run therefore leaves no manifest, and files of two runs are not taken for one run.
+# run therefore leaves no manifest, and nobody takes the files of two runs for one.
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ class Manifest:
     files: Mapping[str, tuple[int, str]]
     """Size in bytes and SHA-256 (hexadecimal) of each file, by name."""
     kind: str | None = None
-    """The command that wrote the files, such as fit; None in manifests of version 0.2."""
+    """Command that wrote the files, such as fit; None in manifests of version 0.2."""
 
     @property
     def paths(self) -> list[Path]:
@@ -285,7 +285,7 @@ class Manifest:
         return json.dumps({"schema": SCHEMA, **kind, "files": files}, indent=1) + "\n"
 
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
-        """Return a problem for each named file (default: all) that is missing or changed."""
+        """Return a problem for each named file, by default for each file, that is missing or was changed."""
         faults = ((name, self._fault(name)) for name in (self.files if names is None else names))
         return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
 
@@ -337,10 +337,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, kind: str | None = None) -> None:
-    """Write the manifest of the files in a folder.
-
-    `kind` is the command that wrote them.
-    """
+    """Write the manifest of the files in a folder, which the command `kind` wrote."""
     paths = [path for path in sorted(folder.iterdir()) if path.name != MANIFEST and path.is_file()]
     manifest = Manifest(folder, {path.name: (path.stat().st_size, sha256_of(path)) for path in paths}, kind)
     (folder / MANIFEST).write_text(manifest.text, encoding="utf-8", newline="\n")

@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 EXIT_INTERRUPTED = 130
 MESSAGE = "Stopped."
 STUCK_S = 3.0
-"""Seconds that a library has to return after Ctrl-C, before the process ends without it."""
+"""Time in seconds that a library has to return after Ctrl-C, before the process ends."""
 CLEAN_UP_S = 10.0
-"""Seconds that a command has, after Ctrl-C, to remove half-written files, and a batch to stop its workers."""
+"""Time in seconds that a command has after Ctrl-C to remove half-written files and stop its workers."""
 TICK_S = 0.05
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-"""Signals handled like Ctrl-C: clusters and systems send them before they end a process."""
+"""Signals that end a command: Ctrl-C, and the signal that systems send before they kill a process."""
 
 
 class Interrupts:
     """Handler of the signals of `STOPPING` in a process that runs one command.
 
     While the command runs, the first Ctrl-C raises KeyboardInterrupt, so that the command can clean up. During an
-    import the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions during imports into
-    others, or print them. The process ends at once at any other time, at a second Ctrl-C, and if the command does not
-    end in time.
+    import the KeyboardInterrupt is raised after the import, because libraries print exceptions during imports or turn
+    them into others. The process ends at once at any other time, at a second Ctrl-C, and if the command does not end in
+    time.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Interrupts:
         raise KeyboardInterrupt
 
     def _on_swallowed(self, unraisable: UnraisableHookArgs) -> None:
-        """Note that Python has dropped a KeyboardInterrupt, as in a destructor, so that it is raised again."""
+        """Record that Python dropped a KeyboardInterrupt, for example in a destructor, so that it is raised again."""
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._raised = False
 
@@ -116,8 +116,8 @@ class Interrupts:
     def _watch(self, reader: int, main: int) -> None:
         """Make the main thread handle a signal soon, and end the process if it does not.
 
-        Python runs signal handlers between two bytecode instructions of the main thread. That thread may be in a
-        library for a long time, or begin to wait just after the signal; SIGURG, which has no other effect, wakes it.
+        Python runs signal handlers between two bytecode instructions of the main thread. The main thread may be in a
+        library for a long time, or begin to wait just after the signal. SIGURG, which has no other effect, wakes it.
         """
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass

@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 WASM = "application/wasm"
 """Media type of WebAssembly, which browsers accept only without a charset."""
 MOST_BYTES = 4_000_000
-"""Largest request in bytes: thousands of corrections."""
+"""Maximum size of a request, in bytes, enough for thousands of corrections."""
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -27,7 +27,7 @@ _POLICY = (
 
 @dataclass(frozen=True)
 class Reply:
-    """Answer to a request."""
+    """Reply of the server to a request."""
 
     content: bytes
     kind: str = "application/json"
@@ -35,8 +35,9 @@ class Reply:
 
 
 Handler = Callable[[str, object], Reply]
-"""A function that answers a request, given the rest of the address after the handler's name, and the JSON data or
-None.
+"""Function that answers a request.
+
+Its arguments are the rest of the path after the handler's name, and the request's JSON data or None.
 """
 
 
@@ -46,12 +47,12 @@ def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
 
 
 def number_in(rest: str) -> int | None:
-    """Return the rest of an address as a number, or None if it is not a number of at most nine digits."""
+    """Return the rest of a path as a number, or None if it is not a number of at most nine digits."""
     return int(rest) if rest.isdecimal() and len(rest) < 10 else None
 
 
 class LocalServer(ThreadingHTTPServer):
-    """Server that answers requests by the first part of their path.
+    """Server of one page, with a handler for each first part of a request's path.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self.wfile.write(reply.content)
 
     def _target(self, handlers: Mapping[str, Handler]) -> tuple[str, str]:
-        """Return the handler's name and the rest of the path of a request; raise _RefusedError for another page."""
+        """Return the handler's name and the rest of a request's path, or raise _RefusedError for another page."""
         if self.headers.get("Host") not in self.server.hosts:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "another host")
         _, token, *parts = [*self.path.split("?")[0].split("/", 3), ""]

@@ -39,7 +39,7 @@ _NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def is_locked_here(file: int) -> bool | None:
-    """Lock an open file, and return whether this process has the lock; None if the file system has no locks."""
+    """Try to lock an open file, and return whether this process has the lock; None without locks in the file system."""
     try:
         _lock(file)
     except OSError as error:
@@ -49,9 +49,9 @@ def is_locked_here(file: int) -> bool | None:
 
 @contextmanager
 def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Let only this process write to a folder during the block; the folder is created if necessary.
+    """Let only this process write to a folder, which is created if necessary, during the block.
 
-    The lock holds against other processes that use `sole_writer`. A process that dies releases it.
+    The lock stops other processes that use `sole_writer`. A process that dies releases the lock.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
 def sole_editor(file: Path) -> Iterator[None]:
     """Let only this process edit a file during the block.
 
-    The lock holds against other processes that use `sole_editor`.
+    The lock stops other processes that use `sole_editor`.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def _exclusive(path: Path, wait_s: float) -> Iterator[None]:
 
 
 def _locked_file(path: Path, until_s: float) -> int:
-    """Lock a file, and return its descriptor; raise InputError if another process still has the lock at `until_s`."""
+    """Lock a file and return its descriptor, or raise InputError if another process holds the lock until `until_s`."""
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -195,7 +195,7 @@ def _open(path: Path) -> tuple[int, bool]:
 
 
 def _not_usable(path: Path) -> InputError:
-    """Return the error about a lock file that cannot be locked, or is another kind of file."""
+    """Return the error about a lock file that cannot be locked, or about another file with its name."""
     try:
         state = os.lstat(path)
     except OSError:

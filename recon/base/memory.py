@@ -1,4 +1,4 @@
-"""Save time in memory management: keep freed memory in the process, and run the garbage collector rarely."""
+"""Save time: keep freed memory in the process, and run the garbage collector rarely."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _TRIM_THRESHOLD = -1
 _MMAP_THRESHOLD = -3
 """Number of glibc's setting M_MMAP_THRESHOLD, from malloc.h."""
 KEPT_BYTES = 1 << 28
-"""Largest amount of freed memory, in bytes, that the process keeps at the end of the heap."""
+"""Maximum amount of freed memory, in bytes, that the process keeps at the end of the heap."""
 LARGEST_BYTES = 1 << 25
-"""Size, in bytes, from which an array is returned to the system when freed; glibc accepts no larger setting."""
+"""Minimum size, in bytes, of arrays that are returned to the system when freed; glibc accepts no larger setting."""
 NEW_OBJECTS = 400_000
 """Number of new containers after which the garbage collector searches them for unused reference cycles.
 
@@ -24,16 +24,16 @@ The libraries of a fit and of a page make fewer containers than this.
 def collect_rarely() -> None:
     """Run the garbage collector rarely, for the whole life of this process, and not when it ends.
 
-    The libraries make most of a process's objects, and these objects all stay. By default the collector searches new
-    objects again and again while the libraries are loaded, and all objects several times when the process ends,
-    although the system then frees all memory at once. A command leaves few unused cycles.
+    Most objects are made while libraries are loaded, and stay until the end. By default the collector searches new
+    objects repeatedly during the imports, and all objects several times when the process ends, although the system then
+    frees all memory at once. A command leaves few unused cycles.
     """
     gc.set_threshold(NEW_OBJECTS, *gc.get_threshold()[1:])
     atexit.register(gc.freeze)
 
 
 def keep_freed_memory() -> None:
-    """Let this process keep freed memory until it ends, where the C library is glibc.
+    """Let this process keep freed memory until it ends, if the C library is glibc.
 
     A fit allocates arrays of some megabytes repeatedly. The system has to clear each page of them, which takes
     3 % of the processor time of clips of 2000 and 4000 frames (`python benchmarks/parts/long_clips.py 4000x1 --against`
@@ -43,7 +43,7 @@ def keep_freed_memory() -> None:
         return
     import ctypes
 
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has no mallopt
     if mallopt is not None:
         mallopt(_TRIM_THRESHOLD, KEPT_BYTES)
         mallopt(_MMAP_THRESHOLD, LARGEST_BYTES)

@@ -9,19 +9,22 @@ from __future__ import annotations
 import math
 
 SHORT_M = 0.1
-"""Length, in metres, below which lengths are given in millimetres; some bones of a mouse would be 0.00 m long."""
+"""Length, in metres, below which lengths are given in millimetres, because a mouse's bones would be 0.00 m long."""
 NORMAL_90 = 1.645
 """Number of standard deviations on either side that contain 90 % of a normal distribution."""
 _ONE_DIGIT = 1.95
-"""Leading digits of an uncertainty above which one digit is enough: 2 stands for 1.95 to 2.5."""
+"""Leading digits of an uncertainty, 1 to 10, above which one significant digit is enough.
+
+One digit then stands for a range such as 1.95 to 2.5, which is narrow enough.
+"""
 _ONE_DIGIT_OF_INTERVAL = 3.55
-"""Leading digits of an interval's half width above which one digit is enough."""
+"""Leading digits of an interval's half width, 1 to 10, above which one significant digit is enough."""
 
 
 def decimals(value: float) -> str:
-    """Return the format of a number without uncertainty.
+    """Return the format specification of a number whose uncertainty is unknown.
 
-    The number has one decimal, two decimals below 1, and one significant digit below 0.01.
+    Numbers have one decimal, two decimals below 1, and one significant digit below 0.01.
     """
     if 0 < abs(value) < 0.01:
         return f".{-math.floor(math.log10(abs(value)))}f"
@@ -29,7 +32,7 @@ def decimals(value: float) -> str:
 
 
 def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
-    """Return the number of decimals that an uncertainty supports; negative for tens, None if it is unknown or 0.
+    """Return the number of decimals that an uncertainty supports, negative for tens; None if it is unknown or 0.
 
     `one_digit` is the value of the leading digits, from 1 to 10, above which one digit is enough.
     """
@@ -40,7 +43,7 @@ def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
 
 
 def rounded(value: float, digits: int, sign: str = "") -> str:
-    """Return a value as text with `digits` decimals; negative `digits` round to tens, hundreds and so on."""
+    """Return a value as text with `digits` decimals, or rounded to tens, hundreds and so on for negative `digits`."""
     text = f"{round(value, digits):{sign}.{max(digits, 0)}f}"
     is_minus_zero = text.startswith("-") and not any(digit in "123456789" for digit in text)
     return text[1:] if is_minus_zero else text

@@ -42,25 +42,26 @@ from recon.base.locks import committing, require_usable
 RECORD = ".recon.json"
 SCHEMA = {"name": "recon.files", "version": 1}
 NAMED = 3
-"""Largest number of files that a message names."""
+"""Maximum number of files that a message names."""
 
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """A file as a run wrote it."""
+    """Record of a file as a run wrote it."""
 
     kind: str
-    """The command that wrote the file, such as analyse."""
+    """Command that wrote the file, such as analyse."""
     size: int
     """Size in bytes."""
     sha256: str
-    """Digest of the content, in hexadecimal digits."""
+    """SHA-256 of the content, in hexadecimal digits."""
     results: str | None = None
-    """Results folder that the file was made from, relative to the file's folder, or None."""
+    """Results folder from which the file was made, relative to the file's folder; None if it was not made from results.
+    """
     manifest: str | None = None
-    """SHA-256 of the results' manifest when the file was made from them, or None."""
+    """SHA-256 of the manifest of these results at that time; None without results."""
     is_named: bool = False
-    """Whether the user named this very file, which is then kept when the results it was made from are removed."""
+    """Whether the user named the file itself, not its folder; it is then kept when its results are removed."""
 
 
 _Written = dict[str, tuple[WrittenFile, ...]]
@@ -68,12 +69,9 @@ _Written = dict[str, tuple[WrittenFile, ...]]
 
 
 def read_record(folder: Path) -> _Written:
-    """Return the files that recon wrote into a folder, as its `RECORD` lists them; none if there is no record.
+    """Return the files that recon wrote into a folder, from its `RECORD`; empty without a record.
 
-    Raises
-    ------
-    InputError
-        If a file of that name is not such a record.
+    Raises ------ InputError If `RECORD` is another kind of file.
     """
     path = folder / RECORD
     try:
@@ -91,7 +89,7 @@ def read_record(folder: Path) -> _Written:
 
 
 def _entry(**stored: Any) -> WrittenFile:
-    """Return an entry of a record; raise TypeError for impossible values."""
+    """Return an entry of a record, or raise TypeError for impossible values."""
     entry = WrittenFile(**stored)
     types = {"kind": str, "size": int, "sha256": str, "results": str | None, "manifest": str | None, "is_named": bool}
     if not all(isinstance(getattr(entry, name), kind) for name, kind in types.items()):
@@ -130,11 +128,11 @@ class ReadResults:
 
     folder: Path
     manifest: str | None
-    """SHA-256 of the manifest, or None without a manifest."""
+    """SHA-256 of the results' manifest; None without a manifest."""
 
     @classmethod
     def read(cls, folder: Path) -> ReadResults:
-        """Return the version of the results that are now in a folder."""
+        """Return the present version of the results in a folder."""
         return cls(folder, _manifest_sha256(folder))
 
     @contextmanager
@@ -194,27 +192,27 @@ def _is_removed_with(entry: WrittenFile, folder: Path, results: Path) -> bool:
 
 @dataclass(frozen=True)
 class Output:
-    """A folder that a command writes to."""
+    """Folder to which a command writes."""
 
     folder: Path
     kind: str
     """Command to which the files belong, such as analyse."""
     overwrite: bool = False
-    """Whether earlier files of the same command may be replaced, if they were not changed."""
+    """Whether unchanged files of an earlier run of the same command may be replaced."""
     inputs: Sequence[Path] = ()
     """Files and folders that the run reads."""
     made_from: ReadResults | None = None
-    """The results that the run reads."""
+    """Results from which the files are made; None if the run reads no results."""
     exact: str | None = None
     """Name of the file, if the user named a single file instead of a folder."""
     has_manifest: bool = False
-    """Whether a manifest lists the files as belonging together; files made from earlier results are then removed with
-    them.
+    """Whether the files are results with a manifest; files made from earlier results are then removed with these
+    results.
     """
     mark: str = ""
     """Name of a file that identifies a manifest of version 0.2, which does not state its command."""
     content: str = "results"
-    """Name of the files in messages."""
+    """Noun for the files in messages."""
     option: str = "--out"
     """Option that names the folder or file, for messages; "" if there is no such option."""
 
@@ -230,12 +228,12 @@ class Output:
     def staged(self, adds: bool = False) -> Iterator[Path]:
         """Yield a staging folder, whose files move into the output folder at the end of the block, all or none.
 
-        If `adds` is true, earlier files of the same kind are kept unless they are replaced; otherwise they are removed.
+        Earlier files of the same kind that are not replaced stay if `adds` is true, and are removed if it is false.
 
         Raises
         ------
         InputError
-            If `require` would raise it, or if the results that the files were made from have been replaced.
+            In the cases of `require`, or if the results from which the files were made have been replaced.
         """
         with staging_in(self.folder) as staging:
             try:
@@ -279,7 +277,7 @@ class Output:
                 _write_record(self.folder, written | {name: ()})
 
     def _written(self) -> _Written:
-        """Return the files that the folder's record and manifest list."""
+        """Return the files of earlier runs, from the folder's record and manifest."""
         written = read_record(self.folder)
         with suppress(InputError, OSError):
             manifest = read_manifest(self.folder)
@@ -369,9 +367,9 @@ class Output:
             _remove_made_from(folder)
 
     def _is_removable(self, name: str, written: _Written) -> bool:
-        """Return whether a file of an earlier run is stale and is removed.
+        """Return whether a file of an earlier run is stale and has to be removed.
 
-        Files of this kind that this run does not write are stale, and so are files that were made from them.
+        Files of the same kind that this run does not write are stale, and so are files that were made from them.
         """
         entries = written[name]
         if self._is_input(name) or not os.path.lexists(self.folder / name):

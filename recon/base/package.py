@@ -1,6 +1,6 @@
 """Find the distribution from which this package is installed, its version, and the command that adds an extra.
 
-The distribution and the package have different names, because `recon` on the public index belongs to somebody else.
+The distribution and the package have different names, because the name `recon` is taken on the public index.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def version() -> str:
 def install_command(extra: str) -> str:
     """Return the command that adds an extra to this environment, from the source of the package.
 
-    The command works in any folder: its paths are absolute, so that pip takes neither a folder nor a package of the
-    index for this distribution.
+    The command works in any folder, because its paths are absolute. pip then does not mistake a folder, or a package of
+    the index, for this distribution.
     """
     editable, source = _source()
     return f"{pip_command()} install {'-e ' if editable else ''}{quoted(f'{source}[{extra}]')}"
@@ -46,7 +46,7 @@ _PLAIN = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.\\/:"
 
 
 def _source() -> tuple[bool, str]:
-    """Return whether the installation is editable, and pip's argument: an absolute path, or the name on the index.
+    """Return whether the installation is editable, and its source for pip: an absolute path, or the name on the index.
 
     References
     ----------

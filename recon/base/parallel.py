@@ -36,36 +36,34 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Outcome = Mapping[str, Any]
-"""Results of a task by name, with at least its status, and its error if it failed."""
+"""Results of a task, by name: at least the status, and the error if the task failed."""
 _Task = TypeVar("_Task")
 Work = Callable[[_Task, Progress], Outcome]
 """Function that does a task; it must be at the top level of a module, so that another process can import it."""
 Tasks = Sequence[tuple[str, _Task]]
-"""Tasks with their names."""
+"""Pairs of a task's name and the task."""
 STARTING = "starting"
 TASKS_PER_PROCESS = 50
-"""Number of tasks after which a process is replaced: rerun never frees two to four threads and 1.5 to 3 MB per
-recording.
-"""
+"""Number of tasks after which a process is replaced, because rerun frees neither threads nor memory of a recording."""
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR", "RAYON")} | {
     "OPENCV_FOR_THREADS_NUM": "1"
 }
 KILLED = 128 + signal.SIGTERM
 STOP_S = 3.0
-"""Time that a process has to clean up before it is killed, in seconds."""
+"""Time in seconds that a process has to clean up before it is killed."""
 TICK_S = 0.1
 LOG_BYTES = 20_000
 
 
 @dataclass(frozen=True)
 class Event:
-    """Progress or end of a task; on a cluster, a task reports only its beginning and its end."""
+    """Event in the life of a task: progress or its end; on a cluster, only the beginning and the end."""
 
     kind: Literal["progress", "ended"]
     name: str
-    """The name of the task."""
+    """Name of the task."""
     pid: int | None = None
-    """Number of the process that the task runs in."""
+    """Number of the process in which the task runs; None on a cluster."""
     stage: str = ""
     share: float = 0.0
     """Fraction of the work that is done, 0 to 1."""
@@ -83,9 +81,9 @@ def available_cores() -> int:
 
 
 def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, Any]:
-    """Run a task and return its outcome: "failed" for an InputError or OSError.
+    """Run a task and return its outcome, with the status "failed" after an InputError or OSError.
 
-    Other exceptions are raised.
+    Other exceptions are not caught.
     """
     began = time.perf_counter()
     try:
@@ -113,7 +111,7 @@ def run_tasks(
     tasks
         The tasks with their names.
     on_event
-        Called with each event.
+        Function that is called with each event.
     jobs
         Number of tasks at the same time, by default one for each core.
     retries
@@ -172,7 +170,7 @@ def run_tasks(
 
 
 class _Process:
-    """A process that does one task at a time, up to `TASKS_PER_PROCESS`, until its channel is closed or it dies."""
+    """Process that does one task after the other, at most `TASKS_PER_PROCESS`, until its channel is closed."""
 
     def __init__(self, log: Path) -> None:
         context = multiprocessing.get_context("spawn")  # other start methods do not work with threads
@@ -191,7 +189,7 @@ class _Process:
     def give(self, work: Work[_Task], task: _Task) -> None:
         """Begin a task; its events come through the channel."""
         self.tasks_left -= 1
-        with suppress(OSError):  # the process is dead, as its channel reports
+        with suppress(OSError):  # the process is dead, which `receive` will report
             self.channel.send((work, task))
 
     def receive(self) -> tuple[str, float] | dict[str, Any]:
@@ -208,7 +206,7 @@ class _Process:
         return _failure(f"crashed: {(log.strip().splitlines() or ['no output'])[-1]}", log)
 
     def outcome(self) -> dict[str, Any]:
-        """Return the task's outcome, after any progress that waits in the channel."""
+        """Return the task's outcome, and skip progress reports in the channel."""
         while isinstance(message := self.receive(), tuple):
             pass
         return message
@@ -281,7 +279,7 @@ def _end_with_parent() -> None:
 
 CONNECT_S = 10.0
 _STOPPED: set[str] = set()
-"""Batches that have ended, in the process of a Dask worker."""
+"""Names of batches that have ended, in the process of a Dask worker."""
 
 
 class _StoppedError(Exception):
@@ -303,7 +301,7 @@ def run_tasks_on_cluster(
     """
     client = _client(address)
     batch = uuid.uuid4().hex
-    underway: dict[str, tuple[str, Future]] = {}  # by the key of the future
+    underway: dict[str, tuple[str, Future]] = {}  # name and future of each task, by the future's key
     ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
     try:
         for name, task in tasks:

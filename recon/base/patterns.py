@@ -7,17 +7,17 @@ from re import _parser as parser  # type: ignore[attr-defined]
 from typing import Any, TypeAlias
 
 _Part: TypeAlias = Any
-"""A part of a parsed pattern, for which the library publishes no types."""
+"""Part of a parsed pattern, for which Python publishes no types."""
 MAX_REPEATS = 3
-"""Largest number of repeats in a pattern: time grows as the text length to the power of this number."""
+"""Maximum number of repeats in a pattern; the time grows as the text's length to the power of this number."""
 MAX_OPTIONS = 6
-"""Largest number of optional parts of a pattern: each doubles the time."""
+"""Maximum number of optional parts of a pattern, each of which doubles the time."""
 MAX_LENGTH = 200
 _REPEATS = (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT)
 
 
 def slow_part(pattern: str) -> str | None:
-    """Describe the part of a pattern that could make a search take practically for ever; None without such a part.
+    """Describe the part of a pattern that could make a search practically endless; None if there is no such part.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def slow_part(pattern: str) -> str | None:
 
 
 def _variable_repeats(part: _Part, inside: bool) -> list[int] | None:
-    """Return the largest count of each repeat of variable length.
+    """Return the maximum count of each repeat of variable length in part of a pattern.
 
     The result is None if a repeat contains a repeat of variable length or a choice. `inside` states whether the part
     itself is repeated.

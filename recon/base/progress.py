@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
-"""Function called with the name of the present step, and the fraction of all the work that is done, 0 to 1."""
+"""Function that is called with the name of the present step, and with the fraction of the whole work that is done."""
 
 
 def silent(stage: str, share: float) -> None:

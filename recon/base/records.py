@@ -33,11 +33,11 @@ from recon.base.field_problems import problems_of
 
 RECORD = "record"
 SMALL = 64
-"""Largest number of elements of an array that is stored in the JSON text, since many tiny files are slow to read."""
+"""Maximum number of elements of an array that is stored in the JSON text, because many tiny files are slow to read."""
 CLASS = "class"
-"""The key of a subclass's tag."""
+"""Key of a subclass's tag in the JSON text."""
 Classes = Mapping[str, Callable[[], type]]
-"""Functions that return a class, by its tag, since some modules are slow to import."""
+"""Functions that import and return a class, by the class's tag, because some modules are slow to import."""
 
 _Class = TypeVar("_Class")
 
@@ -50,7 +50,7 @@ def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
     Raises
     ------
     TypeError
-        If a value has a type that such a file cannot hold.
+        If a value has a type that a record cannot hold.
     """
     arrays: dict[str, tuple[np.ndarray, _Layout | None]] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
@@ -80,7 +80,7 @@ def load_record(
     classes: Classes | None = None,
     older_versions: tuple[int, ...] = (),
 ) -> _Class:
-    """Return an object of a class that `save_record` wrote.
+    """Return the object that `save_record` wrote, of a given class.
 
     `expected` describes the file, for messages; `classes` are the subclasses that it may contain; `older_versions` are
     further versions of the schema that can be read.
@@ -110,16 +110,16 @@ def load_record(
 
 @dataclasses.dataclass(frozen=True)
 class _Layout:
-    """Layout of a stored array of floats: planes (itemsize, N) of the bytes of its values.
+    """Layout of a stored array of floats, as planes (itemsize, N) of the bytes of its N values.
 
-    The planes of slowly changing values compress well. The longest axis runs fastest.
+    The planes of slowly changing values compress well. The longest axis varies fastest.
     """
 
     dtype: str
     """Type of the array."""
     shape: tuple[int, ...]
     stored: str
-    """Type of the stored values: single precision if that changes no bit."""
+    """Type of the stored values, single precision if this changes no bit."""
     symmetric: bool
     """Whether the last two axes are those of symmetric matrices; only their upper triangles are then stored."""
 
@@ -145,7 +145,7 @@ class _Layout:
         return np.ascontiguousarray(np.ascontiguousarray(values).reshape(-1, 1).view(np.uint8).T)
 
     def unpacked(self, planes: np.ndarray) -> np.ndarray:
-        """Return the array that is stored as planes; raise ValueError or TypeError if they do not fit the layout."""
+        """Return the array that is stored as planes, or raise ValueError or TypeError if they do not fit the layout."""
         dtypes = np.dtype(self.dtype), np.dtype(self.stored)
         if any(dtype.kind != "f" for dtype in dtypes) or planes.dtype != np.uint8 or planes.ndim != 2:
             raise ValueError(f"an array of {self.dtype}, stored as {planes.dtype}")
@@ -155,7 +155,7 @@ class _Layout:
             if n != columns_count:
                 raise ValueError(f"symmetric matrices of {n} rows and {columns_count} columns")
             shape = (*outer, n * (n + 1) // 2)
-        if math.prod(shape) != planes.shape[1]:  # before any indices are made: a damaged file can state any shape
+        if math.prod(shape) != planes.shape[1]:  # a damaged file can state any shape
             raise ValueError(f"an array of {math.prod(shape)} values, of which {planes.shape[1]} are stored")
         longest = _longest(shape)
         moved = (*shape[:longest], *shape[longest + 1 :], shape[longest])
@@ -228,7 +228,7 @@ def _plain_array(
 
 
 def _tag(subclass: type, field: str) -> str:
-    """Return the tag of a subclass; raise TypeError if it has none."""
+    """Return the tag of a subclass, or raise TypeError if it has none."""
     tag: str | None = getattr(subclass, "record_tag", None)
     if tag is None:
         raise TypeError(f"{field}: a {subclass.__name__} cannot be saved, as it has no record_tag")
@@ -236,9 +236,9 @@ def _tag(subclass: type, field: str) -> str:
 
 
 def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes) -> object:
-    """Return a value of `_plain` with its arrays, slices and tagged dataclasses restored.
+    """Return a value that `_plain` wrote, with its arrays, slices and tagged dataclasses restored.
 
-    Other dataclasses are still mappings.
+    Other dataclasses remain mappings.
     """
     if isinstance(value, list):
         return [_restored(item, arrays, classes) for item in value]
@@ -271,6 +271,6 @@ def _validated(record_class: type[_Class], fields: object) -> _Class:
 
 @cache
 def _adapter(record_class: type) -> TypeAdapter[Any]:
-    """Return a validator of a list of a dataclass, since pydantic takes no configuration for a single object."""
+    """Return a validator for a list of objects; pydantic takes no configuration for a single object."""
     many: Any = GenericAlias(list, (record_class,))
     return TypeAdapter(many, config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))

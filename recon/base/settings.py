@@ -61,17 +61,17 @@ _MAY_BE_FILE = object()
 """Marker of a string type whose value is a file if it ends like a file name."""
 _Value = TypeVar("_Value")
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
-"""A finite number."""
+"""Type of a finite number."""
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
 Integer = Annotated[int, BeforeValidator(_no_bool)]
 Count = Annotated[Integer, Field(gt=0)]
 File = Annotated[Path, AfterValidator(Path.absolute)]
-"""A path, made absolute, so that a config.toml with it can be run again from anywhere."""
+"""Type of a path, which is made absolute, so that a config.toml can be run again from any folder."""
 NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
-"""Name of a built-in item, or the absolute path of a file."""
+"""Type of the name of a built-in item, or of the absolute path of a file."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-"""One value or a list of values, as a tuple; its option may be repeated."""
+"""Type of one or more values, as a tuple; the option on the command line may be repeated."""
 
 
 @dataclass(frozen=True)
@@ -79,23 +79,22 @@ class Option:
     """Properties of a setting beyond its type and its default."""
 
     help: str = ""
-    """Help on the command line; if empty, the text below the field. If the default is None, brackets say what happens
-    instead.
+    """Help on the command line; if empty, the text below the field. Brackets give the behaviour of a default of None.
     """
     expected: str = ""
-    """End of the sentence "found ..., expected ..." about a wrong value; if empty, made from the type."""
+    """Description of the expected value for messages; if empty, it is made from the type."""
     common: bool = True
     """Whether the setting has its own option; other settings are given by `--set name=value` and in config.toml."""
     argument: str = ""
-    """Name in the help if the setting is an argument, not an option."""
+    """Name of the argument in the help, if the setting is an argument; empty for an option."""
     metavar: str = ""
-    """Name of the value in the help; if empty, made from the type."""
+    """Name of the value in the help; if empty, it is made from the type."""
     name: str = ""
-    """Name on the command line, if it differs from the field's, such as --from."""
+    """Name on the command line, such as --from, if it differs from the field's name; otherwise empty."""
     panel: str | None = None
     """Heading of the help under which the option stands."""
     method: str | None = None
-    """The only fitting method that reads the setting."""
+    """Fitting method that reads the setting; None if all methods read it."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +104,9 @@ class SettingInfo:
     field: str
     option: Option
     default: Any
-    """MISSING for a required setting, None for one without a default."""
+    """Default value; MISSING for a required setting, None for an optional setting without a value."""
     parts: tuple[object, ...]
-    """All parts of the setting's type."""
+    """All parts of the setting's type, at any depth."""
 
     @property
     def is_flag(self) -> bool:
@@ -121,12 +120,12 @@ class SettingInfo:
 
     @property
     def is_many(self) -> bool:
-        """Return whether the value is a tuple of one value or several, and the option may be repeated."""
+        """Return whether the value is a tuple of one or more values, whose option may be repeated."""
         return Ellipsis in self.parts
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Return the words of a `Literal`; none for other types."""
+        """Return the words of a `Literal`; empty for other types."""
         return tuple(part for part in self.parts if isinstance(part, str))
 
     def is_file(self, value: object) -> bool:
@@ -173,10 +172,7 @@ class SettingInfo:
         return f"{kind} {limit}" if limit.startswith(("greater", "less")) else kind
 
     def plain(self, value: object) -> object:
-        """Return the value as TOML and JSON types.
-
-        A tuple of one value becomes this value.
-        """
+        """Return the value as TOML and JSON types, with the only value of a tuple instead of the tuple."""
         if isinstance(value, tuple | list):
             values = [self.plain(item) for item in value]
             return values[0] if self.is_many and len(values) == 1 else values
@@ -187,7 +183,7 @@ _CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
 class _ReadableSignature:
-    """Signature of a class of settings with the kind and the unit of each value, made on request."""
+    """Signature of a settings class with the kind and the unit of each value, which is made on request."""
 
     def __get__(self, instance: object, cls: type[Settings]) -> Signature:
         by_name = Parameter.KEYWORD_ONLY
@@ -206,9 +202,10 @@ class _ReadableSignature:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
-    """Base class of a command's settings; a subclass is a frozen dataclass, with each field's help below the field.
+    """Base class of a command's settings.
 
-    Strings are accepted for numbers, sizes and files; None means not given.
+    A subclass is a frozen dataclass, with the help of each field below the field. Strings are accepted for numbers,
+    sizes and files. None means that a setting is not given.
 
     Raises
     ------
@@ -245,7 +242,7 @@ class Settings:
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterable[Problem]:
-        """Return contradictions between the given settings, whether or not the individual values can be used."""
+        """Return contradictions between the given settings, even if individual values cannot be used."""
         return ()
 
     def problems(self) -> Iterable[Problem]:
@@ -275,7 +272,7 @@ class Settings:
 
 
 OUTPUTS = ("out", "overlay")
-"""Settings that name what a command writes; all other paths are inputs."""
+"""Names of settings for paths to which a command writes; all other paths are inputs."""
 
 
 def input_paths(settings: Settings) -> tuple[Path, ...]:

@@ -24,7 +24,7 @@ def guarded(cell: _Cell) -> _Cell: ...
 
 
 def guarded(cell: object) -> object:
-    """Return a cell with an apostrophe in front if a spreadsheet would evaluate its text, and in UTF-8."""
+    """Return a cell in UTF-8, with an apostrophe in front if a spreadsheet would evaluate its text."""
     if not isinstance(cell, str):
         return cell
     return encodable(f"'{cell}" if _is_formula(cell) and not _is_number(cell) else cell)
@@ -50,8 +50,8 @@ def _is_number(text: str) -> bool:
 def write_frame(table: pd.DataFrame, path: Path, index: bool = False, digits: int | None = None) -> None:
     """Write a table as CSV with every text guarded.
 
-    `index` states whether the row names are written. `digits` is the number of significant digits of numbers, by
-    default all.
+    `index` states whether the row names are written. `digits` is the number of significant digits of numbers; None
+    writes all of them.
     """
     texts = table.select_dtypes(exclude=["number", "bool"]).columns
     table = table.assign(**{name: table[name].map(guarded) for name in texts}).rename(columns=guarded)

@@ -18,7 +18,7 @@ def one_thread() -> AbstractContextManager[object]:
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Return the libraries that use threads; finding them takes several milliseconds, and a fit needs them often."""
+    """Return the libraries that use threads, cached because finding them takes several milliseconds."""
     import scipy.linalg  # noqa: F401  both have to be loaded before they can be found
 
     return ThreadpoolController()
