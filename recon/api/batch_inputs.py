@@ -210,7 +210,7 @@ def _matching_files(path: Path) -> list[Path]:
 
 def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[str]]:
     if (folder / MOTION).is_file():
-        return [], [f"Left out, results of a fit: {folder}"]
+        return [], [f"Left out, because the folder has results of a fit: {folder}"]
     chosen: dict[str, Path] = {}
     left_out: dict[str, list[str]] = {}
     inside = []
@@ -310,7 +310,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         square, regex = _table(config, "calibration").get(SQUARE), _table(config, "triangulation").get("cam_regex")
         uses_calibration = common.get("camera") is None and common.get("hfov_deg") is None
         if uses_calibration and calibration is None:
-            expected = "calibration/calibration.toml in it or above it, or --camera"
+            expected = "calibration/calibration.toml in this folder or in one above, or --camera"
             problems.append(Problem(folder, "calibration", "none", expected))
         unit_missing = uses_calibration and calibration is not None and common.get("camera_unit") is None
         if unit_missing and isinstance(square, int | float) and square >= MAX_SQUARE_M:
@@ -492,7 +492,7 @@ def _joining_note(clips: Sequence[Sequence[_FileOfClip]]) -> str:
     rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
     alternative = f" ({OPTION} {NONE} fits each file separately)" if OPTION not in rules else ""
     clip_count = counted(len(clips), "clip")
-    return f"{sum(map(len, clips))} files are {clip_count} of several cameras, by {rule_text}{alternative}."
+    return f"{sum(map(len, clips))} files were joined to {clip_count} of several cameras, by {rule_text}{alternative}."
 
 
 def _with_camera(

@@ -160,7 +160,7 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
         actual = f"a background that no turn explains: its parts move relative to each other{grows}"
         actual += f"; {note}" if note else ""
         expected = f"a calibrated camera that turns about a fixed point{zoom}; for a camera that is carried or driven, "
-        expected += "make the track with COLMAP, and give that to --camera-track"
+        expected += "make a track with COLMAP, and give the track to --camera-track"
         raise InputError(Problem(s.video, "motion", actual, expected))
     if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
         expected = "the lens with which the video was filmed, calibrated at the same zoom and focus"

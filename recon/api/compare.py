@@ -281,7 +281,7 @@ def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:
     ]
     if pairs:
         yield (
-            "These results probably show the same run, by their folders, frames and paths, but count as separate "
+            "These results, with related folders, frames and paths, probably show the same run but count as separate "
             f"clips: {names_text(pairs)}. Give one result for each run, if possible the one from all its cameras."
         )
 

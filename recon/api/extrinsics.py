@@ -210,7 +210,7 @@ def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
     moved = max(_lengths_moved(source.keypoints.xy_px) for sources in clips for source in sources)
     if moved < LEAST_MOVED:
         actual = f"an animal that moves by {moved:.1f} of its length in the pictures"
-        expected = "clips in which it moves by its own length or more: otherwise camera positions stay unknown"
+        expected = "clips in which the animal moves by its own length or more, from which camera positions follow"
         raise InputError(Problem("KEYPOINTS", "motion", actual, expected))
 
 
@@ -236,7 +236,7 @@ def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple
     frames = search_offsets(_clip_problem(clip, prepared[0], sources, cameras, [np.eye(4)] * len(cameras)))
     unmatched = [camera.name for camera, unmatched in zip(cameras, np.isnan(frames), strict=True) if unmatched]
     if unmatched:
-        actual = f"no time offset at which it sees the motion that {cameras[0].name} sees"
+        actual = f"no time offset at which the camera sees the motion that {cameras[0].name} sees"
         expected = "clips that both cameras see well, or --set offset-s instead"
         raise InputError(Problem("--set find-offsets", f"camera {name}", actual, expected) for name in unmatched)
     return align_cameras(sources_apart, (later - later[0] + frames).tolist())

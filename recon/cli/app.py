@@ -250,7 +250,7 @@ def _doctor() -> CommandFunction:
 COMMANDS = {
     "From a clip to its motion": {
         "fit": (_fit, "Fit one clip: keypoints and a camera in, a folder of results out."),
-        "batch": (_batch, "Fit many clips in parallel; the same command continues a stopped batch."),
+        "batch": (_batch, "Fit many clips in parallel. The same command continues a stopped batch."),
         "run": (_run, "Go from a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "triangulate": (_triangulate, "Triangulate the keypoints of several cameras, without a skeleton."),
         "demo": (_demo, "Fit the bundled sample, and compare the result with the true motion."),
@@ -290,7 +290,7 @@ COMMANDS = {
     "Robots and the thesis": {
         "ik": (_ik, "Solve the inverse kinematics from the trunk to a foot."),
         "retarget": (_retarget, "Transfer the motion to a four-legged robot."),
-        "robot pose": (_robot_pose, "Print the angles of the legs of a body that moves over planted feet."),
+        "robot pose": (_robot_pose, "Print a robot's leg angles while its body moves over planted feet."),
         "robot dh": (_robot_dh, "Solve a leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_climb, "Plan how a four-legged robot climbs a step by potential fields."),
         "frame": (_frame, "Fit one side of the animal, one frame after the other."),

@@ -109,7 +109,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
     infos = other_infos | own_infos
     parameters = [_parameter(info, name in other_infos) for name, info in infos.items() if info.option.common]
     if len(parameters) < len(infos):
-        help_text = "Another setting, such as sigma-px=2; may be repeated. List them with: recon settings"
+        help_text = "Another setting, such as sigma-px=2 (may be repeated). List all settings with: recon settings"
         parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help_text)))
     parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
 

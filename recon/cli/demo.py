@@ -44,8 +44,8 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
     answer, analysis = answer_of_fit(fit_report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = (
-        f"Error against the sample's truth: {quantity(mpjpe_mm, 0, 'mm')} (MPJPE); the expected error is "
-        "calibrated on real clips"
+        f"Error against the sample's true poses: {quantity(mpjpe_mm, 0, 'mm')} (MPJPE). The expected error is "
+        "calibrated on real clips."
     )
     sentences = analysis_sentences(analysis)
     return replace(answer, lines=[*answer.lines, error, *sentences])

@@ -209,9 +209,9 @@ def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
     if count <= last + 1:
         return None
     return (
-        f"{settings.video.name} has {count} frames, the clip ends with frame {last}: if the video's first frame is not "
-        "the keypoints' frame 0, the pose is drawn on the wrong pictures; give its number in the keypoint file, as in "
-        f"--first-frame {first or last + 1 - count}"
+        f"{settings.video.name} has {count} frames, but the clip ends with frame {last}. If the video was cut and "
+        "begins after frame 0 of the keypoint file, the pose is drawn on the wrong pictures: give the number of the "
+        f"video's first frame in that file, as in --first-frame {first or last + 1 - count}"
     )
 
 
@@ -224,8 +224,8 @@ def rate_note(video: Path, fps: float | None) -> str | None:
     if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
         return None
     return (
-        f"{video.name} states {stated:.4g} frames a second, the clip has {fps:.4g}: unless the video is slowed down or "
-        "sped up, times and speeds are wrong by that factor"
+        f"{video.name} states {stated:.4g} frames a second, but the clip was fitted with {fps:.4g}. Times and speeds "
+        "are wrong by the ratio of the two, unless the video is slowed down or sped up. Check --fps"
     )
 
 

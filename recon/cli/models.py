@@ -158,7 +158,7 @@ def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
         limit = f"{components} components instead of {report['components_asked']}"
         yield f"{limit}: each needs {FRAMES_PER_COMPONENT} frames."
     if report["left_out"]:
-        yield f"{report['left_out']} frames of results have a flag or no pose: left out."
+        yield f"{report['left_out']} frames of results were left out, because they have a flag or no pose."
     if report["lacking"]:
         yield f"Markers that no file has: {', '.join(report['lacking'])}"
     for path, size in report["sizes"].items():
