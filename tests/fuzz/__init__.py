@@ -1,1 +1,1 @@
-"""Damage files in many ways, and read them by every reader and settings file. See `tests/fuzz/__main__.py`."""
+"""Damage files in many ways, and read them by every reader of the package (see `tests/fuzz/__main__.py`)."""

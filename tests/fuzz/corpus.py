@@ -1,4 +1,4 @@
-"""Make small valid files of every kind, and name the reader of each."""
+"""Make small valid files of every kind, each with the function that reads it."""
 
 from __future__ import annotations
 
@@ -162,13 +162,13 @@ class Seed:
     name: str
     content: bytes
     read: Callable[[Path], object]
-    """The reader of files of this kind."""
+    """Function that reads files of this kind."""
     share: float = 1.0
-    """Number of cases with this file, relative to that of other files."""
+    """Relative frequency of this file among the cases."""
     is_input: bool = True
-    """Whether the path itself is read by the package, so that it may be a link."""
+    """Whether the package opens the path itself, which may then be a link."""
     link: str | None = None
-    """The kind of path, if it is not a file: one of `pool.LINKS`."""
+    """Kind of path (one of `pool.LINKS`), or None for a plain file."""
 
     @property
     def suffix(self) -> str:
@@ -187,7 +187,7 @@ def seeds(folder: Path, real: Path | None = None) -> list[Seed]:
 
 
 def of_settings(folder: Path) -> Iterator[Seed]:
-    """Make files other than clips: cameras, tracks, settings, animals, robots, results, networks."""
+    """Make the files that are not clips: cameras, tracks, settings, animals, robots, results and networks."""
     yield from _texts()
     yield from _cameras(folder)
     yield from _tracks()
@@ -219,7 +219,7 @@ def _sized_cameras_of(path: Path) -> object:
 
 
 def _cell(*items: object) -> np.ndarray:
-    """Return a cell array as MATLAB stores it."""
+    """Return items as a cell array, as MATLAB stores it."""
     found = np.empty((len(items), 1), dtype=object)
     found[:, 0] = items
     return found
@@ -231,7 +231,7 @@ def _body_of(path: Path) -> object:
 
 
 def of_formats(folder: Path) -> Iterator[Seed]:
-    """Return what our own writers make of a small clip."""
+    """Write a small clip in every format that the package writes."""
     random = np.random.default_rng(0)
     names = ("nose", "l_eye", "spine")
     xy_px, confidence = random.uniform(0, 1000, (5, 3, 2)).round(2), random.uniform(0.5, 1, (5, 3)).round(3)
@@ -281,7 +281,7 @@ def of_formats(folder: Path) -> Iterator[Seed]:
 
 
 def write_sleap(points: Keypoints, path: Path) -> None:
-    """Write an analysis file as SLEAP does."""
+    """Write points as an analysis file of SLEAP."""
     with h5py.File(path, "w") as file:
         file["tracks"] = points.xy_px.transpose(2, 1, 0)[None]
         file["point_scores"] = points.confidence.T[None]
@@ -290,7 +290,7 @@ def write_sleap(points: Keypoints, path: Path) -> None:
 
 
 def _fixed_h5(path: Path, clip: Keypoints) -> bytes:
-    """Write DeepLabCut's labels in pandas' fixed layout."""
+    """Write labels of DeepLabCut in the fixed HDF5 layout of pandas, and return the bytes."""
     import pandas as pd
 
     columns = pd.MultiIndex.from_product([["me"], clip.names, ["x", "y"]], names=["scorer", "bodyparts", "coords"])
@@ -433,7 +433,7 @@ def _built_in() -> Iterator[Seed]:
 
 
 def _walking(path: Path) -> object:
-    """Return a robot that follows an animal for some samples."""
+    """Return the motion of a robot that follows an animal for a few samples."""
     t = np.linspace(0.0, 0.1, 4)
     zero, feet = np.zeros((4, 3)), np.zeros((4, len(LEGS), 3))
     feet[1:3, :, 2] = 0.05
@@ -441,7 +441,7 @@ def _walking(path: Path) -> object:
 
 
 def _kept_robot() -> bytes:
-    """Return a robot that stands for some samples."""
+    """Return a robot.npz file in which a robot stands for a few samples."""
     robot, t = load_robot("a1"), np.linspace(0.0, 0.1, 4)
     feet = np.array([leg.neutral_m for leg in robot.legs.values()])
     pose = RigidTransform.from_translation(np.zeros((4, 3)))
@@ -459,7 +459,10 @@ def _urdf() -> str:
 
 
 def _results(folder: Path) -> Iterator[Seed]:
-    """Return the folder of a fit with one damaged file; the manifest states its digest, or that of the original."""
+    """Yield the motion and the manifest of a fit, which are damaged separately and read as a results folder.
+
+    If the motion is damaged, the manifest has the digest of the damaged file.
+    """
     results = folder / "results"
     run_clip(
         FitSettings(
@@ -494,7 +497,7 @@ def _results(folder: Path) -> Iterator[Seed]:
 
 
 def _models(folder: Path) -> Iterator[Seed]:
-    """Return the files of a network other than its weights."""
+    """Yield the files of a network except the weights."""
     if find_spec("torch") is None:
         return
     import torch
@@ -513,14 +516,14 @@ def _models(folder: Path) -> Iterator[Seed]:
 
 
 def _folders() -> Iterator[Seed]:
-    """Return the cases of folders to write to; the bytes of the file determine the content of the first folder."""
+    """Yield the cases of folders to write to; the bytes of the file determine the content of the first folder."""
     yield Seed("folder.txt", b"what lies in the folder", write_among_others, 4.0, is_input=False)
     for name, content in records():
         yield Seed(name, content, write_after, 2.0, is_input=False)
 
 
 def outcome(seed: Seed, path: Path) -> str | None:
-    """Read a file; return None if this succeeds, or "refused" for an InputError that describes each problem."""
+    """Read a file, and return None if it is read, or "refused" for an InputError that describes each problem."""
     try:
         seed.read(path)
     except InputError as error:

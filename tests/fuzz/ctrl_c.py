@@ -28,7 +28,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 CAMERA = ("--camera", SAMPLES / "camera.toml")
 PATIENCE_S = 60.0
 READY = "READY"
-# Runs the command line as the installed command does, and prints READY once Ctrl-C is handled.
+# The program runs the command line like the installed command, and reports when Ctrl-C is handled.
 CODE = f"""
 import os, signal
 from recon.__main__ import main
@@ -44,14 +44,14 @@ main()
 
 
 class Ended(NamedTuple):
-    """The end of an interrupted run."""
+    """How a run ended, with or without an interruption."""
 
     code: int
     err: str
     in_time: bool
-    """Whether the signal came before the end."""
+    """Whether the signal came before the run ended."""
     seconds: float
-    """Time from the signal to the end, or the time of the whole run without a signal."""
+    """Time from the signal to the end, or duration of a run without a signal, seconds."""
 
 
 def interrupted(arguments: Sequence[object], after_s: float | None, folder: Path) -> Ended:
@@ -87,7 +87,7 @@ def interrupted(arguments: Sequence[object], after_s: float | None, folder: Path
 
 
 def fault(ended: Ended) -> str:
-    """Return what is wrong with the end of a run, or nothing."""
+    """Return what is wrong with the end of a run, or "" if nothing is."""
     if ended.code != 130:
         return f"exit code {ended.code}"
     lines = ended.err.count("\n")
@@ -95,7 +95,10 @@ def fault(ended: Ended) -> str:
 
 
 def commands() -> dict[str, tuple[object, ...]]:
-    """Return the commands by name, to run in the folder that `prepare` fills; the folder `out` is new for each run."""
+    """Return the arguments of each command, by a name for it.
+
+    The commands run in the folder that `prepare` fills. The folder `out` is new for each run.
+    """
     whole, noisy = (SAMPLES / f"{name}.csv" for name in ("whole", "noisy"))
     film, labels = SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv"
     filmed = ("--camera", SAMPLES / "rendered_camera.toml", "--keypoints", SAMPLES / "rendered_points.csv")
@@ -135,7 +138,7 @@ def commands() -> dict[str, tuple[object, ...]]:
 
 
 def prepare(folder: Path, names: Sequence[str]) -> None:
-    """Make what the commands read and the project lacks: results of two clips, and a barely trained network."""
+    """Make the inputs of the commands that the project lacks: results of two clips, and a barely trained network."""
     camera, points = SAMPLES / "rendered_camera.toml", SAMPLES / "rendered_points.csv"
     made: list[tuple[object, ...]] = [(*commands()["fit"][:-1], "results")]
     if "overlay" in names:
@@ -152,7 +155,7 @@ def prepare(folder: Path, names: Sequence[str]) -> None:
 
 
 def clear(folder: Path) -> None:
-    """Delete what a command has written, in whole or in part."""
+    """Delete the complete or partial output of a command."""
     for path in folder.iterdir():
         if path.name not in ("results", "film", "model"):
             shutil.rmtree(path) if path.is_dir() else path.unlink()

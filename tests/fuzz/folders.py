@@ -1,7 +1,7 @@
-"""Write into folders with a user's files, links, and damaged records of recon, and check that no user's file changes.
+"""Write into folders with a user's files, links and damaged records, and check that no file of the user changes.
 
-Each reader below makes such a folder, writes into it as commands do, and raises AssertionError if a file of the user
-has changed.
+Each reader of this module makes such a folder, writes into it as commands do, and raises AssertionError if a file of
+the user has changed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from recon.base.locks import COMMITTING, WRITING, sole_writer
 from recon.base.outputs import RECORD, Output, ReadResults, is_current, output_file, read_record
 
 OWN = "1,2,3\n"
-"""Content that recon wrote into a file, and that the user has in a copy elsewhere."""
+"""Content of a file that recon wrote, and of the user's copy of it elsewhere."""
 Snapshot = dict[str, tuple[str, str | bytes]]
 """Kind of each file, folder and link by its path, with the content of a file or the target of a link."""
 FILES = ("a.csv", "b.csv", "motion.npz", "report.html", "=1+1.csv", "-x.csv", "caf\udce9.csv", "a\nb.csv", "\u0430.csv")
@@ -38,14 +38,14 @@ FOLDERS = (
     "out/link",
     "x" * 300,
 )
-"""Folders to write to, as a user may name them."""
+"""Paths of output folders, as a user could name them."""
 
 
 LOCKS = (COMMITTING, WRITING)
 
 
 def snapshot(folder: Path) -> Snapshot:
-    """Return a snapshot of all files, folders and links below a folder, without following links."""
+    """Record all files, folders and links below a folder, without following links."""
     found: Snapshot = {}
     for at, folders, files in os.walk(folder):
         for name in (*folders, *files):
@@ -82,7 +82,10 @@ def _emptied(path: Path) -> Path:
 
 
 def _refused(path: Path, write: Callable[[], object]) -> InputError | None:
-    """Call `write`, and return the error that refuses it, if any; a system error that names a file counts as such."""
+    """Call `write`, and return the error with which it refuses, or None.
+
+    A system error that names a file counts as a refusal.
+    """
     try:
         write()
     except InputError as error:
@@ -92,9 +95,6 @@ def _refused(path: Path, write: Callable[[], object]) -> InputError | None:
             raise
         return InputError(Problem(path, "file", str(error.strerror), "a folder that can be written to"))
     return None
-
-
-# Folders with a user's files and links
 
 
 def _put(random: Random, path: Path) -> None:
@@ -122,7 +122,7 @@ def _put(random: Random, path: Path) -> None:
 
 
 def write_among_others(path: Path) -> object:
-    """Write among a user's files; the bytes of a file seed all random choices."""
+    """Write into a folder with a user's files; the bytes of the file at `path` seed all random choices."""
     random, root = Random(path.read_bytes()), _emptied(path)
     (root / "user" / "folder").mkdir(parents=True)
     (root / "user" / "precious.csv").write_text(OWN)
@@ -160,8 +160,6 @@ def write_among_others(path: Path) -> object:
     return overwrite
 
 
-# Folders with damaged records
-
 _PLACES = {"record": f"out/{RECORD}", "manifest": f"out/{MANIFEST}", "analysis": f"out/analysis/{RECORD}"}
 
 
@@ -195,7 +193,7 @@ _USERS = (
 
 
 def write_after(path: Path) -> object:
-    """Replace a record by the file, then write a fit, an analysis and a page."""
+    """Replace a record by the file at `path`, then write a fit, an analysis and a page."""
     root = _emptied(path)
     _written_folder(root)
     place = root / next(place for name, place in _PLACES.items() if f"{name}-folder" in path.name)
@@ -227,7 +225,7 @@ def write_after(path: Path) -> object:
 
 
 def records() -> Iterator[tuple[str, bytes]]:
-    """Return the name and the content of each valid record."""
+    """Yield the name and the content of each kind of valid record."""
     with TemporaryDirectory() as name:
         _written_folder(Path(name))
         for key, place in _PLACES.items():

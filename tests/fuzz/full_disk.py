@@ -1,4 +1,4 @@
-"""Write with every writer to disks that are too small, at several sizes.
+"""Run every command that writes on disks that are too small, of several sizes.
 
     python tests/fuzz/full_disk.py [--sizes 20] [--only WORD ...] [--by-file]
 
@@ -35,19 +35,19 @@ LEAST = 4096
 
 
 class Case(NamedTuple):
-    """A command that writes."""
+    """A command that writes files, and how its output is checked."""
 
     name: str
     arguments: Sequence[object]
     """Arguments of `recon`, with {out} for the path of the output."""
     out: str
-    """Name of the output."""
+    """Name of the output file or folder."""
     whole: bool = True
-    """Whether a run that fails leaves nothing; otherwise the finished parts may stay."""
+    """Whether a failed run must leave nothing; if not, finished parts may stay."""
     read: Callable[[Path], object] = lambda path: None
     """Function that raises an error if the output is broken."""
     beside: Path | None = None
-    """Folder to whose files the output folder has links before the run."""
+    """Folder whose files are linked into the output folder before the run."""
 
 
 def read_results(out: Path) -> object:
@@ -98,7 +98,7 @@ def read_summary(out: Path) -> object:
 
 
 def cases(folder: Path) -> list[Case]:
-    """Return the cases, which start from the results in `clip` of the folder."""
+    """Return the cases, which read the results in the subfolder `clip` of `folder`."""
     clip = folder / "clip"
     two = ("deeplabcut.csv", "deeplabcut.h5", "long.csv", "movement.nc", "nwb.nwb")
     three = ("deeplabcut.csv", "deeplabcut.h5", "movement.nc", "nwb.nwb", "parquet.parquet", "trc.trc", "c3d.c3d",
@@ -168,7 +168,7 @@ def cases(folder: Path) -> list[Case]:
 
 
 def prepare(folder: Path) -> None:
-    """Make the results that the cases start from."""
+    """Make the results that the cases read."""
     import cv2
     import numpy as np
 
@@ -182,9 +182,6 @@ def prepare(folder: Path) -> None:
         for _ in range(8):
             small = rng.integers(0, 255, (54, 96, 3), dtype=np.uint8)
             write(np.asarray(cv2.resize(small, (1920, 1080)), dtype=np.uint8))
-
-
-# One run
 
 
 class Child:
@@ -227,7 +224,7 @@ class Child:
         return 0
 
     def wait(self) -> tuple[int | None, str]:
-        """Return the exit code (None: the child hangs) and the text on standard error."""
+        """Wait for the child, and return its exit code, or None if it hangs, and the text on standard error."""
         code, until = None, time.monotonic() + PATIENCE_S
         while time.monotonic() < until:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -262,7 +259,7 @@ class Disk:
 
 
 def verdict(case: Case, size: int, by_file: bool) -> tuple[str, str]:
-    """Return "full" or "fits" if a run ended as it should, otherwise what went wrong, and the output."""
+    """Run a case on a disk, and return "full", "fits" or the fault, and the output of the command."""
     with Disk(None if by_file else size) as folder:
         code, err = Child(case, folder, size if by_file else None).wait()
         left = [path.relative_to(folder) for path in folder.rglob("*")]
@@ -287,7 +284,7 @@ def verdict(case: Case, size: int, by_file: bool) -> tuple[str, str]:
 
 
 def size_of(case: Case) -> tuple[int, int]:
-    """Return the bytes that all files of a run need on a large disk, and those that the largest file needs."""
+    """Run a case on a large disk, and return the size of all its files and the size of the largest file, bytes."""
     with Disk(None) as folder:
         ended = Child(case, folder).wait()
         assert ended[0] == 0, (case.name, ended)
@@ -296,7 +293,7 @@ def size_of(case: Case) -> tuple[int, int]:
 
 
 def check(wanted: Iterable[Case], sizes: int, by_file: bool) -> int:
-    """Run a case at several sizes, and return how many runs went wrong."""
+    """Run each case on disks of several sizes, and return the number of failed runs."""
     wrong = 0
     for case in wanted:
         total = size_of(case)[by_file]

@@ -30,11 +30,11 @@ from recon.fit.motion import Motion
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 STEPS = ("mkdir", "replace", "link", "unlink")
-"""The functions of `os` by which results are put in place; cleaning up comes after."""
+"""Functions of `os` that put results in place, before they clean up."""
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return the content of the results without hidden files, which a killed process leaves next to them."""
+    """Return the content of each results file, without the hidden files that a killed process leaves."""
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and not p.name.startswith(".recon")}
 
 
@@ -106,7 +106,7 @@ def found(out: Path, known: list[dict[str, bytes]]) -> str:
 
 
 def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Counter[str]:
-    """Kill children that replace the first of two results by the second, and count the kills by what they left."""
+    """Kill children that replace one of two results by the other, and count what the folders then hold."""
     known = [contents(source) for source in sources]
     steps, seconds = _all_steps(sources[1], out)
     counts: Counter[str] = Counter()
@@ -123,7 +123,7 @@ def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Cou
 
 
 def replaced_by_us(source: Path, out: Path) -> None:
-    """Replace the files that a kill has left, without being killed."""
+    """Replace the files that a killed child has left, in this process."""
     with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
             if path.name not in ("manifest.json", RECORD):
@@ -132,7 +132,7 @@ def replaced_by_us(source: Path, out: Path) -> None:
 
 
 def _all_steps(source: Path, out: Path) -> tuple[int, float]:
-    """Return the number of steps of a replacement, and their duration in seconds."""
+    """Replace results without a kill, and return the number of steps and their duration, seconds."""
     replaced_by_us(source, out)
     kept = {name: getattr(os, name) for name in STEPS}
     times: list[float] = []

@@ -1,6 +1,6 @@
 """Damage files: bytes, lines and cells, values of JSON and TOML, datasets of HDF5, arrays of an archive.
 
-All damage is drawn from one generator, so that a seed gives the same file again.
+All damage is drawn from one random generator, so the same seed gives the same file again.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ ODD_WORDS = (
     (2**62).to_bytes(8, "little"),
 )
 LONG_CELL = "1" * 131_073
-"""Number of characters that the csv module refuses in one cell."""
+"""Cell with more characters than Python's csv module accepts."""
 MOST = 1 << 18
 """Largest size of a damaged text, bytes; longer texts take more time and show nothing else."""
 
 
 def spoilt(content: bytes, suffix: str, random: Random) -> bytes:
-    """Return the content of a file, damaged once or several times in ways that suit its suffix."""
+    """Damage the content of a file once or several times, in ways that suit its suffix."""
     kinds = KINDS.get(suffix, (lines, lines, numbers, words, in_bytes))
     chosen = [random.choice(kinds) for _ in range(random.choice((1, 1, 1, 2, 3, 6)))]
     # Damage bytes last, because libraries must not open files with damaged bytes before recon's readers do.
@@ -75,7 +75,7 @@ def spoilt(content: bytes, suffix: str, random: Random) -> bytes:
         try:
             content = mutation(content, random)
         except Exception:
-            content = in_bytes(content, random)  # earlier mutations left a file that this one cannot parse
+            content = in_bytes(content, random)  # an earlier mutation left a file that this mutation cannot parse
     return content
 
 
@@ -102,14 +102,11 @@ ODD_PARTS += (b"&<b>", b"#", b";", b",", b"*", b"..", b"\xf0\x9f\x90\x86", b"\xe
 
 
 def spoilt_name(name: str, random: Random) -> str:
-    """Return a file's name, which is usually unchanged and sometimes begins with odd bytes."""
+    """Return a file's name, usually unchanged and sometimes with odd bytes in front."""
     if random.random() < 0.8:
         return name
     parts = random.choices(ODD_PARTS, k=random.choice((1, 1, 2)))
     return os.fsdecode(b"".join(parts)[-200:]) + name
-
-
-# Bytes
 
 
 def in_bytes(content: bytes, random: Random) -> bytes:
@@ -144,9 +141,6 @@ def replaced(content: bytes, random: Random) -> bytes:
     """Replace a content by nothing, a part of it, a repetition, or unrelated bytes."""
     other = (b"", b"\0", content[:8] + bytes(2000), b"[" * 50_000, b"\xff\xfe" + content, content * 2, content[::-1])
     return random.choice(other)
-
-
-# Text
 
 
 def _text(content: bytes) -> str:
@@ -211,11 +205,8 @@ def words(content: bytes, random: Random) -> bytes:
     return _encoded(text[: match.start()] + with_ + text[match.end() :], random)
 
 
-# Values of JSON and TOML
-
-
 def _altered(value: Any, random: Random) -> Any:
-    """Return a JSON or TOML value with one of its parts replaced, removed, doubled or exchanged."""
+    """Replace, remove, double or exchange one part of a JSON or TOML value."""
     holders = [h for h in _holders(value) if h]
     if not holders:
         return random.choice(ODD_VALUES)
@@ -251,11 +242,8 @@ def in_toml(content: bytes, random: Random) -> bytes:
     return tomli_w.dumps(_altered(tomllib.loads(content.decode()), random)).encode("utf-8", errors="surrogateescape")
 
 
-# HDF5 and archives
-
-
 def _odd_array(array: np.ndarray, random: Random) -> np.ndarray:
-    """Return an array of another shape, type or content."""
+    """Change the shape, type or content of an array."""
     what = random.randrange(9)
     if what == 0:
         return array[:0] if array.ndim else np.zeros(0)

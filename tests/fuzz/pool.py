@@ -19,20 +19,20 @@ from tests.fuzz.corpus import Seed, outcome
 from tests.fuzz.mutations import spoilt, spoilt_name
 
 CASE_S = 20.0
-"""Longest time of a case, seconds; a case that takes longer counts as hanging, even on a busy machine."""
+"""Time after which a case counts as hanging, seconds, long enough for a busy machine."""
 MEMORY_BYTES = 6 << 30
-"""Largest address space of a case: that of the libraries plus 4 GB."""
+"""Maximum address space of a case, enough for the libraries and 4 GB more."""
 
 
 @dataclass
 class Tally:
-    """Numbers of cases by outcome."""
+    """Number of cases with each outcome."""
 
     done: int = 0
     read: int = 0
     refused: int = 0
     causes: dict[str, list[int]] = field(default_factory=dict)
-    """Numbers that identify the failed cases, by the cause of the failure."""
+    """Numbers that identify the failed cases, for each cause of a failure."""
     by_seed: Counter[str] = field(default_factory=Counter)
 
     def fail(self, cause: str, case: int) -> None:
@@ -45,7 +45,7 @@ LINKS = ("to a file elsewhere", "over a folder", "to a folder", "dangling", "to 
 
 
 def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
-    """Return the damaged file of one case, which may have an odd name or be a link."""
+    """Choose the valid file of a case, maybe with an odd name or as a link, and damage its content."""
     random = Random(f"{seed} {number}")
     chosen = random.choices(good, [s.share for s in good])[0]
     name = spoilt_name(chosen.name, Random(f"{seed} {number} name"))
@@ -55,7 +55,7 @@ def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
 
 
 def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
-    """Read the file of a case, and return its `outcome`; unexpected errors of the reader are raised."""
+    """Read the damaged file of a case, and return its `outcome`; unexpected errors of the reader are raised."""
     path = _placed(chosen, content, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -63,7 +63,7 @@ def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
 
 
 def _placed(chosen: Seed, content: bytes, folder: Path) -> Path:
-    """Write the file of a case, and return the path that is read."""
+    """Write the damaged file of a case, and return the path to read."""
     path, elsewhere = folder / chosen.name, folder / "elsewhere"
     if path.is_dir() and not path.is_symlink():
         path.rmdir()
@@ -84,7 +84,7 @@ def _placed(chosen: Seed, content: bytes, folder: Path) -> Path:
 
 
 def cause(error: BaseException) -> str:
-    """Return the type of an error, and the innermost line of recon's code in its traceback."""
+    """Describe an error by its type and the innermost line of recon's code in its traceback."""
     ours = [f for f in traceback.extract_tb(error.__traceback__) if f"{os.sep}recon{os.sep}" in f.filename]
     where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno} {ours[-1].name}" if ours else "outside"
     return f"{type(error).__name__} in {where}"
@@ -175,7 +175,7 @@ def run_all(first: int, end: int, seed: int, good: list[Seed], folder: Path, job
 
 
 def _listen(child: _Child, tally: Tally) -> bool:
-    """Read what a child has sent; return False if it has ended."""
+    """Count the outcomes that a child has sent, and return whether the child still runs."""
     said = os.read(child.pipe, 1 << 16)
     *whole, child.left = (child.left + said).split(b"\n")
     for line in whole:

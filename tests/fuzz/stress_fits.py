@@ -44,15 +44,12 @@ Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 FURTHEST_M = 1000.0
-"""Largest distance of a joint from the camera, metres; ten times larger if the animal's size is free."""
+"""Largest possible distance of a joint from the camera, metres, or ten times this if the animal's size is free."""
 SECONDS, SECONDS_A_FRAME = 5.0, 0.5
-"""Largest processor time of a fit, seconds: a constant, and a time per frame."""
+"""Largest processor time of a fit, seconds, as a constant and a time per frame."""
 FPS = 60.0
 SIZE_PX = (1920, 1080)
 CAMERAS = ("pinhole", "world", "fisheye", "radtan")
-
-
-# Clips
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,7 @@ class Spoiling:
 
 
 def nothing(s: Spoiling) -> None:
-    """Leave the points good, with a little noise."""
+    """Leave the points correct, with a little noise."""
 
 
 def dropouts(s: Spoiling) -> None:
@@ -155,7 +152,7 @@ def leaves(s: Spoiling) -> None:
 
 
 def constant(s: Spoiling) -> None:
-    """Repeat the same points, as a detector that hangs."""
+    """Repeat the same points in every frame, like a detector that hangs."""
     s.xy_px[...] = s.xy_px[0]
 
 
@@ -207,7 +204,7 @@ def backwards(s: Spoiling) -> None:
 
 
 def unlikely(s: Spoiling) -> None:
-    """Set likelihoods to 0, to values between 0 and 1, and to none at all."""
+    """Set likelihoods to 0, to values between 0 and 1, and to NaN."""
     s.likelihood[...] = s.rng.choice([0.0, 0.5, 1.0, np.nan], s.shape)
 
 
@@ -222,7 +219,7 @@ SPOILT: tuple[Callable[[Spoiling], None], ...] = (
 )
 LENGTHS = (1, 2, 3, 4, 6, 12, 24, 40)
 LONGEST = 200
-"""Number of frames of one in forty clips, which has several segments and windows."""
+"""Number of frames of the longest clips, one in forty, which have several segments and windows."""
 RATES_HZ = (60.0, 60.0, 25.0, 400.0, 1.0, 1e4)
 """Stated frame rates; the points are those of 60 Hz."""
 ABSURD_RATES_HZ = (1e-300, 1e-3, 0.2, 0.5, 0.999, 10001.0, 1e5, 1e7, 1e300)
@@ -254,7 +251,7 @@ OPTIONS: dict[str, tuple[dict[str, Any], ...]] = {
         {"fast": True, "sigma_px": 1e6},
     ),
 }
-"""Settings of the fit by method; half of the clips have none."""
+"""Settings of the fit to try with each method; half of the clips have none."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +281,7 @@ class Case:
 
 
 def camera_of(kind: str) -> Camera:
-    """Return a level camera 1.5 m above the ground; only "world" has this height in its file."""
+    """Return a level camera 1.5 m above the ground; only the kind "world" has this height in its file."""
     plain = Camera.from_hfov(60.0, SIZE_PX)
     if kind == "pinhole":
         return plain
@@ -322,7 +319,7 @@ def clip_of(case: Case) -> tuple[Keypoints, Camera]:
 
 
 def cases(count: int, seed: int) -> list[Case]:
-    """Return `count` cases that go through the ways to damage a clip in turn, with random skeletons and settings."""
+    """Return `count` cases that use each way to damage a clip in turn, with random skeletons and settings."""
     rng = np.random.default_rng(seed)
     fits = [("frame", name) for name in builtin_chains()] + [("trajectory", name) for name in builtin_names()]
     chosen = []
@@ -340,12 +337,9 @@ def cases(count: int, seed: int) -> list[Case]:
     return chosen
 
 
-# Invariants of a fit
-
-
 @dataclass(frozen=True)
 class Ended:
-    """The outcome of a case: result, refused (by an InputError) or broken, and the reasons for the latter two."""
+    """Outcome of a case (result, refused by an InputError, or broken), and the reasons if there is no result."""
 
     case: Case
     how: str
@@ -372,7 +366,7 @@ def run(case: Case) -> Ended:
 
 
 def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
-    """Fit, write and check a case; errors of the fit are raised."""
+    """Fit a case, write its results, and return their faults; errors of the fit are raised."""
     keypoints, camera = clip_of(case)
     write_csv(keypoints, folder / "clip.csv")
     write_camera(camera, folder / "camera.toml")
@@ -386,7 +380,7 @@ def faults_of(case: Case, folder: Path) -> tuple[str, ...]:
 
 
 def faults(motion: Motion, report: dict, folder: Path) -> list[str]:
-    """Return what is wrong with a result.
+    """List what is wrong with the result of a fit.
 
     A fault is an incomplete pose, a missing pose without a flag, a position that no camera can see, or NaN.
     """

@@ -1,4 +1,4 @@
-"""Test chains of animals and their angles: the 8U skeleton's spine and front leg, whole animals, planes."""
+"""Test chains from skeletons and their joint angles."""
 
 from __future__ import annotations
 
@@ -13,10 +13,8 @@ from recon.ik.chain import planar_chain
 from recon.testing.gallop import gallop
 from recon.thesis.chain import load_chain
 
-# The spine-front-leg chain
 
-
-def test_spine_front_leg_has_the_skeleton_s_links():
+def test_spine_front_leg_has_the_links_of_the_skeleton():
     skeleton = load_chain("cheetah-8u")
     chain = spine_front_leg(skeleton)
     np.testing.assert_allclose(chain.lengths_m, 0.203 * np.array([2.045, 1.545, 1.273, 1.364, 1.0]))
@@ -31,7 +29,7 @@ def test_spine_front_leg_has_the_skeleton_s_links():
 
 
 @pytest.mark.parametrize("direction", ["left", "right"])
-def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
+def test_chain_angles_reproduce_the_joint_positions(direction):
     skeleton = load_chain("cheetah-8u")
     clip = gallop(n_frames=20, heading_rad=0.3, direction=direction)
     states, _ = skeleton.to_body(clip.state, inverse(rigid(clip.camera.rotation, clip.camera.translation_m)))
@@ -53,7 +51,7 @@ def test_chain_angles_put_the_joints_where_the_state_has_them(direction):
     np.testing.assert_array_equal(chain_angles(skeleton, states, dim=2), q[:, :5])
 
 
-def test_chain_angles_of_a_level_animal_are_the_skeleton_s():
+def test_chain_angles_of_a_level_animal_equal_the_skeletons():
     skeleton = load_chain("cheetah-8u")
     state = np.zeros((2, skeleton.body.n_state))
     state[:, 4:] = skeleton.body.mean_rad
@@ -72,15 +70,12 @@ def test_chain_angles_leave_missing_frames_missing():
     assert np.isfinite(np.delete(q, 2, axis=0)).all()
 
 
-# Whole animals
-
-
 def cheetah():
     return load_skeleton("cheetah-24")
 
 
 def random_states(body, count=6, seed=0):
-    """Return states around the expected pose, with the root anywhere."""
+    """Draw states around the expected pose, with the root at random positions."""
     rng = np.random.default_rng(seed)
     states = rng.normal(size=(count, body.n_state))
     states[:, 4:] = body.mean_rad + 0.7 * body.sigma_rad * states[:, 4:]
@@ -88,7 +83,7 @@ def random_states(body, count=6, seed=0):
 
 
 @pytest.mark.parametrize("foot", ["l_front_paw", "r_front_paw", "l_back_paw", "r_back_paw", "nose", "tail2"])
-def test_body_chain_ends_where_the_tree_has_the_marker(foot):
+def test_body_chain_ends_at_the_marker(foot):
     body, size = cheetah(), 1.07
     states, travel = random_states(body), np.array([-0.4, 1.1, 0.3])
     chain = body_chain(body, foot, size)
@@ -135,7 +130,7 @@ def test_travel_of_a_body_and_its_yaw():
     np.testing.assert_allclose(q[:4, 0], np.array([3.0, 3.1, 3.2, 3.3]) + np.pi / 2 - 2 * np.pi, atol=1e-12)
 
 
-def test_body_chain_refuses_what_it_cannot_do():
+def test_body_chain_refuses_unknown_markers_and_summed_angles():
     with pytest.raises(ValueError, match="no marker paw, only nose"):
         body_chain(cheetah(), "paw")
     with pytest.raises(ValueError, match="add up"):
@@ -162,7 +157,7 @@ def test_planar_chain_of_a_planar_motion_is_exact():
     np.testing.assert_allclose(misfit[0], 0.2 * 0.25, atol=1e-12)
 
 
-def test_planar_chain_does_not_jump():
+def test_angles_of_a_planar_chain_do_not_jump():
     angles = np.linspace(0, 9, 40)
     points = np.zeros((40, 3, 3))
     points[:, 1] = 0.3 * np.stack([np.cos(angles), 0 * angles, -np.sin(angles)], axis=1)

@@ -1,4 +1,4 @@
-"""Test chains whose angles add up, their derivatives, costs, and the two-link arm."""
+"""Test chains with summed angles, their derivatives, costs, and the two-link arm."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}
 
 
 def differences(function, q, step=1e-6):
-    """Return central differences (..., n)."""
+    """Return the derivatives (..., n) of a function at q (n,) by central differences."""
     h = step * np.eye(len(q))
     return np.stack([(function(q + e) - function(q - e)) / (2 * step) for e in h], axis=-1)
 
@@ -33,7 +33,7 @@ def test_derivatives_agree_with_differences(chain):
 
 
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
-def test_positions(chain):
+def test_positions_are_one_link_length_apart(chain):
     q = np.random.default_rng(1).normal(size=chain.n)
     points = chain.positions(q)
     assert points.shape == (6, chain.dim)
@@ -49,7 +49,7 @@ def test_planar_and_spatial_chain_agree_without_phi():
 
 
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
-def test_null_basis(chain):
+def test_null_basis_is_an_orthonormal_basis_of_the_null_space(chain):
     rng = np.random.default_rng(2)
     J = chain.jacobian(rng.normal(size=chain.n))
     N = null_basis(J)
@@ -66,7 +66,7 @@ def test_bad_chains_are_refused():
         summed_chain((1.0, 1.0), max_rate_rad_s=np.inf)
 
 
-def test_reach_and_manipulability():
+def test_reach_and_manipulability_of_two_links():
     assert planar_chain((1.0, 0.5)).reach_m == pytest.approx((0.5, 1.5))
     assert planar_chain((1.0, 0.5, 0.6)).reach_m == pytest.approx((0.0, 2.1))
     # The manipulability of two links is r1 r2 |sin q2|.
@@ -94,7 +94,7 @@ def test_costs_agree_with_differences(chain, kind):
     np.testing.assert_allclose(cost.hessian(q), cost.hessian(q).T)
 
 
-def test_cost_values():
+def test_costs_have_known_values():
     q = np.array([0.1, 0.3, 0.6, 1.0, 1.5])
     planar, spatial = CHAINS["planar"], CHAINS["summed"]
     assert joint_differences(planar).value(q) == pytest.approx(0.04 + 0.09 + 0.16 + 0.25)
@@ -106,10 +106,7 @@ def test_cost_values():
     assert harmonic_map().value(q) == pytest.approx(0.5 * -0.4 * np.sqrt(1.16))
 
 
-# The two-link arm
-
-
-def test_two_link_known_answer():
+def test_two_link_has_a_known_solution():
     branches_rad, reason = two_link((1.0, 0.5), (1.359462, 0.211309))
     assert reason == ""
     np.testing.assert_allclose(branches_rad, [(0.4363, -0.8727), (-0.1279, 0.8727)], atol=5e-5)
@@ -126,7 +123,7 @@ def test_two_link_reaches_its_target():
 
 
 @pytest.mark.parametrize("target", [(1.6, 0.0), (0.0, -0.4), (0.0, 0.0), (np.nan, 0.0)])
-def test_two_link_outside_the_annulus(target):
+def test_two_link_has_no_solution_outside_the_annulus(target):
     branches_rad, reason = two_link((1.0, 0.5), target)
     assert np.isnan(branches_rad).all()
     assert reason.startswith("unreachable")
@@ -134,7 +131,7 @@ def test_two_link_outside_the_annulus(target):
         assert reason == "unreachable: the target is 1.600 m from the base, and the chain reaches 0.500 to 1.500 m"
 
 
-def test_two_link_on_the_edge():
+def test_two_link_reaches_the_edge_of_the_annulus():
     for target, how in (((1.5, 0.0), "stretched"), ((0.0, 0.5), "folded")):
         branches_rad, reason = two_link((1.0, 0.5), target)
         assert how in reason
@@ -154,11 +151,8 @@ def test_chains_of_every_kind_of_joint_have_the_jacobian_of_their_end():
             np.testing.assert_allclose(chain.jacobian(one), slopes, atol=1e-8)
 
 
-def test_mobility_by_gruebler():
-    """The mobility by Grübler is that of the 8U chain.
-
-    It has eight links and the ground; the first link is free in space, and seven joints are universal.
-    """
+def test_mobility_of_known_mechanisms():
+    """The 8U chain has eight links and the ground; the first link is free, and the other joints are universal."""
     skeleton = load_chain("cheetah-8u")
     joints = [2 for link in skeleton.links if link.free] + [6]
     assert mobility(len(skeleton.links) + 1, joints) == 20 == skeleton.n_state - 1

@@ -1,4 +1,4 @@
-"""Test `recon ik`: the chain of a result against its joints, the tasks, and its files and messages."""
+"""Test `recon ik`, from the chain of a fitted clip to files and messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ pytestmark = pytest.mark.usefixtures("small_pictures")
 
 @pytest.fixture
 def folder(whole_results, tmp_path) -> Path:
-    """Return a copy of the whole animal's results, to write into."""
+    """Return a writable copy of the whole animal's results folder."""
     return Path(shutil.copytree(whole_results, tmp_path / "fit"))
 
 
@@ -55,7 +55,7 @@ def compared_in(dim: int, whole_results: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def compared(whole_results, tmp_path_factory) -> Path:
-    """Return both tasks of the whole animal in the plane by all methods. Tests must not write to it."""
+    """Return the results of both tasks by all methods for the whole animal, in the plane. Tests must not change it."""
     return compared_in(2, whole_results, tmp_path_factory.mktemp("compared") / "fit")
 
 
@@ -65,7 +65,7 @@ def ends(limb) -> np.ndarray:
 
 @pytest.mark.parametrize("foot", ["LF", "r_front_paw", "LH"])
 def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
-    """The chain of a whole animal ends at its foot, relative to the root, along and across the direction of travel."""
+    """Compare the end of the chain with the foot's position relative to the root, in the axes of travel."""
     results = Motion.load(whole_results)
     limb = limb_of(results, foot)
     name = results.foot_names.get(foot, foot)
@@ -108,11 +108,8 @@ def test_chain_of_the_8u_skeleton(frame_results, dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_joints_of_the_8u_chain_are_called_as_in_the_analysis(frame_results, tmp_path, dim):
-    """Joints of the 8U chain are named as in the analysis.
-
-    A stride starts in the animal's pose, so its first row is that of `recon analyse` under the same names.
-    """
+def test_joints_of_the_8u_chain_have_the_names_of_the_analysis(frame_results, tmp_path, dim):
+    """A stride starts in the animal's pose, so its first row has the angles of `recon analyse` under the same names."""
     ask = ("--method", "damped", "--follow", "stride", "--dim", dim, "--stride", "0.4333:0.735", "--no-figures")
     assert run("ik", frame_results, *ask, "--out", tmp_path / "ik").code == 0
     start, motion = pd.read_csv(tmp_path / "ik" / "follow_damped.csv").iloc[0], Motion.load(frame_results)
@@ -153,7 +150,7 @@ def test_the_limit_that_keeps_a_path_from_closing_is_named(frame_results, tmp_pa
     assert pd.read_csv(tmp_path / "a" / "follow.csv")["first_limit"].iloc[0] == row["first_limit"]
 
 
-def test_fitted_parameters_explain_more_than_nothing(whole_results):
+def test_fitted_parameters_explain_part_of_the_rates(whole_results):
     limb = limb_of(Motion.load(whole_results))
     parameters = fit_parameters(limb)
     assert set(parameters) == set(fits())
@@ -167,7 +164,7 @@ def test_fitted_parameters_explain_more_than_nothing(whole_results):
 
 
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_both_jobs_with_all_methods(dim, whole_results, request, tmp_path):
+def test_all_methods_reach_the_target_and_follow_the_stride(dim, whole_results, request, tmp_path):
     folder = request.getfixturevalue("compared") if dim == 2 else compared_in(3, whole_results, tmp_path / "fit")
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
     assert summary["stride"]["how"] == "gait"  # the sample has complete strides
@@ -191,8 +188,8 @@ def test_both_jobs_with_all_methods(dim, whole_results, request, tmp_path):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
-def test_rates_for_control(compared):
-    """Every method and joint has rates over the animal's time; on a closed path, they meet at the ends."""
+def test_rates_for_control_are_continuous_on_a_closed_path(compared):
+    """Every method and joint has rates over the animal's time, and on a closed path both ends have the same rates."""
     motion = Motion.load(compared)
     limb = limb_of(motion, dim=2)
     stride = stride_of(motion, limb)
@@ -218,14 +215,14 @@ def test_rates_for_control(compared):
 
 @pytest.mark.slow
 def test_a_comparison_has_a_figure_of_each_method(of_results):
-    """A comparison has a figure of each method that is drawn, here of two."""
+    """Two methods are compared here."""
     _, ran_in = of_results("recon ik results/clip --compare")
     for name in METHODS[:2]:
         assert (ran_in / "results" / "clip" / "ik" / f"follow_phase_{name}.svg").is_file()
 
 
 @pytest.mark.slow
-def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
+def test_weighted_cost_factor_and_parameters_of_each_frame(folder):
     asked = {"target": "stride-max", "compare": True, "dim": 2, "fitted": True, "figures": False}
     done = run_ik(IkSettings(folder=folder, **asked, cost="energy,pose=0.5", alpha=0.5))
     limb, cost = done.limb, cost_of(done.limb, "energy,pose=0.5")
@@ -253,11 +250,8 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
 
 
 @pytest.mark.slow
-def test_parameters_refitted_on_the_way(folder):
-    """Parameters that are refitted during the stride are those of the three frames before, at every frame.
-
-    The pose and the rates of the animal in the frame itself test them.
-    """
+def test_online_parameters_come_from_the_three_frames_before(folder):
+    """The parameters are tested on the pose and the rates of the animal in the frame itself."""
     asked = {"follow": "stride", "compare": True, "dim": 2, "figures": False, "limits": False}
     done = run_ik(IkSettings(folder=folder, **asked, online=True))
     limb, stride, series = done.limb, done.stride, done.series
@@ -283,7 +277,7 @@ def test_parameters_refitted_on_the_way(folder):
 
 
 @pytest.mark.slow
-def test_one_method_to_a_place_of_ones_own(folder):
+def test_one_method_reaches_a_given_target(folder):
     done = run(
         "ik", folder, "--method", "least-norm", "--target", "0.7,0.1,-0.4", "--foot", "RF", "--out", folder / "x"
     )
@@ -300,7 +294,7 @@ def test_one_method_to_a_place_of_ones_own(folder):
 
 
 def true_stride_s(start_s: float) -> float:
-    """Return the time of a stride in the samples' simulated gallop, s, from its formula."""
+    """Return the duration of a stride of the samples' simulated gallop from its formula, seconds."""
     time_s = np.linspace(0, 3, 30001)
     phase = TOP_STRIDES_HZ * time_s + RISE_S * (TOP_STRIDES_HZ - START_STRIDES_HZ) * (np.exp(-time_s / RISE_S) - 1)
     return float(np.interp(np.interp(start_s, time_s, phase) + 1, phase, time_s)) - start_s
@@ -322,8 +316,8 @@ def true_stride_s(start_s: float) -> float:
         ),
     ],
 )
-def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, request):
-    """The stride has its true duration and can be followed, for both skeletons, methods and all feet with a chain."""
+def test_the_stride_has_its_true_duration_and_can_be_followed(fit, dim, request):
+    """Both skeletons, both methods of fitting and all feet with a chain are tested."""
     results = Motion.load(request.getfixturevalue(fit))
     feet = ["RF"] if len(results.foot_names) == 2 else list(results.foot_names)
     for foot in feet:
@@ -338,7 +332,7 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
 
 
 @pytest.mark.parametrize("fit", ["frame_results", pytest.param("chain_results", marks=pytest.mark.slow)])
-def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request, tmp_path):
+def test_analysis_and_both_dimensions_use_the_same_stride(fit, request, tmp_path):
     folder = request.getfixturevalue(fit)
     results = Motion.load(folder)
     stride = ClipAnalysis(results).stride
@@ -356,11 +350,8 @@ def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request,
 @pytest.mark.parametrize(
     ("frames", "how"), [(slice(0, 13), "return"), (slice(2, 14), "gait"), (slice(0, 8), "whole clip")]
 )
-def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame_results, frames, how):
-    """The analysis and inverse kinematics in 2D and 3D show the same frames of a short clip.
-
-    If no stride is complete, these are the nearest return, or the whole clip if the foot does not return.
-    """
+def test_analysis_and_both_dimensions_use_the_same_frames_of_a_short_clip(frame_results, frames, how):
+    """If no stride is complete, the frames are the nearest return, or the whole clip if the foot does not return."""
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
     states[frames], joints_m[frames] = motion.states[frames], motion.solution.joints_m[frames]
@@ -378,11 +369,8 @@ def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame
     assert bool(analysis.closures) == (how != "whole clip")
 
 
-def test_a_foot_that_jitters_across_the_travel_has_not_returned(frame_results, monkeypatch):
-    """A foot that jitters across the direction of travel has returned or not by the plane of travel alone.
-
-    One camera hardly shows the motion across.
-    """
+def test_jitter_across_the_direction_of_travel_does_not_affect_the_return(frame_results, monkeypatch):
+    """Only the motion in the plane of travel counts, because one camera hardly shows the motion across it."""
     monkeypatch.setattr(ClipAnalysis, "gait", None)  # the jitter would be detected as footfalls
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
@@ -396,7 +384,7 @@ def test_a_foot_that_jitters_across_the_travel_has_not_returned(frame_results, m
     assert restless.end_s - restless.start_s == pytest.approx(expected.end_s - expected.start_s, rel=0.15)
 
 
-def test_the_nearest_return_has_the_same_sentence_in_analyse_and_ik(frame_results, tmp_path):
+def test_analyse_and_ik_describe_the_nearest_return_in_the_same_words(frame_results, tmp_path):
     folder, motion = tmp_path / "fit", Motion.load(frame_results)
     states, joints_m = motion.states.copy(), motion.solution.joints_m.copy()
     states[13:] = joints_m[13:] = np.nan
@@ -409,7 +397,7 @@ def test_the_nearest_return_has_the_same_sentence_in_analyse_and_ik(frame_result
         assert says(" ".join(done.out.split()), f"{start_s:.3f} to", f"s, {STRIDE_WORDS['return'].ends}")
 
 
-def test_a_stride_of_ones_own(frame_results, tmp_path):
+def test_a_given_stride_is_used(frame_results, tmp_path):
     ask = ("--follow", "stride", "--no-figures", "--json")
     done = run("ik", frame_results, *ask, "--stride", "0.4333:0.735", "--out", tmp_path / "a")
     stride = json.loads(done.out)["stride"]
@@ -424,8 +412,8 @@ def test_a_stride_of_ones_own(frame_results, tmp_path):
             refused(args, ("--stride", *expected))
 
 
-def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
-    """A stride of a clip without a complete one lasts as long as it may: 0.31 s at first in the cut gallop."""
+def test_duration_range_of_a_stride_in_a_clip_without_a_complete_one():
+    """The first stride of the cut gallop can last 0.31 s."""
     for frames, at_most in ((16, 0.4), (11, np.inf)):
         clip = gallop(fps=30, n_frames=frames)
         gait = pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30)
@@ -436,7 +424,7 @@ def test_how_long_a_stride_may_last_in_a_clip_without_a_complete_one():
         assert longer_than_the_clip == stride_duration_range_s(replace(gait, stride_s=np.nan))
 
 
-def test_clip_without_a_stride_is_said(frame_results, tmp_path):
+def test_a_clip_without_a_stride_is_reported(frame_results, tmp_path):
     folder, motion = tmp_path / "fit", Motion.load(frame_results)
     states, joints_m = motion.states.copy(), motion.solution.joints_m.copy()
     states[9:] = joints_m[9:] = np.nan  # frames without a pose
@@ -464,12 +452,12 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
         (("--compare", "--alpha", "0"), ("--alpha", "alpha", 0)),
     ],
 )
-def test_bad_options(whole_results, tmp_path, options, expected):
+def test_bad_options_are_reported(whole_results, tmp_path, options, expected):
     refused(["ik", whole_results, "--out", tmp_path / "a", *options], expected)
     assert not (tmp_path / "a").exists()
 
 
-def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):
+def test_tables_are_written_if_figures_fail(whole_results, tmp_path, monkeypatch):
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
@@ -486,11 +474,8 @@ def test_earlier_results_are_kept(compared):
 
 
 @pytest.mark.slow
-def test_costs_and_closures_of_the_animal(frame_results, tmp_path, monkeypatch):
-    """Costs and closures of the animal are as published in appendices B and C.
-
-    The distance from a pose closes; the harmonic map does not, but is singular or chaotic.
-    """
+def test_costs_behave_as_published(frame_results, tmp_path, monkeypatch):
+    """The paths of the pose distance close; the paths of the harmonic map are singular or chaotic."""
     shorten_cost_study(monkeypatch)
     options = {"costs": True, "follow": "stride", "dim": 2, "figures": False, "out": tmp_path / "a"}
     solved = run_ik(IkSettings(folder=frame_results, **options))
@@ -506,7 +491,7 @@ def test_costs_and_closures_of_the_animal(frame_results, tmp_path, monkeypatch):
     assert {"animal_unscaled", "damped_unscaled"} <= {*closures.columns}
 
 
-def test_one_frame_has_its_own_parameters_and_the_extended_jacobian_an_alpha(frame_results):
+def test_each_frame_has_parameters_and_the_extended_jacobian_an_alpha(frame_results):
     results = Motion.load(frame_results)
     limb = limb_of(results, dim=2)
     series, _ = fit_parameter_series(limb, stride_of(results, limb))

@@ -1,4 +1,4 @@
-"""Test driving to targets, following closed paths, and moving along the null space."""
+"""Test runs to targets, along closed paths, and along the null space."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def front_leg(dim, limited=False):
 
 
 def random_tasks(dim, count=STARTS, seed=0):
-    """Return starts, and targets from other random poses, all within the expected ranges."""
+    """Draw start angles and targets from random poses within the expected ranges."""
     chain, rng = front_leg(dim, limited=True), np.random.default_rng(seed)
     starts, ends = rng.uniform(chain.lower_rad, chain.upper_rad, (2, count, chain.n))
     return starts, np.array([chain.end(q) for q in ends])
@@ -68,7 +68,7 @@ def test_every_method_reaches_reachable_targets(name, dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_limits_hold_and_end_with_a_reason(dim):
+def test_limits_hold_and_a_stopped_run_has_a_reason(dim):
     chain, reached = front_leg(dim, limited=True), 0
     for q, x in zip(*random_tasks(dim, 12), strict=True):
         drive = drive_to(chain, q, x, LeastNorm())
@@ -101,7 +101,7 @@ def test_stretched_chain_ends_with_a_reason(name):
         assert drive.reason.startswith("singular: the Jacobian")
 
 
-def test_out_of_iterations_and_bad_start():
+def test_too_few_iterations_and_a_bad_start_have_a_reason():
     chain = front_leg(2)
     assert (
         "largest number allowed" in drive_to(chain, np.full(5, 0.3), [0.5, 0.5], LeastNorm(), max_iterations=3).reason
@@ -109,7 +109,7 @@ def test_out_of_iterations_and_bad_start():
     assert drive_to(chain, np.full(5, np.inf), [0.5, 0.5], LeastNorm()).reason == "no progress: the start is not finite"
 
 
-def test_measures_of_a_drive():
+def test_measures_of_a_run_to_a_target():
     chain = front_leg(2)
     q, target = np.full(5, 0.3), np.array([0.6, 0.9])
     drive = drive_to(chain, q, target, LeastNorm())
@@ -126,11 +126,8 @@ def test_measures_of_a_drive():
     assert drive.manipulability[3] == pytest.approx(np.sqrt(np.linalg.det(J @ J.T)))
 
 
-# Closed paths
-
-
 def circle(chain, q, radius_m=0.15, points=400):
-    """Return a closed circle that starts at the end effector; in 3D it is tilted out of the sagittal plane."""
+    """Return a circle that starts at the end effector, in 3D tilted out of the sagittal plane."""
     a, start = np.linspace(0, 2 * np.pi, points + 1), chain.end(q)
     u = np.array([1.0, 0.0, 0.0])[: chain.dim]
     v = np.array([0.0, 0.8, 0.6])[: chain.dim]
@@ -140,7 +137,7 @@ def circle(chain, q, radius_m=0.15, points=400):
 
 
 def bent(chain):
-    """Return angles in the middle of their ranges, in 3D bent to the side."""
+    """Return joint angles in the middle of their ranges, in 3D bent to the side."""
     limited = front_leg(chain.dim, limited=True)
     q = (limited.lower_rad + limited.upper_rad) / 2
     q[5:] = [0.1, 0.15, -0.1, 0.2, 0.15][: len(q[5:])]
@@ -173,7 +170,7 @@ def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
     assert closures["least norm"]["angle"].min() < 95
 
 
-def test_follow_refuses_what_is_no_path():
+def test_follow_refuses_invalid_paths():
     chain = front_leg(2)
     with pytest.raises(ValueError, match="closed"):
         follow(chain, np.zeros(5), np.array([[1.0, 0.0], [0.9, 0.0]]), LeastNorm(), turns=2)
@@ -181,7 +178,7 @@ def test_follow_refuses_what_is_no_path():
         follow(chain, np.zeros(5), np.array([[1.0, np.nan], [0.9, 0.0]]), LeastNorm())
 
 
-def test_degree_of_closure():
+def test_degree_of_closure_has_known_values():
     assert degree_of_closure(np.array([0.0, 1.0, 0.25])) == pytest.approx(75)
     # Axes divided by their ranges: start and end are (0.5, 0.2) apart, the diameter is sqrt 2.
     path = np.array([[0.0, 0.0], [2.0, 50.0], [1.0, 10.0]])
@@ -189,12 +186,9 @@ def test_degree_of_closure():
     assert np.isnan(degree_of_closure(np.full(4, 1.3)))
 
 
-# Motion along the null space
-
-
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("kind", ["differences", "energy", "harmonic"])
-def test_null_space_optimum(dim, kind):
+def test_null_space_optimum_is_stationary(dim, kind):
     chain = front_leg(dim)
     cost = {"differences": joint_differences, "energy": rotational_energy, "harmonic": lambda _: harmonic_map()}[kind](
         chain
@@ -210,7 +204,7 @@ def test_null_space_optimum(dim, kind):
         assert cost.value(found) < cost.value(q)
 
 
-def test_null_space_optimum_reports_what_it_cannot_do():
+def test_null_space_optimum_reports_a_failure():
     chain = front_leg(2)
     unbounded = user_cost(lambda q: float(np.exp(q[0]) * q[0] * np.inf) if q[0] > 0 else 0.0)
     assert "not finite" in to_null_space_optimum(chain, bent(chain) + 0.3, unbounded)[1]

@@ -1,4 +1,4 @@
-"""Test chains of joints that turn or slide, in space."""
+"""Test chains in space whose joints turn or slide."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def random_chain(seed=0, **more):
 
 
 def differences(function, q, step=1e-6):
-    """Return central differences (..., n)."""
+    """Return the derivatives (..., n) of a function at q (n,) by central differences."""
     h = step * np.eye(len(q))
     return np.stack([(function(q + e) - function(q - e)) / (2 * step) for e in h], axis=-1)
 
@@ -63,13 +63,13 @@ def test_derivatives_agree_with_differences():
         bent = chain.derivatives(q)[1](mu)
         np.testing.assert_allclose(bent, np.tensordot(mu, differences(chain.jacobian, q), 1), atol=1e-8)
         np.testing.assert_allclose(bent, bent.T, atol=1e-14)
-        # dR R' = [w]x
+        # The derivative of R satisfies dR R' = [w]x, with the angular velocity w.
         spin = differences(lambda x: chain.pose(x)[0], q).transpose(2, 0, 1) @ chain.pose(q)[0].T
         angular = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
         np.testing.assert_allclose(chain.geometric_jacobian(q), np.concatenate([J, angular]), atol=1e-8)
 
 
-def test_a_planar_chain_is_one_of_these():
+def test_a_joint_chain_reproduces_a_planar_chain():
     lengths, q, mu = (0.4, 0.3, 0.2), np.array([0.3, -0.7, 1.2]), np.array([0.6, -1.1])
     flat = planar_chain(lengths)
     chain = joint_chain([(0, 0, 0), (0.4, 0, 0), (0.3, 0, 0)], [(0, 0, 2.0)] * 3, tool_m=(0.2, 0, 0))
@@ -80,7 +80,7 @@ def test_a_planar_chain_is_one_of_these():
     np.testing.assert_allclose(chain.joint_lengths_m, flat.joint_lengths_m)
 
 
-def test_joints_at_one_place_turn_the_same_link():
+def test_joints_at_the_same_point_turn_the_same_link():
     chain = joint_chain(
         [(0, 0, 0), (0, 0, 0), (0.5, 0, 0), (0, 0, 0)], [(0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0)], tool_m=(0.2, 0, 0)
     )
@@ -88,7 +88,7 @@ def test_joints_at_one_place_turn_the_same_link():
     np.testing.assert_allclose(chain.joint_lengths_m, [0.5, 0.5, 0.2, 0.2])
 
 
-def test_reach_holds_everywhere():
+def test_the_end_effector_stays_within_the_stated_reach():
     rng = np.random.default_rng(3)
     for offsets in rng.normal(size=(5, 4, 3)):
         chain = joint_chain(offsets, rng.normal(size=(4, 3)), tool_m=rng.normal(size=3))
@@ -113,7 +113,7 @@ def test_bad_chains_are_refused():
 
 
 @pytest.mark.parametrize("kind", ["damped", "least norm", "energy", "differences"])
-def test_methods_drive_these_chains(kind):
+def test_methods_reach_targets_with_joint_chains(kind):
     chain = random_chain()
     method = {
         "damped": damped_least_squares(),

@@ -1,4 +1,4 @@
-"""Test the rates of the methods, and parameters that are fitted to given rates."""
+"""Test the joint rates of the inverse-kinematics methods, and the fit of their parameters to given rates."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def configuration(chain, seed=0):
 
 
 @EACH
-def test_formulas(chain):
+def test_methods_agree_with_their_formulas(chain):
     q, dx = configuration(chain)
     J = chain.jacobian(q)
     P = np.eye(chain.n) - np.linalg.pinv(J) @ J
@@ -73,7 +73,7 @@ def test_formulas(chain):
         np.testing.assert_allclose(step.dq, expected, atol=1e-12)
 
 
-def test_one_damped_link():
+def test_damped_rates_of_one_link_have_a_known_value():
     # One link of length r at angle q: J = r (-sin q, cos q), and J' (J J' + l^2)^-1 dx = r t . dx / (r^2 + l^2).
     chain, q, dx = planar_chain((0.7,)), np.array([0.6]), np.array([0.3, -0.2])
     expected = 0.7 * (-np.sin(0.6) * 0.3 - np.cos(0.6) * 0.2) / (0.7**2 + 0.1**2)
@@ -81,7 +81,7 @@ def test_one_damped_link():
 
 
 @EACH
-def test_transpose_is_the_nearest_along_its_direction(chain):
+def test_transpose_scales_its_direction_to_the_nearest_motion(chain):
     q, dx = configuration(chain)
     J = chain.jacobian(q)
     dq = JacobianTranspose().rates(chain, q, dx).dq
@@ -89,8 +89,8 @@ def test_transpose_is_the_nearest_along_its_direction(chain):
     np.testing.assert_allclose(JacobianTranspose(0.5).rates(chain, q, dx).dq, 0.5 * J.T @ dx)
 
 
-def test_selectively_damped_holds_each_direction():
-    # The arm is nearly straight, so s is small along the arm, which is damped, and large across it.
+def test_selective_damping_limits_each_direction():
+    # The arm is nearly straight: the singular value along the arm is small, so this direction is damped.
     chain, q = planar_chain((0.5, 0.5)), np.array([0.0, 0.02])
     method = SelectivelyDamped(gamma_max_rad=0.5, interval_s=1.0)
     along = method.rates(chain, q, np.array([-0.1, 0.0])).dq
@@ -122,8 +122,8 @@ def test_extended_jacobian_solves_the_square_system(chain, full):
 
 
 @EACH
-def test_full_derivative_of_g(chain):
-    """The full derivative of G = N' grad g agrees with finite differences in which the basis does not turn."""
+def test_full_derivative_of_g_agrees_with_differences(chain):
+    """In the finite differences of G = N' grad g, the basis N does not turn."""
     cost = user_cost(lambda q: float(np.sum(np.cos(q)) + q[0] * q[2] ** 2))
     q, _ = configuration(chain)
     N = null_basis(chain.jacobian(q))
@@ -157,7 +157,7 @@ def test_rates_are_finite_and_bounded_everywhere(chain):
 
 
 @EACH
-def test_joints_taken_out_do_not_move(chain):
+def test_fixed_joints_do_not_move(chain):
     q, dx = configuration(chain)
     free = np.ones(chain.n, bool)
     free[[0, chain.n - 1]] = False
@@ -168,7 +168,7 @@ def test_joints_taken_out_do_not_move(chain):
             np.testing.assert_allclose(chain.jacobian(q) @ dq, dx, atol=1e-9)
 
 
-def test_a_limit_of_the_rates_spares_the_end_effector():
+def test_rate_limits_reduce_the_null_space_motion_first():
     chain = planar_chain(LENGTHS, max_rate_rad_s=3.0)
     q, dx = configuration(chain)
     step = GradientProjection(rotational_energy(chain), k=-1e3).rates(chain, q, dx)
@@ -187,11 +187,8 @@ def test_singular_extended_jacobian_is_reported():
     np.testing.assert_allclose(chain.jacobian(q) @ step.dq, dx, atol=1e-9)
 
 
-# Parameters fitted to joint rates
-
-
 @EACH
-def test_fits_find_the_parameters_again(chain):
+def test_fits_recover_the_parameters(chain):
     rng = np.random.default_rng(6)
     q, dx = rng.uniform(0.2, 1.0, (40, chain.n)), rng.normal(size=(40, chain.dim))
     weights = rng.uniform(0.4, 1.6, chain.n)
@@ -219,7 +216,7 @@ def test_fits_find_the_parameters_again(chain):
 
 
 @EACH
-def test_fit_finds_gamma_max_again(chain):
+def test_fit_recovers_gamma_max(chain):
     rng = np.random.default_rng(8)
     q, dx = rng.uniform(0.2, 1.0, (40, chain.n)), rng.normal(size=(40, chain.dim))
     true = SelectivelyDamped(0.02)
@@ -239,7 +236,7 @@ def test_fit_finds_gamma_max_again(chain):
     assert "no value between this one and" in found.note
 
 
-def test_fit_says_where_a_parameter_is_at_its_edge():
+def test_fit_notes_a_parameter_at_the_edge_of_its_range():
     chain = CHAINS["planar"]
     q, dx = np.random.default_rng(7).uniform(0.2, 1.0, (10, 5)), np.ones((10, 2))
     dq = np.stack([LeastNorm().rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
@@ -249,7 +246,7 @@ def test_fit_says_where_a_parameter_is_at_its_edge():
 
 
 @EACH
-def test_what_is_fitted_to_some_frames_is_held_against_others(chain):
+def test_a_fit_to_some_frames_is_tested_on_others(chain):
     rng = np.random.default_rng(9)
     q, dx = rng.uniform(0.2, 1.0, (30, chain.n)), rng.normal(size=(30, chain.dim))
     true = weighted_least_norm(np.linspace(0.5, 1.5, chain.n))
@@ -282,7 +279,7 @@ def test_parameters_of_each_configuration(chain):
     assert min(w.explained for w in weights) >= min(fits()["least-norm"](one).explained for one in each) - 1e-9
 
 
-def test_a_scaled_method_is_nearest_or_as_told():
+def test_alpha_is_the_given_or_the_best_factor():
     chain = CHAINS["planar"]
     q, dx = configuration(chain)
     damped = damped_least_squares(0.5)
@@ -298,11 +295,8 @@ def test_a_scaled_method_is_nearest_or_as_told():
     np.testing.assert_allclose(replace(projected, alpha=None).rates(chain, q, dx).dq, projected.rates(chain, q, dx).dq)
 
 
-def test_no_damping_explains_rates_best_whatever_they_are():
-    """No damping explains any rates best.
-
-    If dx = J dq, least norm gives the part of the rates in the row space of J, and damping only reduces it.
-    """
+def test_no_damping_explains_any_rates_best():
+    """If dx = J dq, least norm gives the rates' part in the row space of J, and damping only reduces this part."""
     chain, rng = CHAINS["planar"], np.random.default_rng(11)
     q, dq = rng.uniform(0.2, 1.0, (20, 5)), rng.normal(0.0, 2.0, (20, 5))
     dx = np.einsum("tij,tj->ti", chain.jacobian(q), dq)

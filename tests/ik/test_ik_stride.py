@@ -1,4 +1,4 @@
-"""Test strides of a chain as tasks."""
+"""Test the strides that inverse kinematics follows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CHAIN = planar_chain((0.5, 0.4, 0.3))
 
 
 def swings(frames, period=20.0, drift=0.0):
-    """Return joint angles (T, 3), rad, that are periodic except for their drift."""
+    """Return joint angles (T, 3), rad, that are periodic except for a drift."""
     phase = 2 * np.pi * np.arange(frames)[:, None] / period
     mean, size, shift = np.array([0.9, 0.8, -0.6]), np.array([0.3, 0.4, 0.5]), np.array([0.0, 1.0, 2.0])
     return mean + size * np.sin(phase + shift) + drift * np.arange(frames)[:, None]
@@ -51,7 +51,7 @@ def test_the_gap_is_spread_over_the_path():
 
 @pytest.mark.parametrize("period", [9.3, 9.5, 20.4])
 def test_a_stride_ends_between_frames(period):
-    """A stride can end between frames, as given after a touch-down between two frames, and as a return."""
+    """Both a given stride and a return can end between two frames."""
     q = swings(40, period)
     given = find_stride(CHAIN, q, 30, (3.4 / 30, (3.4 + period) / 30))
     assert (given.start_s, given.end_s) == pytest.approx((3 / 30, (3 + period) / 30))
@@ -66,11 +66,8 @@ def test_a_stride_ends_between_frames(period):
     assert late.end_s <= 39 / 30 + 1e-9
 
 
-def test_a_return_takes_as_long_as_a_stride_may():
-    """A return takes as long as a stride may.
-
-    The foot comes back near to its position half-way, and exactly after a stride.
-    """
+def test_a_return_respects_the_duration_range():
+    """The foot comes close to its position halfway through the stride, and returns to it exactly after the stride."""
     phase = 2 * np.pi * np.arange(50)[:, None] / 30
     q = [0.9, 0.8, -0.6] + [0.4, 0.4, 0.5] * np.sin(2 * phase + [0, 1, 2]) + 0.05 * np.sin(phase)
     half, whole = (
@@ -81,14 +78,14 @@ def test_a_return_takes_as_long_as_a_stride_may():
     assert whole.gap_percent < 1
 
 
-def test_a_clip_without_a_return_is_taken_whole():
+def test_a_clip_without_a_return_is_used_whole():
     found = find_stride(CHAIN, swings(9), fps=100)
     assert found.origin == "whole clip"
     assert (found.start_s, found.end_s) == (0.0, 0.08)
     assert found.gap_percent > 50
 
 
-def test_missing_frames():
+def test_short_gaps_are_bridged_and_long_gaps_split():
     q = swings(60)
     q[[4, 33]] = np.nan
     q[5:15] = np.nan
@@ -103,7 +100,7 @@ def test_missing_frames():
         find_stride(CHAIN, q, fps=100, span_s=(0.05, 0.3))
 
 
-def test_farthest_reach():
+def test_farthest_reach_finds_rearmost_and_foremost_position():
     q = swings(30)
     q[3] = np.nan
     start, target = farthest_reach(CHAIN, q)

@@ -1,4 +1,4 @@
-"""Test augmented pictures: labels move with the pixels, mirrored sides change names, and draws repeat."""
+"""Test that the labels of augmented pictures stay at their pixels, and that the augmentation is repeatable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GEOMETRY_ONLY = {"contrast": 0.0, "brightness": 0.0, "gamma": 0.0, "colour": 0.0
 
 
 def blobs(xy: np.ndarray, size: tuple[int, int] = SIZE) -> Image:
-    """Return pictures in which the k-th point is a blob of the k-th colour."""
+    """Draw a picture in which the k-th point is a blob of the k-th colour."""
     y, x = np.mgrid[: size[1], : size[0]]
     spots = [255 * np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 2.0**2) for px, py in xy]
     return np.stack([np.zeros_like(s) if np.isnan(s).any() else s for s in spots], axis=2).astype(np.uint8)
@@ -35,7 +35,7 @@ def example() -> Example:
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("partner", [None, (0, 2, 1)])
-def test_labels_go_with_the_pixels(seed, partner):
+def test_labels_move_with_the_pixels(seed, partner):
     options = Augmentation(partner=partner, **GEOMETRY_ONLY)
     picture, _, xy = augment(example(), SIZE, options, np.random.default_rng(seed))
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
@@ -58,7 +58,7 @@ def test_labels_go_with_the_pixels(seed, partner):
     assert seen
 
 
-def test_a_mirror_changes_the_names_of_the_sides():
+def test_mirroring_exchanges_left_and_right_names():
     options = Augmentation(partner=(0, 2, 1), rotation_deg=1e-9, scale=(1.0, 1.0), stretch=0.0, **GEOMETRY_ONLY)
     for seed in range(8):
         _, _, xy = augment(example(), (400, 300), options, np.random.default_rng(seed))
@@ -94,7 +94,7 @@ def test_a_batch_depends_on_seed_and_step_only():
     assert not np.array_equal(one[0], other[0])
 
 
-def test_motion_blur_keeps_the_light_and_the_place():
+def test_motion_blur_keeps_brightness_and_position():
     picture = blobs(np.array([[48.0, 40.0]] * 3))
     blurred = motion_blur(picture, 9.0, 0.3)
     assert float(blurred.sum()) == pytest.approx(float(picture.sum()), rel=0.03)
@@ -108,7 +108,13 @@ def test_motion_blur_keeps_the_light_and_the_place():
 
 
 def walk(moving_camera: bool = False) -> tuple[list[Image], Image, np.ndarray]:
-    """Return frames of a dark square that crosses a textured scene, the scene, and the left edge of the square."""
+    """Draw a dark square that crosses a textured scene.
+
+    Returns
+    -------
+    tuple
+        The frames, the scene without the square, and the left edge of the square in each frame, pixels.
+    """
     rng = np.random.default_rng(2)
     scene = np.repeat(rng.integers(120, 220, (60, 200, 1)), 3, axis=2).astype(np.uint8)
     left = np.arange(0, 60, 3)
@@ -129,7 +135,7 @@ def test_the_background_of_a_still_camera_is_the_scene():
     assert background_of(pictures[:3]) is None
 
 
-def test_the_mask_is_what_moves_near_the_labels():
+def test_the_mask_covers_moving_pixels_near_the_labels():
     pictures, scene, left = walk()
     x = left[9]
     other = pictures[9].copy()

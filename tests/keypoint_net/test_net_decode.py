@@ -1,4 +1,4 @@
-"""Test the points that are computed from scores: exact for Gaussians, and unchanged by missing labels."""
+"""Test the points, likelihoods and losses that are computed from a network's scores."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ pytestmark = needs_torch
 
 
 def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> Any:
-    """Return logarithms of Gaussians (1, K, h, w)."""
+    """Return scores (1, K, h, w) that are logarithms of Gaussians around points."""
     y, x = np.mgrid[: size[0], : size[1]]
     d2 = (x - xy[:, 0, None, None]) ** 2 + (y - xy[:, 1, None, None]) ** 2
     return torch.from_numpy(-0.5 * d2 / sigma**2).float()[None]
 
 
 @pytest.mark.parametrize("sigma", [0.9, 1.5, 2.5])
-def test_points_between_places_are_found_exactly(sigma):
+def test_points_between_cells_are_found_exactly(sigma):
     xy = np.random.default_rng(0).uniform(5, 18, (40, 2))
     found, _ = decode(probabilities(gaussian_scores(xy, (24, 26), sigma)), 1.0)
     np.testing.assert_allclose(found[0].numpy(), xy, atol=2e-3)
 
 
-def test_a_broad_peak_beats_a_sharp_one_of_less_weight():
+def test_a_broad_peak_beats_a_sharp_peak_of_less_probability():
     broad = torch.exp(gaussian_scores(np.array([[6.0, 6.0]]), (16, 30), 1.5))
     probability = 0.9 * broad / broad.sum()
     probability[0, 0, 6, 24] += 0.1  # higher than any cell of the broad peak
@@ -39,7 +39,7 @@ def test_a_broad_peak_beats_a_sharp_one_of_less_weight():
 
 
 def test_the_raw_likelihood_is_the_probability_within_the_tolerance():
-    """The raw likelihood is the probability within the tolerance r, 1 - exp(-r^2 / 2 sigma^2) for a 2D Gaussian."""
+    """For a 2D Gaussian, the probability within the tolerance r is 1 - exp(-r^2 / 2 sigma^2)."""
     sigma, radius = 2.0, 3.0
     _, within = decode(probabilities(gaussian_scores(np.array([[20.3, 19.6]]), (40, 40), sigma)), radius)
     assert float(within) == pytest.approx(1 - math.exp(-0.5 * (radius / sigma) ** 2), abs=0.01)
@@ -64,7 +64,7 @@ def test_the_loss_is_the_mean_cross_entropy_of_the_labelled_points():
     assert float(loss(scores, xy)) == pytest.approx(np.mean(by_hand), rel=1e-5)
 
 
-def test_missing_labels_pull_at_nothing():
+def test_missing_labels_have_no_gradient():
     scores = torch.randn(2, 3, 6, 7, requires_grad=True)
     xy = torch.full((2, 3, 2), math.nan)
     xy[0, 1] = torch.tensor([2.0, 3.0])
@@ -76,7 +76,7 @@ def test_missing_labels_pull_at_nothing():
 
 
 @pytest.mark.parametrize(("keypoints", "height", "width"), [(1, 40, 64), (22, 53, 71)])
-def test_any_number_of_keypoints_and_any_size_go_through(keypoints, height, width):
+def test_any_number_of_keypoints_and_any_size_is_accepted(keypoints, height, width):
     network = new_network(keypoints, two_stages=False).eval()
     with torch.inference_mode():
         scores = network(torch.zeros(2, 6, height, width))
@@ -88,7 +88,7 @@ def test_the_network_is_small(keypoints):
     assert sum(p.numel() for p in new_network(keypoints, two_stages=False).parameters()) <= 3_000_000
 
 
-def test_a_broad_probability_is_less_sure_of_its_point():
+def test_a_broad_probability_has_a_larger_variance():
     xy = np.array([[12.0, 12.0]])
     found = []
     for sigma in (0.9, 1.2, 1.5):
@@ -102,7 +102,7 @@ def test_a_broad_probability_is_less_sure_of_its_point():
     )
 
 
-def test_a_window_leaves_out_what_is_elsewhere():
+def test_points_outside_a_window_are_ignored():
     scores = gaussian_scores(np.array([[6.0, 6.0], [6.0, 6.0]]), (16, 30), 1.0)
     scores[0, :, 12, 24] = 50.0  # far more likely, but outside
     window = (torch.tensor([[[8.0, 5.0], [math.nan, math.nan]]]), 4.0)

@@ -1,4 +1,4 @@
-"""Test scores, calibration and suspicious labels against values by hand."""
+"""Compare scores, calibrations and suspicious labels with values computed by hand."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from recon.keypoint_net.train import suspicious_labels
 NAN = float("nan")
 
 
-def test_expected_calibration_error_by_hand():
-    """The expected calibration error is that computed by hand.
+def test_expected_calibration_error_equals_the_value_by_hand():
+    """The bins have 2 points at 0.05 (0 correct), 4 at 0.55 (3 correct) and 4 at 1.0 (3 correct).
 
-    There are three bins: 2 points at 0.05 (0 right), 4 at 0.55 (3 right), 4 at 1.0 (3 right): (2 * 0.05 + 4 * 0.2 + 4 *
-    0.25) / 10.
+    By hand, the error is (2 * 0.05 + 4 * 0.2 + 4 * 0.25) / 10.
     """
     likelihood = np.array([0.05, 0.05, *[0.55] * 4, *[1.0] * 4])
     right = np.array([0, 0, 1, 1, 1, 0, 1, 1, 1, 0], bool)
@@ -29,7 +28,7 @@ def test_expected_calibration_error_by_hand():
     assert table["bins"][2]["right"] == pytest.approx(0.75)
 
 
-def test_calibration_finds_what_made_the_points():
+def test_calibration_recovers_the_true_likelihoods():
     rng = np.random.default_rng(0)
     raw = rng.uniform(0.02, 0.98, 20_000)
     right = rng.random(20_000) < expit(0.6 * logit(raw) - 0.8)
@@ -39,14 +38,14 @@ def test_calibration_finds_what_made_the_points():
     assert reliability(raw, right)["expected_calibration_error"] > 0.1
 
 
-def test_calibration_stays_finite_where_all_points_are_right():
+def test_calibration_stays_finite_if_all_points_are_correct():
     found = fit_calibration(np.full(50, 0.9), np.ones(50, bool))
     assert 0.9 < float(calibrated(np.array([0.9]), found)[0]) < 1
     np.testing.assert_array_equal(calibrated(np.array([0.3]), fit_calibration(np.zeros(0), np.zeros(0, bool))), [0.3])
 
 
-def test_scores_by_hand():
-    """Scores are those computed by hand, for errors of 3, 4 and 12 px, a missed point and an unlabelled one."""
+def test_scores_equal_the_values_by_hand():
+    """The errors are 3, 4 and 12 px, with one missed point and one unlabelled point."""
     label = np.array([[[0, 0], [10, 0], [0, 10]], [[0, 0], [10, 0], [NAN, NAN]]], float)
     xy = np.array([[[3, 0], [10, 4], [NAN, NAN]], [[0, 12], [10, 0.5], [5, 5]]], float)
     xy[1, 1] = [10, 0.5]
@@ -67,7 +66,7 @@ def test_scores_by_hand():
     assert result["reliability"]["points"] == 3
 
 
-def test_swapped_sides_are_forgiven_by_the_pair():
+def test_left_right_swaps_are_forgiven_pair_by_pair():
     label = np.array([[[0, 0], [20, 0], [0, 30], [20, 30]]], float)
     xy = label[:, [1, 0, 2, 3]] + [[[1, 0], [1, 0], [2, 0], [19, 0]]]
     names = ("l_knee", "r_knee", "l_paw", "r_paw")
@@ -114,7 +113,7 @@ def test_the_command_prints_a_table(tmp_path):
 
 
 def marching(n: int = 40) -> Labels:
-    """Return four keypoints of an animal 30 px long that moves 2 px per frame and swings a little."""
+    """Return labels of four keypoints of an animal, 30 px long, that moves 2 px per frame and swings a little."""
     t = np.arange(n, dtype=float)
     shape = np.array([[0, 0], [30, 0], [5, 15], [25, 15]], float)
     xy = np.repeat(shape[None], n, axis=0) + np.stack([2 * t, np.zeros(n)], axis=1)[:, None]
@@ -142,7 +141,7 @@ def test_a_wrong_label_is_found_without_neighbours_and_with_a_network_that_learn
     assert {(s["image"], s["keypoint"]) for s in found} == {("img0.png", "a"), ("img0.png", "d")}
 
 
-def test_a_network_that_does_not_know_a_keypoint_speaks_against_none_of_its_labels():
+def test_a_network_that_has_not_learned_a_keypoint_flags_none_of_its_labels():
     labels = marching()
     seen = labels.xy_px.copy()
     seen[:, 3] += np.where(np.arange(len(seen)) % 2, 15.0, 45.0)[:, None]

@@ -1,4 +1,4 @@
-"""Test labels and their pictures: which belong together, what is missing, and every unusable input."""
+"""Test the reading of labels with their pictures, the splits, and the messages about unusable input."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from recon.keypoint_net.labels import (
 
 @pytest.fixture
 def clip(tmp_path: Path) -> tuple[Path, Path]:
-    """Write a video of ten frames, whose level is ten times the frame, and labels 50 to 57 for frames 0 to 7."""
+    """Write a video of ten frames, whose grey level is ten times the frame, and labels 50 to 57 for frames 0 to 7."""
     video = tmp_path / "run.avi"
     with video_writer(video, (64, 48), 25.0) as write:
         for number in range(10):
@@ -37,7 +37,7 @@ def clip(tmp_path: Path) -> tuple[Path, Path]:
     return video, write_labels(tmp_path / "labels.csv", [f"labeled-data/run/{50 + n:04d}.png" for n in range(8)], xy)
 
 
-def test_labels_name_the_frames_of_a_video(clip):
+def test_image_names_select_the_frames_of_a_video(clip):
     labels = read_labels(*clip, first_frame=50)
     assert labels.names == NAMES
     assert labels.numbers.tolist() == list(range(50, 58))
@@ -45,7 +45,7 @@ def test_labels_name_the_frames_of_a_video(clip):
     assert [round(float(p.mean()) / 10) for p in labels.pictures] == list(range(8))
 
 
-def test_a_label_that_is_missing_in_part_is_missing(clip):
+def test_a_label_without_one_coordinate_is_missing(clip):
     labels = read_labels(*clip, first_frame=50)
     assert np.argwhere(~labels.labelled).tolist() == [[2, 1], [3, 0]]
 
@@ -57,12 +57,12 @@ def test_a_label_that_is_missing_in_part_is_missing(clip):
         (51, ("--first-frame", "number", 51, "at most 50")),
     ],
 )
-def test_labels_that_match_no_frame(clip, first_frame, expected):
+def test_labels_without_a_frame_are_refused(clip, first_frame, expected):
     with refusal(expected):
         read_labels(*clip, first_frame=first_frame)
 
 
-def test_a_project_folder(tmp_path):
+def test_a_project_folder_is_read(tmp_path):
     for folder, levels in (("a", (10, 20)), ("b", (30, 40, 50))):
         names = [f"img{n:03d}.png" for n in range(len(levels))]
         xy = np.full((len(levels), 3, 2), 5.0)
@@ -79,7 +79,7 @@ def test_a_project_folder(tmp_path):
     assert labels.images[4] == "labeled-data/b/img002.png"
 
 
-def test_a_project_whose_pictures_are_gone(tmp_path):
+def test_a_project_without_its_pictures_is_refused(tmp_path):
     folder = tmp_path / "labeled-data" / "a"
     write_labels(folder / "CollectedData_me.csv", ["img0.png", "img1.png"], np.arange(1.0, 13.0).reshape(2, 3, 2))
     cv2.imwrite(str(folder / "img0.png"), grey(9))
@@ -93,7 +93,7 @@ def test_a_project_whose_pictures_are_gone(tmp_path):
     assert (says(unread, "cannot be read"), says(missing, "no such picture")) == (True, True)
 
 
-def test_folders_of_other_keypoints(tmp_path):
+def test_folders_with_different_keypoints_are_refused(tmp_path):
     for folder, names in (("a", NAMES), ("b", ("nose", "tail"))):
         path = tmp_path / "labeled-data" / folder
         write_labels(path / "CollectedData_me.csv", ["img0.png"], np.ones((1, len(names), 2)), names)
@@ -111,21 +111,21 @@ def test_folders_of_other_keypoints(tmp_path):
         ("scorer,me,me\nbodyparts,nose,nose\ncoords,x,y\n", ("points", "no frames")),
     ],
 )
-def test_label_files_without_labels(clip, tmp_path, content, expected):
+def test_label_files_without_labels_are_refused(clip, tmp_path, content, expected):
     path = tmp_path / "bad.csv"
     path.write_text(content, encoding="utf-8")
     with refusal((path, *expected)):
         read_labels(clip[0], path)
 
 
-def test_labels_of_larger_pictures(clip, tmp_path):
+def test_labels_outside_their_pictures_are_refused(clip, tmp_path):
     xy = np.array([[[50.0, 60.0], [52, 62], [54, 64]]])
     path = write_labels(tmp_path / "larger.csv", ["img50.png"], xy)
     with refusal((path, "labels", ["3 of 3 points", "nose in img50.png"])):
         read_labels(clip[0], path, first_frame=50)
 
 
-def test_a_video_that_is_none(clip, tmp_path):
+def test_a_file_that_is_no_video_is_refused(clip, tmp_path):
     path = tmp_path / "bad.mp4"
     path.write_bytes(b"not a video")
     with refusal(("bad.mp4", "video", "cannot be decoded")):
@@ -161,11 +161,11 @@ def test_points_stay_on_their_pixels_when_a_picture_is_scaled(scale):
         (("hip", "eye", "collar"), (0, 1, 2)),
     ],
 )
-def test_partners_in_the_mirror(names, partners):
+def test_counterparts_on_the_other_side(names, partners):
     assert sides(names) == partners
 
 
-def test_the_body_length_is_that_of_whole_animals():
+def test_the_body_length_comes_from_whole_animals():
     xy = np.full((4, 3, 2), np.nan)
     xy[:3] = [[0, 0], [30, 40], [10, 10]]
     xy[2] *= 2
@@ -173,7 +173,7 @@ def test_the_body_length_is_that_of_whole_animals():
     assert body_length_px(xy) == pytest.approx(50)
 
 
-def test_splits_are_disjoint_runs_that_repeat(clip):
+def test_splits_are_disjoint_blocks_and_repeatable(clip):
     labels = read_labels(*clip, first_frame=50)
     split = split_labels(labels, "0.25", "55:57", seed=3)
     assert split["test"].tolist() == [5, 6]
@@ -184,7 +184,7 @@ def test_splits_are_disjoint_runs_that_repeat(clip):
     assert frames_by_part(labels, split)["test"] == {labels.clips[0]: ["55-56"]}
 
 
-def test_splits_that_leave_nothing(clip):
+def test_splits_without_training_pictures_are_refused(clip):
     labels = read_labels(*clip, first_frame=50)
     with refusal(("--validation", "frames", "90:", "50 to 57")):
         split_labels(labels, "90:", "0", seed=0)

@@ -1,4 +1,4 @@
-"""Test networks in two stages: large animals are found in small pictures, then point by point at full size."""
+"""Test networks with two stages, which find large animals in small pictures and refine points at full size."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BRIEF = replace(SETTINGS, steps=2)
 
 @pytest.fixture
 def no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the report, except what it says about threads."""
+    """Skip the training report, except the sentences about threads."""
     monkeypatch.setattr(
         "recon.keypoint_net.train.write_training_report",
         lambda run, state, folder: {"threads": state.threads},
@@ -51,14 +51,14 @@ class Killed(Exception):
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make narrow networks, for which an animal of 24 px is large."""
+    """Make networks narrow, and treat an animal of 24 px as large."""
     narrow_networks(monkeypatch)
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
 
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write a clip of three discs of one colour each, with labels in every frame."""
+    """Write a clip of three discs with different colours, and labels for every frame."""
     folder = tmp_path_factory.mktemp("clip")
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
     rows = ["scorer" + ",me" * 6, "bodyparts," + ",".join(n for n in NAMES for _ in "xy"), "coords" + ",x,y" * 3]
@@ -81,7 +81,7 @@ def train_in(
     return run_training(source, settings, out, device="cpu", threads=threads, **options)  # pyright: ignore
 
 
-def test_what_is_small_has_one_stage_and_what_is_large_two():
+def test_small_animals_have_one_stage_and_large_animals_two():
     box = np.array([[[0.0, 0.0], [3, 4]]])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "NETWORK_LENGTH_PX", 120.0)
@@ -96,10 +96,7 @@ def test_what_is_small_has_one_stage_and_what_is_large_two():
 
 @pytest.mark.slow
 def test_two_stages_from_labels_to_points(clip, tmp_path):
-    """Two stages are trained from labels, and predict points in pixels of the clip.
-
-    A run that is killed and resumed ends in the same weights.
-    """
+    """Points are predicted in pixels of the clip, and a run that is killed and resumed has the same weights."""
 
     def stop(stage: str, share: float) -> None:
         if share >= 0.8:
@@ -124,7 +121,7 @@ def test_two_stages_from_labels_to_points(clip, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
-def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path, monkeypatch):
+def test_a_run_with_one_stage_is_not_resumed_with_two(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
     train_in(tmp_path, clip, settings=BRIEF)
     assert (tmp_path / CHECKPOINT_FILE).is_file()
@@ -135,7 +132,7 @@ def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path,
 
 
 @pytest.mark.usefixtures("no_report")
-def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
+def test_a_network_of_version_0_2_is_read(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
     train_in(tmp_path, clip, settings=BRIEF)
     content = load_torch(tmp_path / MODEL_FILE)
@@ -158,7 +155,7 @@ def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
         ("first", 0.0),
     ],
 )
-def test_a_network_whose_description_cannot_be(field, value, tmp_path):
+def test_a_network_with_an_impossible_description_is_refused(field, value, tmp_path):
     value = torch.zeros(1).expand(10**10) if value == "tensor" else value
     spec = {"names": ["nose"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0, field: value}
     torch.save({"format": FORMAT, "spec": spec, "weights": {}}, tmp_path / MODEL_FILE)
@@ -167,7 +164,7 @@ def test_a_network_whose_description_cannot_be(field, value, tmp_path):
 
 
 def bright_stage() -> Any:
-    """Return a stage that is certain about bright pixels."""
+    """Return a stage of a network whose scores are highest at bright pixels."""
 
     class Stage(torch.nn.Module):
         def forward(self, x: Any) -> Any:
@@ -176,11 +173,8 @@ def bright_stage() -> Any:
     return Stage()
 
 
-def test_the_second_stage_looks_near_the_first_ones_points():
-    """The second stage looks only near the points of the first.
-
-    Both find the brightest spot: the first a large one; a smaller, brighter one is too far away for the second.
-    """
+def test_the_second_stage_searches_near_the_points_of_the_first():
+    """Both stages find the brightest spot. A smaller, brighter spot is too far away for the second stage."""
     picture = np.full((200, 400, 3), 100, np.uint8)
     y, x = np.mgrid[:200, :400]
     for at, level, radius in (((305.5, 97.5), 210, 6), ((60, 50), 250, 3)):
@@ -191,7 +185,7 @@ def test_the_second_stage_looks_near_the_first_ones_points():
     np.testing.assert_allclose(xy[:, 0], [[305.5, 97.5]] * 2, atol=2.0)
 
 
-def test_the_part_of_a_picture_where_the_points_are():
+def test_the_part_contains_the_likely_points():
     xy = np.array([[[100.0, 100], [140, 120], [900, 10]], [[400.0, 380], [500, 470], [0, 0]]])
     raw = np.array([[0.9, 0.8, 0.01], [0.9, 0.8, 0.01]])
     low, size = part_of(xy, raw, 10.0, (640, 480))
@@ -205,7 +199,7 @@ def test_the_part_of_a_picture_where_the_points_are():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
-def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
+def test_the_number_of_threads_is_all_or_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
     taken = []
     # Several threads slow down tests that run at the same time.
     monkeypatch.setattr("torch.set_num_threads", taken.append)

@@ -1,4 +1,4 @@
-"""Test training, resuming and predicting on a small clip of three coloured blobs, and failures."""
+"""Test training, resuming, predicting and error messages on a small clip of three coloured blobs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ COLOURS = ((250, 60, 60), (60, 250, 60), (60, 60, 250))
 
 
 def places(frame: int) -> np.ndarray:
-    """Return the three points (3, 2) in a frame of the clip, px."""
+    """Return the true points (3, 2) in a frame of the clip, px."""
     x = 20.0 + 2.5 * frame
     swing = 4 * np.sin(0.7 * frame)
     return np.array([[x, 20.0], [x - 8 + swing, 40.0], [x + 8 - swing, 42.0]])
@@ -48,7 +48,10 @@ def places(frame: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write clip.avi, and labels.csv with frames 50, 52, ... for 0, 2, ...; l_paw of frame 54 has no label."""
+    """Write clip.avi, and labels.csv with labels of every second frame.
+
+    The labels number the first frame 50. In frame 54, l_paw has no label.
+    """
     folder = tmp_path_factory.mktemp("clip")
     rng = np.random.default_rng(0)
     scene = rng.integers(90, 130, (SIZE[1], SIZE[0], 3)).astype(float)
@@ -83,7 +86,7 @@ def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: boo
 
 @pytest.fixture(scope="module")
 def model(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a network of the users' size that knows the blobs."""
+    """Return the folder of a network of the usual size, trained on the blobs."""
     out = tmp_path_factory.mktemp("model")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(train_module, "EVALUATIONS", EVALUATIONS)
@@ -102,7 +105,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def quick_training(patch: pytest.MonkeyPatch) -> None:
-    """Make networks narrow, and leave out the report."""
+    """Make networks narrow, and skip the training report."""
     narrow_networks(patch)
     patch.setattr("recon.keypoint_net.train.write_training_report", lambda run, state, folder: {})
 
@@ -113,7 +116,7 @@ class Killed(Exception):
 
 @pytest.fixture(scope="module")
 def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a short run of a narrow network that was not interrupted."""
+    """Return the folder of a short, uninterrupted run of a narrow network."""
     out = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
         quick_training(patch)
@@ -123,10 +126,7 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("at", [pytest.param(0.5, marks=pytest.mark.slow), 0.85])
 def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
-    """A run that is killed and resumed ends in the same weights.
-
-    It is killed between two checkpoints, before and after learning from the validation pictures.
-    """
+    """The run is killed between two checkpoints, before or after it begins to learn from the validation pictures."""
 
     def stop(stage: str, share: float) -> None:
         if share >= at:
@@ -142,7 +142,7 @@ def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, 
     assert len(one["weights"]) > 50
 
 
-def test_what_a_run_needs_is_checked_before_a_folder_is_made(clip, tmp_path):
+def test_input_is_checked_before_the_folder_is_made(clip, tmp_path):
     with refusal((tmp_path / "none" / "checkpoint.pt", "checkpoint", "no such file", "--resume")):
         train_in(tmp_path / "none", clip, resume=True)
     assert not (tmp_path / "none").exists()
@@ -157,8 +157,8 @@ def test_the_video_is_never_written_over(clip, whole, quick, tmp_path):
     assert not (tmp_path / "p.csv").exists()
 
 
-def test_no_file_of_a_user_s_is_replaced(clip, whole, quick, tmp_path):
-    """No file of a user under the names that the commands write is replaced; each is refused before any work."""
+def test_no_file_of_the_user_is_replaced(clip, whole, quick, tmp_path):
+    """The user's files have the names that the commands write. Each command refuses before any work."""
     train_it = ("train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", 50, "--steps", 3)
     names = (predict_module.MODEL_FILE, train_module.CHECKPOINT_FILE, *train_module.REPORT_FILES)
     require_untouched((*train_it, "--out", tmp_path / "net"), tmp_path / "net", names)
@@ -168,8 +168,8 @@ def test_no_file_of_a_user_s_is_replaced(clip, whole, quick, tmp_path):
 
 
 @pytest.mark.slow
-def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
-    """After Ctrl-C the message says how to continue; the checkpoint can be continued or replaced."""
+def test_the_message_after_ctrl_c_says_how_to_continue(clip, tmp_path, monkeypatch):
+    """The checkpoint can then be continued or replaced."""
 
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
@@ -203,7 +203,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
 
 
 def test_training_and_prediction_on_cuda(clip, tmp_path):
-    """Training and prediction work on CUDA, a stopped run ends in the same weights, and a CPU reads the network."""
+    """A stopped run has the same weights after it is resumed, and a CPU can read the network."""
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     settings = TrainSettings(steps=110, batch=4, seed=1)
@@ -253,7 +253,7 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     assert len(figure.axes[0].lines[0].get_xdata()) == len(report["history"])
 
 
-def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(clip, tmp_path):
+def test_an_untrained_network_flags_no_labels_and_a_warning_says_so(clip, tmp_path):
     said: list[str] = []
     settings = TrainSettings(steps=2, batch=1)
     report = train_in(tmp_path / "few", clip, settings, announce=said.append)
@@ -278,13 +278,13 @@ def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(
         (200, "150 labelled pictures gave a median error of 3.1 px on a video of a horse"),
     ],
 )
-def test_training_states_the_accuracy_that_so_many_labels_gave(count: int, sentence: str) -> None:
+def test_training_states_the_accuracy_for_the_number_of_labels(count: int, sentence: str) -> None:
     assert sentence in measured_errors(count)
     assert ("Expect larger errors" in measured_errors(count)) == (count < 5)
 
 
-def test_the_stated_accuracy_is_the_measured_one() -> None:
-    """The stated accuracy is the measured one in benchmarks/results/net.json: ranges or single values."""
+def test_the_stated_accuracy_equals_the_benchmark() -> None:
+    """benchmarks/results/net.json has the measured accuracy as single values or ranges."""
     path = Path(__file__).parents[2] / "benchmarks" / "results" / "net.json"
     tables = json.loads(path.read_text(encoding="utf-8"))["tables"]
     measured = [
@@ -298,13 +298,13 @@ def test_the_stated_accuracy_is_the_measured_one() -> None:
 
 
 @pytest.mark.slow
-def test_predictions_are_where_the_blobs_are(clip, model, tmp_path):
+def test_predictions_are_at_the_blobs(clip, model, tmp_path):
     keypoints = run_prediction(clip / "clip.avi", model, tmp_path / "points.csv", device="cpu", threads=1)
     errors = np.linalg.norm(keypoints.xy_px - np.stack([places(f) for f in range(FRAMES)]), axis=2)
     assert np.median(errors) < 2.5
 
 
-def test_predictions_have_deeplabcuts_layout(clip, whole, quick, tmp_path):
+def test_predictions_have_the_layout_of_deeplabcut(clip, whole, quick, tmp_path):
     out = tmp_path / "points.csv"
     run_prediction(clip / "clip.avi", whole, out, overlay=tmp_path / "points.avi", device="cpu", threads=1)
     lines = out.read_text(encoding="utf-8").splitlines()
@@ -321,7 +321,7 @@ def test_predictions_have_deeplabcuts_layout(clip, whole, quick, tmp_path):
     assert probe(tmp_path / "points.avi").stated_frames == FRAMES
 
 
-def test_h5_and_csv_hold_the_same(clip, whole, quick, tmp_path):
+def test_h5_and_csv_hold_the_same_values(clip, whole, quick, tmp_path):
     for name in ("points.csv", "points.h5"):
         run_prediction(clip / "clip.avi", whole, tmp_path / name, device="cpu", threads=1)
     one, other = read_keypoints(tmp_path / "points.csv"), read_keypoints(tmp_path / "points.h5")
@@ -329,7 +329,7 @@ def test_h5_and_csv_hold_the_same(clip, whole, quick, tmp_path):
     assert pd.DataFrame(pd.read_hdf(tmp_path / "points.h5")).columns.names == ["scorer", "bodyparts", "coords"]
 
 
-def test_a_video_that_ends_before_its_stated_end(clip, whole, quick, tmp_path, monkeypatch):
+def test_a_video_shorter_than_stated_is_refused(clip, whole, quick, tmp_path, monkeypatch):
     def lying(path: Path) -> VideoInfo:
         return VideoInfo(SIZE, 25.0, 4 * FRAMES)
 
@@ -352,7 +352,7 @@ def test_frames_that_are_missing_inside_a_video_are_named(whole, quick, tmp_path
     assert len(read_keypoints(tmp_path / "p.csv").frames) == 40 - int(said[1])
 
 
-def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
+def test_a_checkpoint_of_other_keypoints_is_refused(clip, quick, tmp_path):
     train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=1))
     text = (clip / "labels.csv").read_text(encoding="utf-8").replace("nose", "tail")
     (tmp_path / "other.csv").write_text(text, encoding="utf-8")
@@ -385,20 +385,20 @@ NETWORK, LABELS = ["--model", "{model}"], ["--labels", "{clip}/labels.csv"]
         ([*TRAIN, "--labels", "{clip}/no.csv"], ("no.csv", "file", "no such file")),
     ],
 )
-def test_bad_input_is_one_message_and_nothing_is_written(args, expected, clip, whole, quick, tmp_path, monkeypatch):
+def test_bad_input_gives_one_message_and_no_files(args, expected, clip, whole, quick, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused([a.format(clip=clip, model=whole) for a in args], expected)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_all_that_a_run_lacks_is_said(clip, tmp_path, monkeypatch):
+def test_every_missing_input_is_reported(clip, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     missing = ("o/checkpoint.pt", "checkpoint", "no such file")
     refused(["train", clip, "--out", "o", "--resume"], (clip, "label files", "none", "labeled-data"), missing)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_learning_rate_warms_up_and_falls_to_nothing_twice():
+def test_the_learning_rate_warms_up_and_falls_to_almost_zero_twice():
     shares = np.linspace(0, 1, 501)
     rates = np.array([schedule(s) for s in shares])
     assert rates[0] < 0.05
@@ -411,7 +411,7 @@ def test_the_learning_rate_warms_up_and_falls_to_nothing_twice():
     assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_without_torch_the_command_says_what_to_install(clip, monkeypatch, tmp_path):
+def test_a_missing_torch_is_reported_with_the_command_to_install_it(clip, monkeypatch, tmp_path):
     import sys
 
     monkeypatch.setitem(sys.modules, "torch", None)

@@ -6,13 +6,13 @@ import pytest
 from recon.robotics.quadruped import body_pose, feet_in_world, leg_targets
 
 A, C, L = 0.065, 0.0625, 0.11
-"""Half length, half width, height."""
+"""Half length and half width of the rectangle of the hips, and height of the hips above the feet, metres."""
 HIPS = np.array([(A, C, 0), (A, -C, 0), (-A, C, 0), (-A, -C, 0)], float)
 FEET = HIPS - [0, 0, L]
 ANGLES = np.linspace(-0.6, 0.6, 25)
 
 
-def test_pitch():
+def test_pitch_equals_the_published_formula():
     pitch = ANGLES
     targets = leg_targets(body_pose(np.zeros((25, 3)), 0.0, pitch, 0.0), HIPS, FEET)
     s, c = np.sin(pitch), np.cos(pitch)
@@ -23,8 +23,8 @@ def test_pitch():
     np.testing.assert_allclose(targets[:, 2:], np.stack([expected_rear] * 2, axis=1), atol=1e-12)
 
 
-def test_yaw():
-    """The yaw is as published for the right front leg: x right, y forwards, a clockwise, in ground axes."""
+def test_yaw_equals_the_published_formula():
+    """Compare the right front leg with the published formula, in which x is right, y forwards and a clockwise."""
     width, length, a = C, A, ANGLES
     r, b = np.hypot(width, length), np.arctan(length / width)
     E, D = r * np.sin(b - a), r * np.cos(b - a)
@@ -37,8 +37,8 @@ def test_yaw():
     np.testing.assert_allclose(targets, np.stack([x, y, np.full(25, -L)], axis=-1), atol=1e-12)
 
 
-def test_roll_is_pitch_from_the_side():
-    """A roll is a pitch seen from the side: right side down is nose down with width and length exchanged."""
+def test_roll_equals_pitch_with_width_and_length_exchanged():
+    """Right side down equals nose down with width and length exchanged."""
     turned = leg_targets(body_pose(np.zeros((25, 3)), ANGLES, 0.0, 0.0), HIPS, FEET)
     s, c = np.sin(ANGLES), np.cos(ANGLES)
     right = L - C * s
@@ -46,12 +46,12 @@ def test_roll_is_pitch_from_the_side():
     np.testing.assert_allclose(turned[:, 1], expected, atol=1e-12)
 
 
-def test_translation():
+def test_translation_moves_the_feet_the_other_way():
     moved = leg_targets(body_pose([0.01, -0.02, 0.03], 0.0, 0.0, 0.0), HIPS, FEET)
     np.testing.assert_allclose(moved, np.tile([-0.01, 0.02, -L - 0.03], (4, 1)), atol=1e-15)
 
 
-def test_there_and_back_in_six_degrees_of_freedom():
+def test_feet_in_world_inverts_leg_targets():
     rng = np.random.default_rng(0)
     pose = body_pose(rng.normal(size=(40, 3)), *rng.uniform(-1, 1, (3, 40)))
     targets = leg_targets(pose, HIPS, FEET)

@@ -1,4 +1,4 @@
-"""Test climbing by potential fields: fields against formulas and differences, equilibria, paths, margins, climbs."""
+"""Test the planning of climbs by potential fields, from the fields to the command."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [
 
 
 def well(*numbers: float) -> _Well:
-    """Return one potential well for all legs."""
+    """Build the potential wells of a climb, the same for all legs."""
     of_legs = ((number, number, number, number) for number in numbers)
     return _Well.model_construct(**dict(zip(_Well.model_fields, of_legs, strict=True)))
 
@@ -90,17 +90,14 @@ def aibo() -> Quadruped:
     return load_robot("aibo")
 
 
-# Fields
-
-
-def test_slope_of_a_well_is_the_published_form():
+def test_slope_of_a_well_equals_the_published_formula():
     one = well(2.0, 0.12, 0.1, 0.135, 120.0, 150.0)
     for x in (0.08, 0.1, 0.12, 0.135, 0.15):
         slope = 2.0 * (x - 0.12) * (np.exp(150 * (x - 0.135)) + np.exp(120 * (0.1 - x)))
         assert one.slope(np.array(x)) == pytest.approx([slope] * 4, rel=1e-12, abs=1e-15)
 
 
-def test_a_leg_in_the_dead_zone_pulls_little_and_hard_beyond():
+def test_a_leg_pulls_weakly_in_the_dead_zone_and_strongly_beyond():
     of = FIELDS.radial.slope
     inside, beyond = abs(of(np.array([[0.11], [0.125]]))), abs(of(np.array([[0.08], [0.155]])))
     assert inside.max() < 0.01
@@ -109,7 +106,7 @@ def test_a_leg_in_the_dead_zone_pulls_little_and_hard_beyond():
 
 
 def test_fields_act_along_the_published_directions():
-    """Fields act along the published directions; on the right side, X is to the right and Y forwards."""
+    """On the right side, X points to the right and Y forwards, as published."""
     r, x, y = np.array([0.05, -0.03, -0.1]), np.array([0, -1.0, 0]), np.array([1.0, 0, 0])
     a, b = np.cross(x, r), np.cross(r, y)
     ways = {
@@ -128,7 +125,7 @@ def test_fields_act_along_the_published_directions():
 
 
 def energy(feet_m: np.ndarray, at: np.ndarray) -> float:
-    """Return the energy of a torso, by numerical integration of the wells' slopes and of the balancing force."""
+    """Compute the energy of a torso by integrating the slopes of the wells and the balance force numerically."""
     r = (feet_m - at[:3, 3]) @ at[:3, :3] - HIPS
     ways = zip(
         (np.linalg.norm(r, axis=1), np.arctan2(r[:, 0], -r[:, 2]), np.arctan2(LEFT * r[:, 1], -r[:, 2])),
@@ -154,7 +151,7 @@ def test_wrench_is_the_gradient_of_one_energy(seed):
     np.testing.assert_allclose(many[1], wrench_at(FIELDS, f, _moved(t, np.full(6, 0.01))), atol=1e-15)
 
 
-def test_balance_pulls_to_the_centroid_with_a_gain_that_saturates():
+def test_balance_force_points_to_the_centroid_and_saturates():
     only, level = Fields(radial=NOWHERE, swing=NOWHERE, flap=NOWHERE, balance=balance(0.3)), HIPS - [0, 0, 0.12]
     for away, gain in (([3.0, 4.0], 0.3), ([0.003, 0.004], 0.3 * np.tanh(60 * 0.005))):
         found = wrench_at(only, level + np.array([*away, 0]), HERE)[:2]
@@ -164,11 +161,8 @@ def test_balance_pulls_to_the_centroid_with_a_gain_that_saturates():
     np.testing.assert_allclose(found / np.linalg.norm(found), planted / np.linalg.norm(planted), atol=1e-9)
 
 
-# Equilibria
-
-
 @pytest.mark.parametrize("dofs", [PLANAR, SPATIAL])
-def test_the_equilibrium_is_that_of_scipy(dofs):
+def test_the_equilibrium_agrees_with_scipy(dofs):
     f = feet(1)
     found, evaluations, settled = equilibrium(FIELDS, HIPS, f, NONE, HERE, dofs)
     assert settled
@@ -188,17 +182,14 @@ def test_the_equilibrium_is_that_of_scipy(dofs):
         np.testing.assert_allclose(found[1, :3], [0, 1, 0], atol=1e-14)
 
 
-def test_caps_shorten_a_step_as_a_whole():
+def test_limits_scale_a_step_as_a_whole():
     step = np.array([0.03, 0.04, 0, 0.02, 0, 0])
     np.testing.assert_allclose(capped(step, 0.01, 1.0), step / 5)
     np.testing.assert_allclose(capped(step, 1.0, 0.01), step / 2)
     np.testing.assert_array_equal(capped(step, 1.0, 1.0), step)
 
 
-# Paths, the step and margins
-
-
-def test_a_path_rises_and_sinks_at_its_angles_and_goes_sideways_only_across():
+def test_a_path_rises_and_descends_at_its_angles():
     start, end = np.array([0.0, 0.07, 0.0]), np.array([0.08, 0.09, 0.05])
     a, b, c, d = path_corners(start, end, 0.01, np.radians(75), np.radians(60))
     assert np.degrees(np.arctan2(b[2] - a[2], b[0] - a[0])) == pytest.approx(75)
@@ -207,7 +198,7 @@ def test_a_path_rises_and_sinks_at_its_angles_and_goes_sideways_only_across():
     np.testing.assert_array_equal([a[1], b[1], c[1], d[1]], [0.07, 0.07, 0.09, 0.09])
 
 
-def test_a_foot_goes_its_path_at_the_speeds_of_the_phases():
+def test_a_foot_moves_at_the_speed_of_each_phase():
     recipe = load_recipe("published-50")
     primitive = recipe.primitives[0]
     start = np.array([0.08, 0.1, 0.0])
@@ -220,7 +211,7 @@ def test_a_foot_goes_its_path_at_the_speeds_of_the_phases():
     assert speeds[0] == pytest.approx(recipe.swing.rise_m_s, rel=0.05)
 
 
-def test_slopes_that_are_too_long_meet_above_the_clearance():
+def test_long_slopes_meet_above_the_clearance():
     path = path_corners(np.zeros(3), np.array([0.01, 0, 0.0]), 0.02, np.radians(45), np.radians(45))
     np.testing.assert_allclose(path[:, 0], [0, 0.005, 0.005, 0.01])
     np.testing.assert_allclose(path[:, 2], [0, 0.02, 0.02, 0])
@@ -235,7 +226,7 @@ def test_distance_from_ground_and_step():
     np.testing.assert_allclose(step.corner_m(points[3:5]), [-np.hypot(0.02, 0.03), 0.05])
 
 
-def test_support_is_the_distance_to_the_nearest_side_of_the_triangle_or_the_quadrangle():
+def test_support_is_the_distance_to_the_nearest_side_of_the_polygon():
     square = np.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]])
     assert support_m(np.zeros(2), square, np.array(NONE)).min() == pytest.approx(1)
     assert support_m(np.array([0.0, -0.5]), square, np.array(NONE)).min() == pytest.approx(0.5)
@@ -246,7 +237,7 @@ def test_support_is_the_distance_to_the_nearest_side_of_the_triangle_or_the_quad
         assert support_m(-away, square, np.array(lifted)).min() == pytest.approx(-0.3 * np.sqrt(2))
 
 
-def test_slack_is_how_far_a_foot_is_within_the_reach(aibo):
+def test_slack_is_the_distance_from_the_edge_of_the_reach(aibo):
     for leg in aibo.legs.values():
         least, most = leg.closed.distances_m
         way = leg.neutral_m - leg.hip_m
@@ -258,21 +249,20 @@ def test_slack_is_how_far_a_foot_is_within_the_reach(aibo):
         assert leg.slack_m(leg.hip_m + np.array([[0, 0.8 * most, 0]])) < 0
 
 
-# Recipes and climbs
-
-
 PUBLISHED = {
     "front-up": ((2, 65, 0), (1, 70, 50), (3, 70, 50), (4, 60, 0)),
     "move-forward": ((1, 70, 0), (3, 70, 0), (2, 70, 0), (4, 60, 0)),
     "rear-up": ((1, 85, 0), (2, 75, 50), (3, 85, 0), (4, 60, 50)),
 }
-"""Leg, from 1: left front, left rear, right front, right rear; forward and up, mm (D. Cohen, SUNFEST, University of
-Pennsylvania, 2005). The heights in rear-up are printed as 0, 30, -10, 30 mm, with the plastic casings of the feet; here
-feet are points: 0, 50, 0, 50."""
+"""Published footfalls of each primitive (D. Cohen, SUNFEST, University of Pennsylvania, 2005).
+
+A footfall is the leg (1 left front, 2 left rear, 3 right front, 4 right rear), and its way forward and up, mm. The
+heights in rear-up are printed as 0, 30, -10, 30 mm, which include the plastic casings of the feet. Here feet are
+points, with the heights 0, 50, 0, 50."""
 
 
 @pytest.mark.parametrize("height", [0.05, 0.035])
-def test_published_footfalls(height):
+def test_planned_footfalls_equal_the_published_ones(height):
     recipe = raised(load_recipe("published-50"), height)
     ratio = recipe.step.height_m / 0.05
     for primitive in recipe.primitives:
@@ -313,7 +303,7 @@ def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
         np.testing.assert_allclose(across, np.broadcast_to([0, 1.0, 0], across.shape), atol=1e-12)
 
 
-def test_a_climb_that_is_not_valid_says_why(aibo):
+def test_an_invalid_climb_reports_its_problems(aibo):
     recipe = load_recipe("published-50")
     climb = plan(aibo, changed(recipe, step=changed(recipe.step, edge_m=recipe.step.edge_m - 0.03)))
     assert any(says(p, "planted feet", "edge") for p in climb.problems())
@@ -322,7 +312,7 @@ def test_a_climb_that_is_not_valid_says_why(aibo):
     assert says(problem, "not all feet")
 
 
-def test_every_problem_of_a_recipe_is_named(tmp_path):
+def test_every_problem_with_a_recipe_is_reported(tmp_path):
     text = (tmp_path / "bad.toml").write_text
     good = (RECIPES / "published-50.toml").read_text()
     text(good.replace("fps =", "fsp =").replace("leg = 1", "leg = 7").replace("edge_m =", "egde_m ="))
@@ -334,12 +324,9 @@ def test_every_problem_of_a_recipe_is_named(tmp_path):
         load_recipe(tmp_path / "none.toml")
 
 
-def test_robots_with_other_legs_are_refused():
+def test_robots_without_swing_legs_are_refused():
     with refusal(("a1", "legs", "other legs", "swing joint")):
         plan(load_robot("a1"), one_footfall())
-
-
-# Other heights, other robots, and the command
 
 
 def one_footfall() -> Recipe:
@@ -347,7 +334,7 @@ def one_footfall() -> Recipe:
     return changed(recipe, primitives=(changed(recipe.primitives[0], footfalls=recipe.primitives[0].footfalls[:1]),))
 
 
-def test_the_command_writes_what_the_plan_is(tmp_path, aibo):
+def test_the_command_writes_the_plan(tmp_path, aibo):
     table = tomllib.loads((RECIPES / "published-50.toml").read_text())
     table["primitives"] = table["primitives"][:1]
     table["primitives"][0]["footfalls"] = table["primitives"][0]["footfalls"][:1]
@@ -372,7 +359,7 @@ def test_the_command_writes_what_the_plan_is(tmp_path, aibo):
     assert entities >= {"/world/step", "/world/support", "/margin", "/pitch"}
 
 
-def test_figure_of_margins(aibo):
+def test_the_figure_shows_the_margins(aibo):
     found = plan(aibo, one_footfall())
     support = 1000 * found.margins["support"]
     shown = {name: found.margins[name] for name in ("support", "corner")}
@@ -389,6 +376,6 @@ def test_figure_of_margins(aibo):
         (("none.toml",), ("none.toml", "file", "no such file", "published-50")),
     ],
 )
-def test_mistakes_are_said(args, expected, tmp_path):
+def test_wrong_input_is_reported(args, expected, tmp_path):
     refused(["climb", *args, "--out", tmp_path / "out"], expected)
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Test `recon robot`: it prints the robot's kinematics and reports wrong input."""
+"""Test that `recon robot` prints a robot's kinematics and reports wrong input."""
 
 import json
 from pathlib import Path
@@ -44,11 +44,8 @@ def urdf(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
-def test_chains_and_all_solutions_of_the_legs(name):
-    """A leg of each side and end is solved joint by joint as in closed form, with the robot's own signs.
-
-    The closed form is one of four solutions.
-    """
+def test_solutions_of_a_leg_include_the_closed_form(name):
+    """The closed form, with the robot's own signs, is one of the four solutions of the search."""
     rng = np.random.default_rng(3)
     legs = load_robot(name).legs
     for leg in (legs["LF"], legs["RH"]):
@@ -63,8 +60,7 @@ def test_chains_and_all_solutions_of_the_legs(name):
             assert np.abs(np.angle(np.exp(1j * (found - one)))).max(axis=1).min() < 1e-6
 
 
-def test_pose_with_planted_feet():
-    """A pitch on planted feet lowers the front hips, and the angles put the feet back in their positions."""
+def test_pitch_lowers_the_front_hips_on_planted_feet():
     found = answer("pose", "aibo", "--pitch", 10, "--move", "0,0,-0.01")
     robot = load_robot("aibo")
     s, c = np.sin(np.radians(10)), np.cos(np.radians(10))
@@ -77,7 +73,7 @@ def test_pose_with_planted_feet():
         assert leg["margin_rad"] > 0
 
 
-def test_pose_beyond_limits_and_reach():
+def test_pose_beyond_limits_or_reach_is_reported():
     low = answer("pose", "aibo", "--move", "0,0,-0.09")["legs"]["LF"]
     assert (low["angles_rad"], low["why"]) == (None, "out of reach, or outside a joint's limits")
     ended = run("robot", "pose", "aibo", "--move", "0,0,0.2")
@@ -109,7 +105,7 @@ def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
 
 
 @pytest.mark.slow
-def test_dh_of_a_table(puma):
+def test_table_of_a_toml_file(puma):
     found = answer("dh", puma, "--angles", "10,20,30,40,50,60")
     assert found["dh"]["convention"] == "modified"
     expected = {"a_m": -0.0203, "alpha_rad": -np.pi / 2, "d_m": 0.4318, "theta_rad": 0.0}
@@ -123,7 +119,7 @@ def test_dh_of_a_table(puma):
     assert "infinitely many" in run("robot", "dh", puma, "--place", "0.4,0.1,0.3").out
 
 
-def test_dh_of_a_urdf(urdf):
+def test_table_of_a_urdf_file(urdf):
     assert [abs(row["a_m"]) for row in answer("dh", urdf, "--tip", "FL_foot")["dh"]["rows"]] == [0, 0, 0.2]
     refused(["robot", "dh", urdf], ("--tip", "link", "none", "FL_foot, FR_foot"))
 
@@ -139,11 +135,11 @@ def test_dh_of_a_urdf(urdf):
         (("dh", "none.toml"), ("none.toml", "file", "no such file")),
     ],
 )
-def test_mistakes_are_said(args, expected):
+def test_wrong_input_is_reported(args, expected):
     refused(["robot", *args], expected)
 
 
-def test_every_problem_of_a_table(tmp_path):
+def test_every_problem_with_a_table_is_reported(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_text('convention = "craig"\njoints = [{ a = 1 }, { limits = [2, 1] }]\n')
     wrong = (("convention", "'craig'"), ("joints[0].a", "unknown"), ("joints[1].limits", "[2, 1]"))

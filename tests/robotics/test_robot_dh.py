@@ -1,4 +1,4 @@
-"""Test Denavit-Hartenberg chains against an independent library, and with every method of inverse kinematics."""
+"""Compare Denavit-Hartenberg chains with an independent library, and move them by inverse kinematics."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ METHODS = {
     [(PUMA_MODIFIED, "modified", "modified"), (PUMA_STANDARD, "standard", "classic")],
     ids=["modified", "standard"],
 )
-def test_puma_560_against_ikpy(rows, convention, name):
+def test_puma_560_agrees_with_ikpy(rows, convention, name):
     from ikpy.chain import Chain
     from ikpy.link import DHLink
 
@@ -110,7 +110,7 @@ def test_sliding_joints_and_the_jacobian(convention):
 
 @pytest.mark.parametrize("name", [*METHODS, "gradient projection", "extended Jacobian"])
 @pytest.mark.parametrize("convention", ["modified", "standard"])
-def test_every_method_drives_it(name, convention):
+def test_every_method_reaches_a_target_of_the_puma(name, convention):
     # The wrist's axes meet: without a tool the last three joints do not move the end effector.
     rows = list(PUMA_MODIFIED if convention == "modified" else PUMA_STANDARD)
     rows.append(DHRow(a_m=0.1)) if convention == "modified" else rows.__setitem__(5, DHRow(a_m=0.1))
@@ -143,7 +143,7 @@ def random_rows():
         ([DHRow(d_m=0.1), DHRow(a_m=1.0), DHRow(a_m=0.5, d_m=0.2)], "modified"),  # all axes parallel
     ],
 )
-def test_the_table_of_a_chain_is_the_chain(rows, convention):
+def test_a_chain_and_the_chain_of_its_table_are_equal(rows, convention):
     chain = dh_chain(rows, convention)
     base, found, tool = dh_table(chain)
     assert (found[0].a_m, found[0].alpha_rad) == (0, 0)
@@ -181,14 +181,14 @@ def test_the_puma_has_eight_solutions():
     assert np.abs(found - flipped).max(axis=1).min() < 1e-6
 
 
-def test_endless_and_no_solutions():
+def test_infinitely_many_and_no_solutions_are_recognised():
     chain = dh_chain(PUMA_MODIFIED, "modified")
     free, isolated = all_solutions(chain, (0.4, 0.1, 0.3), starts=3)
     assert (len(free), isolated) == (1, False)
     assert all_solutions(chain, (2.0, 0.0, 0.0), starts=3)[0].shape == (0, 6)
 
 
-def test_rows_and_convention_are_checked():
+def test_missing_rows_and_unknown_conventions_are_refused():
     with pytest.raises(ValueError, match="standard"):
         dh_chain(PUMA_MODIFIED, "craig")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="rows"):

@@ -1,4 +1,4 @@
-"""Test legs in closed form against their chains of joints, forward and back."""
+"""Compare the closed form of a leg with its chain of joints, and the inverse with the forward kinematics."""
 
 from dataclasses import replace
 
@@ -68,10 +68,10 @@ def test_the_stretched_and_the_folded_leg_are_reached():
         (FLAP, (0.05, 0.2, 0.0)),
     ],
 )
-def test_out_of_reach(geometry, foot):
+def test_a_foot_out_of_reach_gives_nan(geometry, foot):
     assert np.isnan(geometry.inverse(foot)).all()
 
 
-def test_any_leading_dimensions():
+def test_leading_dimensions_are_kept():
     angles = random_angles(24, AIBO).reshape(2, 3, 4, 3)
     assert AIBO.inverse(AIBO.forward(angles)).shape == (2, 3, 4, 3)

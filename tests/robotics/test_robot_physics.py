@@ -1,4 +1,4 @@
-"""Test files for training programs against MuJoCo, and the checks of a motion by its inverse dynamics."""
+"""Compare files for training programs with MuJoCo, and test the checks of a motion by inverse dynamics."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def a1(retargeted):
 
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
-def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
-    """Bodies, velocities and contacts are those of MuJoCo, which reads the URDF; ours come from the dimensions."""
+def test_bodies_velocities_and_contacts_agree_with_mujoco(a1, part, tmp_path):
+    """MuJoCo reads the A1's URDF file, while recon uses its dimensions."""
     import mujoco  # slow to import
 
     path = tmp_path / "a1.urdf"
@@ -56,7 +56,7 @@ def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
 
 
 def still(time_s: np.ndarray, way_m: np.ndarray, stand: bool = True) -> RobotMotion:
-    """Return the A1 on planted feet, with its body displaced by (N, 3) m."""
+    """Return a motion of the A1 on planted feet, with its body displaced by `way_m` (N, 3), metres."""
     robot = load_robot("a1")
     up = np.array([0, 0, robot.stand_m])
     feet = up + [leg.neutral_m for leg in robot.legs.values()]
@@ -68,7 +68,7 @@ def still(time_s: np.ndarray, way_m: np.ndarray, stand: bool = True) -> RobotMot
 TIME = np.linspace(0, 0.4, 41)
 
 
-def test_standing_asks_for_the_weight():
+def test_standing_feet_carry_the_weight():
     motion = still(TIME, np.zeros((41, 3)))
     model = simulated(motion.robot)
     assert model.body_subtreemass[1] == pytest.approx(6.0 + 4 * (0.595 + 0.888 + 0.151 + 0.06))
@@ -91,7 +91,7 @@ def test_standing_asks_for_the_weight():
     np.testing.assert_allclose(check(frozen, model)[1]["forces"][2:-2], 0, atol=0.01)
 
 
-def test_friction_limits_what_pushes_sideways():
+def test_friction_limits_sideways_forces():
     model = simulated(load_robot("a1"))
     for share, enough in ((0.6, True), (1.6, False)):
         aside = np.outer(share * FRICTION * 9.81 * (TIME[:11] - 0.05) ** 2 / 2, [0, 1, 0])
@@ -99,7 +99,7 @@ def test_friction_limits_what_pushes_sideways():
         assert (lacks > -0.1) == enough, (share, lacks)
 
 
-def test_legs_that_meet():
+def test_colliding_legs_are_found():
     motion = still(TIME[:3], np.zeros((3, 3)))
     feet = motion.feet_m.copy()
     feet[:, LEGS.index("LF"), 0] = feet[:, LEGS.index("LH"), 0] = 0.0
@@ -107,12 +107,9 @@ def test_legs_that_meet():
     assert kept(check(near, simulated(motion.robot))[1])["legs_apart"]["share"] == 0
 
 
-# Forces that the feet can provide
-
-
 @pytest.fixture(scope="module")
 def trotting(whole_results) -> Motion:
-    """Return the simulated animal that trots, with exact poses."""
+    """Return the motion of a simulated animal that trots, with exact poses."""
     motion = Motion.load(whole_results)
     return with_exact_states(motion, TROT.states(motion.body, motion.frames / 60.0), 60.0)
 
@@ -127,7 +124,7 @@ def carries(trot) -> tuple[RobotMotion, np.ndarray]:
     return carried(trot, simulated(trot.robot))
 
 
-def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carries):
+def test_a_small_shift_of_the_base_makes_a_trot_possible(trot, carries):
     motion, moved = carries
     model = simulated(trot.robot)
     before, after = (kept(check(one, model)[1]) for one in (trot, motion))
@@ -145,8 +142,8 @@ def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carri
 
 
 @pytest.mark.parametrize(("robot", "scale"), [pytest.param("a1", 0.28, marks=pytest.mark.slow), ("go2", 0.31)])
-def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
-    """The feet of the sample's gallop carry it, although less than half of the frames have a foot on the ground."""
+def test_a_shift_of_the_base_makes_most_of_a_gallop_possible(whole_results, robot, scale):
+    """Fewer than half of the frames of the sample's gallop have a foot on the ground."""
     gallop = retarget(reference_of(Motion.load(whole_results)), load_robot(robot), scale).stride
     model = simulated(gallop.robot)
     assert kept(check(gallop, model)[1])["forces"]["share"] < 0.1
@@ -159,13 +156,13 @@ def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
     assert motion.slip_m.max() < 1.5e-4
 
 
-def test_what_the_feet_carry_already_stays_as_it_is():
+def test_a_possible_motion_is_unchanged():
     motion, moved = carried(still(TIME, np.zeros((41, 3))), simulated(load_robot("a1")))
     assert np.abs(moved).max() < 2e-3
     assert kept(check(motion, simulated(motion.robot))[1])["forces"]["share"] == 1
 
 
-def test_the_a1_follows_a_stride_of_the_trot_by_its_torques_springs_and_dampers(trot, carries):
+def test_the_simulated_a1_follows_a_stride_of_the_trot(trot, carries):
     time_s, off_m = followed(carries[0])
     assert time_s[-1] == pytest.approx(0.45, abs=1e-3)
     assert off_m.max() < 0.02
@@ -176,7 +173,7 @@ def test_the_a1_follows_a_stride_of_the_trot_by_its_torques_springs_and_dampers(
 
 
 @pytest.mark.slow
-def test_the_command_says_what_it_changed(trotting, tmp_path):
+def test_the_command_reports_its_changes(trotting, tmp_path):
     clip, out = tmp_path / "trot", tmp_path / "out"
     clip.mkdir()
     trotting.save(clip)
@@ -201,7 +198,7 @@ def test_the_command_says_what_it_changed(trotting, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
-def test_a_file_without_torques_limits_none(tmp_path):
+def test_a_file_without_torque_limits_allows_any_torque(tmp_path):
     path = tmp_path / "a1.urdf"
     path.write_text(a1_urdf().replace(' effort="33.5"', ""))
     robot = load_robot(path)
@@ -212,6 +209,6 @@ def test_a_file_without_torques_limits_none(tmp_path):
     np.testing.assert_array_equal(margins["torques"], 1.0)
 
 
-def test_without_masses():
+def test_a_robot_without_masses_is_refused():
     with refusal(NO_MASSES):
         simulated(load_robot("aibo"))

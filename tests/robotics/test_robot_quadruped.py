@@ -1,4 +1,4 @@
-"""Test the bundled robots, and files of other robots."""
+"""Test the built-in robots, and files of other robots."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_legs_are_mirror_images(name):
 
 @pytest.mark.parametrize("name", builtin_robots())
 @pytest.mark.parametrize("label", LEGS)
-def test_angles_and_feet_in_the_robots_own_joints(name, label):
+def test_angles_and_feet_agree_in_the_robots_own_joints(name, label):
     leg = load_robot(name).legs[label]
     rng = np.random.default_rng(0)
     angles = rng.uniform(leg.chain.lower_rad, leg.chain.upper_rad, (500, 3))
@@ -56,8 +56,8 @@ def test_angles_and_feet_in_the_robots_own_joints(name, label):
     assert (solved[inside] <= leg.chain.upper_rad).all()
 
 
-def test_signs_of_the_a1():
-    """Signs of the A1 are Unitree's: a positive hip moves a foot left, a positive thigh back; calves are negative."""
+def test_signs_of_the_a1_are_those_of_unitree():
+    """A positive hip angle moves a foot left, and a positive thigh angle back; calf angles are negative."""
     robot = load_robot("a1")
     for leg in robot.legs.values():
         (home,) = leg.angles(leg.neutral_m[None])
@@ -67,8 +67,8 @@ def test_signs_of_the_a1():
         assert thigh[0] < -0.02
 
 
-def test_signs_of_the_aibo():
-    """Signs of the Aibo are Sony's: a positive rotator swings forwards, elevator outwards, and knee bends."""
+def test_signs_of_the_aibo_are_those_of_sony():
+    """A positive rotator swings forwards, a positive elevator outwards, and a positive knee bends the leg."""
     robot = load_robot("aibo")
     for label, leg in robot.legs.items():
         (home,) = leg.angles(leg.neutral_m[None])
@@ -81,7 +81,7 @@ def test_signs_of_the_aibo():
         assert (knee[0] < leg.neutral_m[0]) == (label[1] == "F")
 
 
-def test_folding():
+def test_folding_height_follows_from_the_knee_limit():
     robot = load_robot("a1")
     # The shortest leg has the knee at its limit: 0.4 cos(2.69653 / 2).
     np.testing.assert_allclose(robot.folding_m, robot.stand_m - 0.4 * np.cos(2.69653 / 2), atol=1e-3)
@@ -99,7 +99,7 @@ def test_folding():
         (lambda text: text.replace("[leg]", "[leg"), "content"),
     ],
 )
-def test_files(tmp_path, change, field):
+def test_problems_with_files_are_reported(tmp_path, change, field):
     path = tmp_path / "mine.toml"
     path.write_text(AIBO)
     assert load_robot(path).joints[:3] == ("LF1", "LF2", "LF3")
@@ -109,7 +109,7 @@ def test_files(tmp_path, change, field):
     assert field in [problem.field for problem in error.value.problems]
 
 
-def test_unknown_robots():
+def test_unknown_robots_are_reported():
     with refusal(("--robot", "name or file", "'spot'", ["a1, aibo", ".urdf"])):
         load_robot("spot")
     with refusal(("spot.urdf", "file", "no such file")):

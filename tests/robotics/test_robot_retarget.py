@@ -1,4 +1,4 @@
-"""Test a reconstruction on a robot: footholds, closed strides, and the stated properties of the motion."""
+"""Test the retargeting of a reconstruction to a robot, from footholds to the written tables."""
 
 import csv
 import json
@@ -33,17 +33,15 @@ from recon.robotics.retarget import (
 from recon.robotics.retarget_clip import RetargetSettings, companion, repeated, report_of, run_retarget
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
-# Footholds
-
 
 def hops(n=400):
-    """Return a path that hops forwards in half sines and slides while it should stand."""
+    """Return a foot's path that hops forwards in half sines, and slides while the foot should stand."""
     t = np.linspace(0, 2, n)
     path = np.column_stack([t + 0.1 * np.sin(np.pi * t), 0.1 * np.cos(t), 0.1 * np.sin(np.pi * t) - 0.01])
     return t, path, (np.abs(np.sin(np.pi * t)) < 0.2)
 
 
-def test_feet_stand_still_on_the_ground_and_leave_it_without_a_jump():
+def test_feet_stand_still_and_leave_the_ground_smoothly():
     t, path, standing = hops(4000)
     foot = planted(t, path, standing)
     assert len(stances(standing)) == 3
@@ -57,7 +55,7 @@ def test_feet_stand_still_on_the_ground_and_leave_it_without_a_jump():
     assert change[2] < 0.6 * change[1] < 0.4 * change[0]
 
 
-def test_a_foot_that_never_stands_only_stays_above_the_ground():
+def test_a_foot_without_stance_stays_above_the_ground():
     t, path, _ = hops()
     foot = planted(t, path, np.zeros(len(t), bool))
     np.testing.assert_array_equal(foot[:, :2], path[:, :2])
@@ -65,7 +63,7 @@ def test_a_foot_that_never_stands_only_stays_above_the_ground():
     np.testing.assert_allclose(foot[:, 2], np.maximum(path[:, 2], 0), atol=0.0101)  # a tenth of its height
 
 
-def test_a_stride_repeats_with_a_stance_over_its_seam():
+def test_a_stance_continues_over_the_seam_of_a_stride():
     t = np.linspace(0, 1, 201)
     path = np.column_stack([t - 0.1 * np.sin(2 * np.pi * t), 0 * t, 0.05 - 0.05 * np.cos(2 * np.pi * t)])
     standing = (t < 0.2) | (t > 0.9)
@@ -75,15 +73,12 @@ def test_a_stride_repeats_with_a_stance_over_its_seam():
     np.testing.assert_allclose(foot[standing & (t > 0.5)] - [1, 0, 0], np.tile(foot[0], (20, 1)), atol=1e-12)
 
 
-# The reference motion
-
-
 @pytest.fixture(scope="module")
 def whole(whole_results):
     return reference_of(Motion.load(whole_results))
 
 
-def test_a_stride_of_ones_own(whole_results):
+def test_a_given_stride_is_used(whole_results):
     animal = reference_of(Motion.load(whole_results), (0.31, 0.62))
     window, time = stride_window(animal), animal.reference.time_s
     assert window.source == "given"
@@ -127,11 +122,8 @@ def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
     assert np.abs(stride.feet_m - own).max() < gap + 0.05
 
 
-# The motion on the robot
-
-
 @pytest.mark.parametrize("robot", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
-def test_what_is_promised(retargeted, robot):
+def test_the_motion_has_its_stated_properties(retargeted, robot):
     solved = retargeted(robot)
     assert not [note for note in report_of(solved)["notes"] if not note.startswith(("the clip", "fore and"))]
     for motion in (solved.clip, solved.stride):
@@ -148,7 +140,7 @@ def test_what_is_promised(retargeted, robot):
     assert max(solved.clip.rate_share.max(), solved.stride.rate_share.max()) > 0.99 or (solved.clip.slower == 1)
 
 
-def test_the_robot_goes_where_the_scaled_animal_goes(whole):
+def test_the_robot_follows_the_scaled_path_of_the_animal(whole):
     robot = load_robot("a1")
     pose, feet, standing = place(whole.reference, robot, 0.4)
     np.testing.assert_allclose(pose.translation[:, :2], 0.4 * whole.reference.base_m[:, :2])
@@ -157,7 +149,7 @@ def test_the_robot_goes_where_the_scaled_animal_goes(whole):
     assert (feet[standing][:, 2] == 0).all()
 
 
-def test_given_factors_are_kept_and_what_they_break_is_said(whole):
+def test_given_factors_are_kept_and_broken_limits_reported(whole):
     solved = retarget(whole, load_robot("aibo"), scale=0.3, slower=1.0)
     assert (solved.clip.scale, solved.clip.slower) == (0.3, 1.0)
     notes = "; ".join(report_of(solved)["notes"])
@@ -168,7 +160,7 @@ def test_given_factors_are_kept_and_what_they_break_is_said(whole):
     assert solved.clip.short.any()
 
 
-def test_drawn_in_as_little_as_needed():
+def test_a_foot_is_moved_into_reach_as_little_as_possible():
     leg = load_robot("a1").legs["LF"]
     far = leg.neutral_m + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -0.2]])
     angles, short = within_reach(leg, far)
@@ -181,7 +173,7 @@ def test_drawn_in_as_little_as_needed():
     assert feet[1, 1:] == pytest.approx(leg.neutral_m[1:])
 
 
-def test_legs_are_kept_apart(whole, retargeted):
+def test_legs_keep_their_distance(whole, retargeted):
     robot, motion = load_robot("a1"), retargeted("a1")
     for part in (motion.clip, motion.stride):
         # The distance of the feet is at least the distance of the legs.
@@ -200,14 +192,14 @@ def test_legs_are_kept_apart(whole, retargeted):
     np.testing.assert_allclose(out[:, 2:], np.tile([0.05, -0.05], (len(out), 1)), atol=0.003)
 
 
-def test_legs_that_meet_are_told(whole):
-    # At this scale, legs cannot pass each other.
+def test_legs_that_meet_are_reported(whole):
+    # At this scale, fore and hind legs cannot pass each other.
     solved = retarget(whole, load_robot("aibo"), scale=0.25)
     assert min(solved.clip.apart_m, solved.stride.apart_m) < 0.15 * 0.11
     assert any("of each other" in note for note in report_of(solved)["notes"])
 
 
-def test_distance_of_legs(whole):
+def test_distance_between_legs(whole):
     still = replace(
         whole.reference,
         feet_m=0 * whole.reference.feet_m,
@@ -219,7 +211,7 @@ def test_distance_of_legs(whole):
     assert 0.361 * 0.7 <= found < 0.361 * 0.7 + 0.013
 
 
-def test_a_repeated_stride_goes_on(retargeted):
+def test_a_repeated_stride_is_continuous(retargeted):
     stride = retargeted("a1").stride
     three = repeated(stride, 3)
     n = len(stride.time_s) - 1
@@ -230,8 +222,8 @@ def test_a_repeated_stride_goes_on(retargeted):
     assert three.rate_share.max() <= stride.rate_share.max() * 1.05
 
 
-def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(retargeted, tmp_path):
-    """The animal next to the robot has the colours of its sides, also a horse, whose near side is the left one."""
+def test_the_animal_in_the_playback_has_the_colours_of_its_sides(retargeted, tmp_path):
+    """The near side of a horse has the colour of the left side."""
     solved = retargeted("a1")
     horse = load_skeleton("horse-22")
     at = {marker: j for j, marker in enumerate(horse.markers)}
@@ -261,16 +253,13 @@ def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(retargeted, tm
     assert companion(solved)[1].limb_sides["left front leg"] == "left"
 
 
-# The command
-
-
 def table(path):
     with path.open() as file:
         header, *rows = csv.reader(file)
     return header, np.array(rows, float)
 
 
-def test_command(whole_results, frame_results, tmp_path):
+def test_the_command_writes_consistent_tables(whole_results, frame_results, tmp_path):
     out = tmp_path / "robot"
     ended = run("retarget", whole_results, "--robot", "a1", "--out", out)
     assert says(ended.out, "ends meet", "0.1 %")
@@ -321,8 +310,8 @@ def test_command(whole_results, frame_results, tmp_path):
     refused(args, ("noisy.csv", "feet", "RF, RH", "whole animal"))
 
 
-def test_urdf_file(whole, tmp_path):
-    """A URDF file of the same robot, joint by joint, is solved by the methods of recon.ik."""
+def test_a_urdf_file_gives_the_motion_of_the_closed_form(whole, tmp_path):
+    """The URDF robot has no closed form, so the methods of `recon.ik` solve its legs."""
     path = tmp_path / "a1.urdf"
     shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
     facet = np.zeros(1, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -363,7 +352,7 @@ def test_urdf_file(whole, tmp_path):
     np.testing.assert_allclose(places, found.pose.translation, atol=1e-6)
 
 
-def test_every_problem_at_once(tmp_path):
+def test_all_problems_are_reported_at_once(tmp_path):
     with pytest.raises(InputError) as error:
         RetargetSettings(folder=tmp_path / "none", robot="spot", out=tmp_path / "out", scale=-1, slower=0)
     assert {p.field for p in error.value.problems} == {"scale", "slower"}
@@ -376,8 +365,7 @@ def test_every_problem_at_once(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_real_run(shared_data, tmp_path):
-    """A real run without a complete stride uses the nearest return, and a note says so."""
+def test_a_real_run_without_a_complete_stride_uses_the_nearest_return(shared_data, tmp_path):
     from recon import FitSettings
     from recon.api.clip_results import run_clip
 

@@ -1,4 +1,4 @@
-"""Test motions in the formats of training programs, with readers written from the definitions of the layouts."""
+"""Test motions in the formats of training programs, with readers written from the definitions of the formats."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from recon.robotics.retarget import Retargeting, reference_of, retarget
 from recon.robotics.retarget_clip import FORMATS, RetargetSettings, RobotSamples, drawn, write_for_trainer
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
-"""The lengths of the Unitree A1's legs, metres."""
+"""Lateral offset, thigh and shin of the Unitree A1's legs, metres."""
 HIPS = {"FL": (0.1805, 0.047), "FR": (0.1805, -0.047), "RL": (-0.1805, 0.047), "RR": (-0.1805, -0.047)}
 
 
@@ -34,9 +34,9 @@ def solved(retargeted) -> Retargeting:
 
 
 def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
-    """Return position and rotation of each body of one leg in the trunk's frame, for its joint angles (3,), rad.
+    """Return position (m) and rotation of each body of one leg in the trunk's frame, for joint angles (3,), rad.
 
-    They are computed joint by joint, as the robot's URDF defines them.
+    The poses are computed joint by joint, as the robot's URDF file defines them.
     """
     side = 1 if name[1] == "L" else -1
     hip, thigh = Rotation.from_euler("x", q[0]), Rotation.from_euler("y", q[1])
@@ -53,7 +53,7 @@ def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]
 
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
-def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
+def test_bodies_agree_with_the_robots_urdf_file(solved, part):
     found = RobotSamples(getattr(solved, part), 50)
     assert abs(found.rate_hz - 50) < 2
     for t in range(0, len(found.time_s), 7):
@@ -77,7 +77,7 @@ def aibo(retargeted) -> Retargeting:
 
 @pytest.mark.parametrize("robot", ["solved", pytest.param("aibo", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("part", ["clip", "stride"])
-def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request):
+def test_velocities_are_the_derivatives_of_the_written_positions(robot, part, request):
     found = RobotSamples(getattr(request.getfixturevalue(robot), part), 1_000)
     twice = 2 * (found.time_s[1] - found.time_s[0])
     matrices = found.turned
@@ -91,7 +91,7 @@ def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request)
         np.testing.assert_allclose(differences, rates[1:-1], atol=1e-3 * np.abs(rates).max())
 
 
-def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved):
+def test_standing_feet_are_still_and_strides_are_continuous(solved):
     found = RobotSamples(solved.stride, 200)
     feet = [*found.feet]
     speed = np.linalg.norm(found.velocity_m_s[:, feet], axis=2)
@@ -106,7 +106,7 @@ def test_the_feet_that_stand_are_still_and_a_stride_goes_on_where_it_ends(solved
     assert (steps > 0).all()
 
 
-def test_what_each_program_reads(solved, tmp_path):
+def test_each_format_holds_the_values_of_the_motion(solved, tmp_path):
     motion = solved.clip
     found = RobotSamples(motion, 50)
     K = len(found.time_s)
@@ -121,7 +121,7 @@ def test_what_each_program_reads(solved, tmp_path):
     assert amp["JointNames"][:3] == ["FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"]
     assert np.array(amp["Contacts"]).shape == (K, 4)
     base = Rotation.from_quat(frames[:, 3:7])
-    for t in range(0, K, 9):  # positions of toes follow from the joints, in the base's axes
+    for t in range(0, K, 9):  # toe positions, in the base's axes, follow from the joint angles
         for i, name in enumerate(("FR", "FL", "RR", "RL")):
             toe = a1_bodies(name, frames[t, 7 + 3 * i : 10 + 3 * i])[f"{name}_foot"][0]
             np.testing.assert_allclose(frames[t, 19 + 3 * i : 22 + 3 * i], toe, atol=1e-9)
@@ -165,7 +165,7 @@ def written(whole_results, tmp_path_factory) -> Path:
     return out
 
 
-def test_the_command_writes_both_with_the_verdict(whole_results, written, tmp_path):
+def test_the_command_writes_clip_and_stride_with_the_verdict(whole_results, written, tmp_path):
     for name in ("isaaclab.npz", "stride_isaaclab.npz"):
         with np.load(written / name) as file:
             assert "FL_foot" in file["body_names"]
@@ -177,7 +177,7 @@ def test_the_command_writes_both_with_the_verdict(whole_results, written, tmp_pa
 
 
 def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_path):
-    """A robot's folder is converted at any rate, with the same result as by `recon retarget`."""
+    """The result equals the output of `recon retarget` at this rate."""
     robot, out = written, tmp_path / "later.npz"
     assert run("convert", robot, out, "--to", "isaaclab", "--fps", "80").code == 0
     for at_once, later in (("isaaclab.npz", out), ("stride_isaaclab.npz", tmp_path / "stride_later.npz")):
@@ -205,13 +205,13 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
     assert not (tmp_path / "motion.csv").exists()
 
 
-def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
+def test_a_format_without_room_for_the_robot_is_refused(solved, tmp_path):
     with refusal(("--rate", "frames per second", 0.1, ["2.6", "two frames"])):
         RobotSamples(solved.stride, 0.1)
 
 
 @pytest.mark.slow
-def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_results):
+def test_drawn_motions_have_the_stated_scatter(whole_results):
     motion = Motion.load(whole_results)
     solution = motion.solution
     found = np.stack([one.joints_m for one in draws(problem_of(motion, whole_results), solution, 2000)])
@@ -240,7 +240,7 @@ def test_the_command_draws_an_ensemble(written):
 
 
 @pytest.mark.slow
-def test_bases_of_draws_are_moved_as_the_clips_is(animal, whole_results, tmp_path):
+def test_bases_of_drawn_motions_are_moved_like_the_clips_base(animal, whole_results, tmp_path):
     settings = RetargetSettings(folder=whole_results, robot="a1", out=tmp_path)
     small = retarget(animal, load_robot("a1"), 0.2, 1.2)
     model = simulated(small.clip.robot)

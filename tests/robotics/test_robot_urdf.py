@@ -1,4 +1,4 @@
-"""Test chains and quadrupeds from URDF against yourdfpy's kinematics and the same robot in closed form."""
+"""Compare chains and quadrupeds from URDF files with MuJoCo's kinematics and with the closed form."""
 
 import sys
 
@@ -62,7 +62,7 @@ def chain_of(path, tip):
     return model_chain(read_model(path), path, tip)
 
 
-def test_chain_against_mujocos_kinematics(arm):
+def test_chain_agrees_with_mujocos_kinematics(arm):
     import mujoco
 
     found = chain_of(arm, "hand")
@@ -89,8 +89,8 @@ MJCF = """<mujoco model="rig"><compiler angle="radian"/><worldbody><geom type="p
 """
 
 
-def test_chain_of_an_mjcf_file(tmp_path):
-    """A chain of an MJCF file is read: joints away from the origins of bodies, two on one body, and without names."""
+def test_chain_is_read_from_an_mjcf_file(tmp_path):
+    """The file has joints away from the origins of bodies, two joints on one body, and joints without names."""
     import mujoco
 
     path = tmp_path / "rig.xml"
@@ -108,7 +108,7 @@ def test_chain_of_an_mjcf_file(tmp_path):
         np.testing.assert_allclose(p, data.body("tip").xpos, atol=1e-12)
 
 
-def test_a_joint_without_an_axis(tmp_path):
+def test_a_joint_without_an_axis_is_refused(tmp_path):
     path = tmp_path / "rig.xml"
     path.write_text(MJCF.replace('<joint axis="0 0 1"', '<joint axis="-1e308 0 1"'))
     with refusal((path, "chain", ["tip", "an axis"])):
@@ -116,7 +116,7 @@ def test_a_joint_without_an_axis(tmp_path):
 
 
 def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
-    """Legs of an MJCF file end in their feet, which are shapes there and no links."""
+    """In MJCF files, feet are shapes of the last link, not links of their own."""
     closed, path = load_robot("a1"), tmp_path / "a1.xml"
     spec = described(closed)
     spec.compile()
@@ -130,7 +130,7 @@ def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
     assert simulated(found).nv == 18  # six degrees of freedom of the base and twelve joints
 
 
-def test_every_method_drives_it(arm):
+def test_every_method_reaches_a_target_of_a_urdf_arm(arm):
     chain = chain_of(arm, "hand")
     start, goal = np.array([0.0, 0.1, 0.2, 0.3]), np.array([0.2, 0.15, 0.5, -0.1])
     for method in (
@@ -145,7 +145,7 @@ def test_every_method_drives_it(arm):
         assert drive_to(chain, start, chain.end(goal), method).reason == "reached", method
 
 
-def test_quadruped_is_the_same_as_in_closed_form(tmp_path):
+def test_quadruped_of_a_urdf_file_agrees_with_the_closed_form(tmp_path):
     read, closed = load_robot(write_a1(tmp_path)), load_robot("a1")
     assert read.joints == closed.joints
     assert read.stand_m == pytest.approx(closed.stand_m)
@@ -191,7 +191,7 @@ def test_quadruped_is_the_same_as_in_closed_form(tmp_path):
         (lambda text: text.replace('<parent link="trunk"/>', '<parent link="FL_foot"/>'), "content"),  # a loop of links
     ],
 )
-def test_files_that_cannot_be_used(tmp_path, change, field):
+def test_unusable_files_are_refused(tmp_path, change, field):
     path = tmp_path / "bad.urdf"
     path.write_text(change(a1_urdf()))
     with pytest.raises(InputError) as error:
@@ -199,7 +199,7 @@ def test_files_that_cannot_be_used(tmp_path, change, field):
     assert error.value.problems[0].field == field
 
 
-def test_links_that_are_not_there(arm):
+def test_missing_links_are_reported(arm):
     with refusal((arm, "link", "'finger'", "base, a, b")):
         chain_of(arm, "finger")
     with refusal((arm, "chain", "from base to base")):
@@ -208,7 +208,7 @@ def test_links_that_are_not_there(arm):
         read_model(arm.with_name("none.urdf"))
 
 
-def test_without_the_reader(arm, monkeypatch):
+def test_a_missing_mujoco_is_reported(arm, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with refusal((arm, "robot", "MuJoCo is not installed", "[robots]")):
         read_model(arm)
