@@ -262,7 +262,7 @@ def quantity_fields(quantity: GaitQuantity) -> dict[str, Any]:
 
 
 DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
-"""Figures that are drawn without --all-figures, which a paper usually prints."""
+"""Figures that are drawn by default, because papers usually print them."""
 
 
 def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:

@@ -74,11 +74,14 @@ _CELLS |= {"clip": (str, ...), "status": (str, ...)}
 _Row = create_model("_Row", **_CELLS)
 """Row of summary.csv, with the types of its cells."""
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
-"""Status of a clip. Unsolved: fitted, but no frame has a pose. Pending: not tried, because the batch was interrupted.
+"""Possible statuses of a clip.
+
+An "unsolved" clip was fitted, but no frame has a pose. A "pending" clip was not tried, because the batch was
+interrupted.
 """
 WRITE_EVERY_S = 0.5
 DYING_S = 5.0
-"""Seconds for which a process may still use a clip's folder after its batch was killed."""
+"""Time, s, for which a process may still use a clip's folder after its batch was killed."""
 
 
 OnEvent = Callable[[Event, "Summary"], None]

@@ -85,7 +85,7 @@ def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: A
 
 
 def motion_files(track: Path) -> tuple[str, str, str]:
-    """Return the file names of the track, the report and the panorama that belong together."""
+    """Return the names of the track, and of its report and panorama in the same folder."""
     return track.name, f"{track.stem}_report.json", f"{track.stem}_panorama.png"
 
 

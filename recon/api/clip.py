@@ -36,7 +36,7 @@ LOGGER = logging.getLogger("recon")
 PAIR_REFINED = "pair_refined", "pair_adjusted"
 """Codes of findings on a fit whose second camera was refined although the settings did not ask for it."""
 CHECKS_BEGIN = 0.9
-"""Fraction of a fit's time after which the checks of the input begin, as measured with one camera and 600 frames."""
+"""Progress of a fit, 0 to 1, when the checks of the input begin. The fraction of the time depends on the clip."""
 
 
 @dataclass(frozen=True)
@@ -317,7 +317,7 @@ def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
 
 
 def _with_correction_gain(motion: Motion, fit: _Fit, inputs: ClipInputs) -> Motion:
-    """Add the expected gain from correcting each detection by hand."""
+    """Add to a motion how much the expected error would decrease if each detection were corrected by hand."""
     gain_m2 = correction_gain_m2(fit.solution, inputs.prior, inputs.fps, fit.options)
     return replace(motion, correction_gain_m2=gain_m2)
 

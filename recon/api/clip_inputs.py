@@ -210,10 +210,10 @@ def require_size_of_animal(points_m: np.ndarray, camera_unit: Unit) -> None:
 
 
 def length_of_animal_m(points_m: np.ndarray) -> float:
-    """Return the largest of the median distances between two of K points (T, K, 3), m; 0 without two points.
+    """Return the largest median distance between two of K points (T, K, 3), in metres, or 0 without two points.
 
-    A median over the frames is not changed by the outliers of a few; in half of the frames or more, at least one of
-    all keypoints may be an outlier.
+    The median is taken over the frames for each pair of points, so that outliers in a few frames do not change it. The
+    largest distance of each frame would often be the distance to an outlier.
     """
     largest_m = 0.0
     with warnings.catch_warnings(action="ignore"):  # some pairs are never seen together

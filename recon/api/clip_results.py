@@ -107,7 +107,7 @@ def write_clip(
     solve_s
         Duration of the fit in seconds, if known.
     sha256
-        Digests of the input files by role; by default the files are read again.
+        Digests of the input files, as `input_digests` returns them. By default the files are read again.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> d
 
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
-    """Return the input files by the setting that names them.
+    """Return the input files, keyed by the setting that names them.
 
     Built-in skeletons and priors are not files.
     """
@@ -189,7 +189,7 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
 
 
 def input_digests(settings: FitSettings) -> dict[str, str | None]:
-    """Return the digest of each input file by role, or None if the file cannot be read."""
+    """Return the digest of each input file, or None if the file cannot be read, keyed as in `input_files`."""
     return {role: file_sha256(path) for role, path in input_files(settings).items()}
 
 
@@ -407,7 +407,7 @@ def setting_in_folder(folder: Path, name: str, value: T) -> T:
 
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
-"""JSON schema's names for pydantic's limits, which pydantic leaves unchanged if a string is parsed first."""
+"""Names in a JSON schema of pydantic's limits, which pydantic does not translate if a string is parsed first."""
 
 
 def config_schema() -> dict[str, Any]:

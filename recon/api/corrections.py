@@ -128,7 +128,7 @@ class CorrectionSession:
             return self._change.wait_for(lambda: self.version > version, wait_s)
 
     def lines_px(self, camera: int, row: int, joint: int) -> dict[str, object]:
-        """Return the epipolar lines of a keypoint by the other camera's name, as JSON types.
+        """Return the epipolar lines of a keypoint in JSON types, keyed by the name of the other camera.
 
         The result is empty if the clip has one camera, or an index is out of range.
         """

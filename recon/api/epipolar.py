@@ -34,12 +34,14 @@ def epipolar_lines_px(
     row, joint
         Indices of the frame and of the keypoint.
     marks_px
-        Corrected positions that replace the detections, by the index of the camera; None if hidden.
+        Corrected positions, px, that replace the detections, keyed by index of the camera; None if the keypoint is
+        hidden.
 
     Returns
     -------
     dict
-        Points (n, 2) in pixels by the other camera's name, without cameras that do not see the keypoint.
+        Points (n, 2) of each line, px, keyed by the name of the other camera. Cameras that do not see the keypoint are
+        left out.
     """
     views = [view.part(slice(row, row + 1)) for view in motion.solution.views]
     lines: dict[str, Array] = {}

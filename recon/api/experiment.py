@@ -36,7 +36,7 @@ ALL = "all"
 SPEED = "speed_m_s"
 MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _SLOPE_NAMES = {SPEED: "per m/s of speed"}
-"""Names of covariates' slopes in the table, if they are not made from the covariate's name."""
+"""Names in the table of slopes that are not named after their covariate."""
 _LEAST_SHARE = 0.01
 """Minimum standard deviation of a camera's independent error, as a fraction of the sigma of its total error."""
 _LEAST_SIGMA = 1e-9
@@ -57,9 +57,9 @@ def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Seque
     names : sequence of str
         Names of the clips, each of which needs a row.
     by : str
-        Column of the group.
+        Name of the column with the group.
     covariates : sequence of str
-        Columns of numbers.
+        Names of columns with numbers, to be used as covariates.
 
     Raises
     ------
@@ -167,19 +167,21 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     Parameters
     ----------
     clips : DataFrame
-        The columns clip, camera, run, animal, group, verdict, strides, size_sigma, and if known size_prior_sigma and
-        focal_sigma (`recon.gait.quantities.shared_sigma_columns`); of each quantity the value, `_sigma`, `_own_sigma`,
-        `_measurement_sigma`, `_source`, and if known `_run_sigma`, the part of `_measurement_sigma` that the cameras
-        of a run share. Other columns are taken from the first camera.
+        Table with one row for each clip and the columns clip, camera, run, animal, group, verdict, strides, size_sigma,
+        and if known size_prior_sigma and focal_sigma (`recon.gait.quantities.shared_sigma_columns`). Each quantity has
+        the columns NAME, `NAME_sigma`, `NAME_own_sigma`, `NAME_measurement_sigma`, `NAME_source`, and if known
+        `NAME_run_sigma`, the part of `NAME_measurement_sigma` that the cameras of a run share. Other columns are taken
+        from the first camera.
     quantities : mapping
         Whether each quantity is proportional to the animal's size.
 
     Returns
     -------
     DataFrame
-        The same columns. `clip` is the name of the run, `clips` the number of its results, `first_clip` the result that
-        measures the speed best; `NAME_strides_of` names the clip whose strides represent the run, and
-        `NAME_shared_sigma` is the relative standard deviation of the errors that other clips share.
+        Table with one row for each run and the same columns. `clip` is the name of the run, `clips` the number of its
+        results, and `first_clip` the result that measures the speed best. `NAME_strides_of` names the clip whose
+        strides represent the run, and `NAME_shared_sigma` is the relative standard deviation of the errors that other
+        clips share.
     """
     used, rows = {*clips["clip"]}, []
     for (animal, run), run_clips in clips.groupby(["animal", "run"], sort=False):
@@ -351,9 +353,9 @@ def fit_experiment(
     Parameters
     ----------
     runs : DataFrame
-        Rows of `runs_of_clips`.
+        Table of runs, as `runs_of_clips` returns it.
     strides : DataFrame
-        Rows of strides with the columns clip and the quantities.
+        Table of strides, with the column clip and a column for each quantity.
     quantities : mapping
         Whether each quantity is proportional to the animal's size.
     covariates : sequence of str
@@ -444,7 +446,7 @@ class Experiment:
     """Runs of an experiment, the mixed models of its quantities, and their tables."""
 
     runs: pd.DataFrame
-    """One row for each run."""
+    """Table with one row for each run, as `runs_of_clips` returns it."""
     models: Sequence[QuantityModel]
     notes: Sequence[str]
 
@@ -456,7 +458,7 @@ class Experiment:
 
     @property
     def variances(self) -> pd.DataFrame:
-        """Return the standard deviations between animals, runs and strides and of the measurement."""
+        """Return a table with the standard deviations between animals, runs and strides and of the measurement."""
         rows = [model.sigmas_row() for model in self.models]
         return pd.DataFrame(rows, columns=None if rows else ["quantity"])
 
@@ -480,11 +482,11 @@ def model_experiment(
     Parameters
     ----------
     clips, strides : DataFrame
-        Rows as for `runs_of_clips` and `fit_experiment`.
+        Tables as for `runs_of_clips` and `fit_experiment`.
     quantities : mapping
         Whether each quantity is proportional to the animal's size.
     covariates : sequence of str
-        Columns of `clips`.
+        Columns of `clips` to use as covariates.
     """
     runs = runs_of_clips(clips, quantities)
     models, notes = fit_experiment(runs, strides, quantities, covariates)

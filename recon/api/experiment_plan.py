@@ -54,7 +54,7 @@ class PlanTable:
 
     plan: Plan
     effect: float
-    """Difference in the unit of the quantity."""
+    """Difference between two groups, in the unit of the quantity."""
     sigmas: LevelSigmas
     animals_known: int | None
     """Number of animals that the variances come from; None if the variances were given."""

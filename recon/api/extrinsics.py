@@ -153,7 +153,7 @@ def _in_own_worlds(cameras: Sequence[Camera], tilt_deg: float | None) -> tuple[l
 
 
 def _require_known_rotations(cameras: Sequence[Camera], rig: Rig) -> None:
-    """Raise InputError with the cameras whose rotation the clips do not determine."""
+    """Raise InputError that names the cameras whose rotation the clips do not determine."""
     turn_sigma_deg = np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1))
     expected = "clips in which the animal crosses the view in other directions"
     raise_problems(
@@ -164,7 +164,7 @@ def _require_known_rotations(cameras: Sequence[Camera], rig: Rig) -> None:
 
 
 def _in_world_of_rig(cameras: Sequence[Camera], rig: Rig, height_m: float) -> tuple[Camera, ...]:
-    """Return the cameras with their estimated poses, in a world whose origin is `height_m` higher."""
+    """Return the cameras with their estimated poses, in a world whose origin is `height_m` below the rig's origin."""
     return tuple(
         replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
         for camera, T in zip(cameras, rig.T_camera_world, strict=True)
@@ -174,7 +174,8 @@ def _in_world_of_rig(cameras: Sequence[Camera], rig: Rig, height_m: float) -> tu
 def _camera_row(camera: Camera, sigma: Array, height_sigma_m: float) -> dict[str, Any]:
     """Return a camera's row of the report.
 
-    `sigma` (6,) has the standard deviations of its rotation, rad, and position, m. `height_sigma_m` is NaN if unknown.
+    `sigma` (6,) has the standard deviations of the camera's rotation (rad) and position (m). `height_sigma_m` is NaN if
+    unknown.
     """
     return {
         **camera.to_dict(),
@@ -187,9 +188,10 @@ def _camera_row(camera: Camera, sigma: Array, height_sigma_m: float) -> dict[str
 def _clip_row(
     clip: FitSettings, sources: Sequence[Source], cameras: Sequence[Camera], late_s: Array, disagreement: Array
 ) -> dict[str, Any]:
-    """Return a clip's row of the report: time offsets of its sources from the first, s, and disagreements of cameras.
+    """Return a clip's row of the report, with the time offset and the disagreement of each of its cameras.
 
-    `late_s`, seconds, and `disagreement` (C,) have one value for each camera.
+    `late_s` has the delays of the clip's sources relative to the first, s. `disagreement` (C,) has one value for each
+    of the C cameras.
     """
     names = [camera.name for camera in cameras]
     late_by_camera = dict(zip(names, late_s, strict=True))

@@ -104,7 +104,7 @@ class CorrectedClip:
         scorer
             Name of the labeller.
         with_accepted
-            Whether points that were only accepted from the model are labels.
+            Whether points that were only accepted from the model count as labels.
         """
         require_label_names(video, scorer)
         file_names, row_of = self.file.names, {int(frame): t for t, frame in enumerate(self.motion.frames)}

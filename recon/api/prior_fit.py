@@ -33,7 +33,7 @@ from recon.show.plain import picked
 Segment = tuple[str, Array, float]
 """Name, states (T, D) and frame rate (Hz) of a segment of motion."""
 _Files = Mapping[Path, Mapping[str, Pose3D]]
-"""Poses by file and by the name of a segment in the file."""
+"""Poses, keyed by file and by the name of a segment in the file."""
 
 
 class PriorFitSettings(Settings):
@@ -182,7 +182,7 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> di
     """Return the mean log-likelihood per frame of segments, each under a prior fitted to the others.
 
     The result has the values of the mixture and of a single Gaussian, and the smallest number of components of the
-    priors; it is None if no segment can be left out.
+    priors. The result is None if no segment can be left out.
     """
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
     frames = [_pose_count(states) for _, states, _ in used]

@@ -25,9 +25,9 @@ REACH_SIGMAS = 2.0
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
     """Return a description of a skeleton's file.
 
-    `length_m` and `height_m` belong to the expected pose, `unknowns` is the number per frame (for a chain, in
-    `recon frame` and with the base length), `prior` is the default prior of a fit, and `remarks` name values that are
-    allowed but probably wrong.
+    `length_m` and `height_m` belong to the expected pose. `unknowns` is the number of unknowns per frame (for a chain,
+    in `recon frame` and with the base length). `prior` is the default prior of a fit, and `remarks` name values that
+    are allowed but probably wrong.
 
     Raises
     ------

@@ -182,7 +182,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     Raises
     ------
     InputError
-        If too few names are understood, none is at an end of the trunk, or the names belong to another built-in
+        If too few names are understood, no keypoint is at an end of the trunk, or the names belong to another built-in
         skeleton.
     """
     body = load_skeleton(BASE)
@@ -274,7 +274,7 @@ class _Distances:
     length_m: float
     """Length of the animal: the largest median distance between two keypoints.
 
-    A maximum over the frames would be that of an outlier.
+    The largest distance in any frame would be the distance to an outlier.
     """
 
 
@@ -401,7 +401,7 @@ def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[st
 
 
 def _named_ends(labels: Sequence[str], root: Sequence[int], distances: _Distances) -> tuple[int, int] | None:
-    """Return the points at the trunk's rear and front by their names, or None if the names do not show the ends.
+    """Return the indices of the points labelled as the trunk's rear and front, or None if the labels do not show them.
 
     Points nearest to the root are chosen, preferably points that are on neither side.
     """

@@ -45,7 +45,7 @@ COVERAGE_COLUMNS = 320
 MIN_VIEWS = 3
 """Minimum number of views, one more than necessary.
 
-Each view of a plane gives two equations for the four unknowns of the camera matrix.
+A view of a plane gives two equations, and the camera matrix has four unknowns.
 """
 FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
@@ -106,7 +106,7 @@ class Calibration:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Return fx, fy, cx, cy (px) and the lens coefficients by name."""
+        """Return fx, fy, cx, cy (px) and the lens coefficients, keyed by name."""
         matrix = self.camera.matrix
         values = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *self.camera.distortion)
         names = ("fx", "fy", "cx", "cy", *self.camera.lens.coefficients)
@@ -328,7 +328,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
 
 
 def _pictures_measured(calibration: Calibration) -> dict[str, float]:
-    """Return the measured quantities of `LIMITS` that describe the pictures, by name."""
+    """Return the measured quantities of `LIMITS` that describe the pictures, keyed by name."""
     used, (width, height) = calibration.used, calibration.camera.image_size_px
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
@@ -348,7 +348,7 @@ def _pictures_measured(calibration: Calibration) -> dict[str, float]:
 
 
 def _lens_measured(calibration: Calibration) -> dict[str, float]:
-    """Return the measured quantities of `LIMITS` that describe the lens, by name."""
+    """Return the measured quantities of `LIMITS` that describe the lens, keyed by name."""
     values, sigma = calibration.parameters, calibration.sigma
     width, height = calibration.camera.image_size_px
     y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]

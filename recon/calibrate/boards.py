@@ -52,7 +52,7 @@ SHARPNESS_KEPT = 0.7
 MIN_DIFFERENCE = 0.02
 """Minimum movement of the board's outline between two views, as a fraction of the picture's diagonal.
 
-Views with less movement count as the same.
+Views with less movement count as the same view.
 """
 
 
@@ -172,9 +172,8 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     """Return corners (N, 2), px, refined to the nearest intersection of edges.
 
-    This halves the detectors' errors. The half-width of the window is `reach` times the distance between corners,
-    because the window must contain neither the board's edge nor another corner. A corner that would leave the window is
-    not moved.
+    The half-width of the window is `reach` times the distance between corners, because the window must contain neither
+    the board's edge nor another corner. A corner that would leave the window is not moved.
     """
     distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
     # The window has the same size for all corners, determined by the far corners of a tilted board.

@@ -26,11 +26,12 @@ from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
-"""Azimuths around the animal, counterclockwise seen from above. An azimuth of 0 is ahead of the animal, a quarter turn
-to its left.
+"""Azimuths of cameras around the animal, rad, counterclockwise seen from above.
+
+A camera at 0 is ahead of the animal, and a camera at a quarter turn is on its left.
 """
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
-"""Elevations above the level of the animal's middle."""
+"""Elevations of cameras above the level of the animal's middle, rad."""
 FPS = 60.0
 """Frame rate of the simulated clip, Hz."""
 FRAMES = 21

@@ -432,7 +432,7 @@ _NO_MEMORY = re.compile(
 def main() -> None:
     """Run the command line.
 
-    A user's error ends with one message and exit code 2.
+    An error of the user ends the command with one message and exit code 2.
     """
     console = terminal(stderr=True, soft_wrap=True)
     try:

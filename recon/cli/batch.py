@@ -41,7 +41,7 @@ CANNOT = "cannot be fitted"
 SOLVING = 0.5
 """Fraction of a clip's time in which its fit reports progress. Checks and files take the rest."""
 LISTED = 20
-"""Largest number of clips in the table at the end."""
+"""Maximum number of clips in the table that is printed at the end."""
 NAMED = 3
 """Maximum number of clips with the same problem that are listed by name."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}

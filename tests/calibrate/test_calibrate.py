@@ -288,7 +288,7 @@ def test_too_few_views_are_refused(chess_views):
 
 
 def test_sharp_and_different_frames_are_chosen():
-    """Of nine frames, those that are blurred or that show the board where another frame does are left out."""
+    """Blurred frames, and frames that show the board at the same position as another frame, are left out."""
     places = np.array([0.1] * 5 + [0.5, 0.9, 0.7, 0.3])
     outlines = np.zeros((9, 4, 2))
     outlines[..., 0] = places[:, None]

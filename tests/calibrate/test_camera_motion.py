@@ -275,7 +275,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
 
 @pytest.mark.slow
 def test_frame_numbers_of_a_damaged_video_are_those_of_a_detector(tmp_path):
-    """A damaged video keeps the frame numbers of a detector, which numbers decodable frames, and gaps are reported."""
+    """Frames of a damaged video are numbered as a detector numbers decodable frames, and gaps are reported."""
     frames = 14
     rotations, video = pan(frames, 6.0), tmp_path / "pan.mkv"
     writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)

@@ -602,7 +602,7 @@ def test_a_missing_camera_is_refused(tmp_path):
     nothing = ("--camera", "camera", "nothing", "--hfov-deg")
     out = tmp_path / "a"
     refused(fit_args(out, camera=None), nothing)
-    # Problems of the file come first.
+    # Problems with the file come first.
     first, _ = refused(fit_args(out, camera=None, keypoints=CAMERA), (CAMERA, "format", "calibration"), nothing)
     assert first.file == CAMERA
     no_size = ("--image-size", "image_size_px", "nothing", "--hfov-deg")

@@ -44,7 +44,7 @@ class _Canvas:
 
     @classmethod
     def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> _Canvas:
-        """Return a canvas that covers all views.
+        """Return a canvas that covers all views of the camera.
 
         Longitudes are continuous, and exceed half a turn if the camera does.
         """
@@ -96,7 +96,7 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
     """Blend the keyframes' pictures, weighted by the distance from the picture's edge.
 
     The panorama also shows the edges of the first, the middle and the last view, and the paths of the camera and of the
-    animal. `pictures` holds the `thumbnail` of each keyframe, `points` the animal's pixels (K, 2) by frame.
+    animal. `pictures` holds the `thumbnail` of each keyframe, and `points` the animal's pixels (K, 2), keyed by frame.
     """
     canvas = _Canvas.around(camera, motion.orientations)
     sum_of_pictures = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
