@@ -19,7 +19,7 @@ from recon.gait.stances import interval_text
 from recon.show.sentences import analysis_sentences
 
 MOST_STANCES = 100
-"""Largest number of stances that are printed, over all feet."""
+"""Maximum number of stances, of all feet together, that are printed."""
 
 
 def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:

@@ -116,7 +116,7 @@ def say(console: Console, text: str | Text, style: str = "") -> None:
 
 
 def say_table(console: Console, table: Table) -> None:
-    """Print a table, in a file or a pipe as wide as its words need, so that no column is cut."""
+    """Print a table, which is as wide as its words need in a file or a pipe, so that no column is cut."""
     least = console.measure(table, options=console.options.update(width=_WIDEST)).minimum
     width = console.width if console.is_terminal else max(console.width, least)
     console.print(table, width=width, crop=console.is_terminal)
@@ -233,9 +233,9 @@ def duration_text(seconds: float) -> str:
 
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **fields: Any) -> Answer:
-    """Return the answer of a fit.
+    """Return the answer of a command that fitted a clip into a folder.
 
-    `page` is its page, if there is one, and `fields` are added to the JSON.
+    `page` is the page of the result, if there is one, and `fields` are added to the JSON.
     """
     from recon.api.clip_results import PLAYBACK, VIDEO_PLAYBACK
     from recon.show.console import console_summary

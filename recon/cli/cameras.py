@@ -30,7 +30,7 @@ from recon.geometry.camera import Camera
 
 
 def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
-    """Calibrate a camera from pictures or a video of a board; write a camera file and a picture of the coverage.
+    """Calibrate a camera from pictures or a video of a board, and write a camera file and a picture of the coverage.
 
     Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
 
@@ -104,7 +104,9 @@ class _ExtrinsicsSettings(Settings):
 
 
 def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progress, console: Console) -> Answer:
-    """Find the poses of cameras from their lenses and clips of the animal; more clips give better poses.
+    """Find the poses of cameras from their lenses and clips of the animal.
+
+    More clips give better poses.
 
     With --set refine-cameras=true, the poses in the camera file are refined, assuming errors of 2 degrees and 5 cm.
 

@@ -147,7 +147,7 @@ def help_of(function: Callable[..., Any]) -> str:
 
 
 def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:
-    """Return the values of --set.
+    """Return the values given with --set, keyed by the name of the setting.
 
     Raises
     ------

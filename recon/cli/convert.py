@@ -64,7 +64,7 @@ def convert(settings: ConvertSettings) -> Answer:
 
     Example: recon convert results/clip model.osim
 
-    3D positions are written in metres, z up, except in formats with other conventions; see recon convert --list.
+    3D positions are written in metres, z up, except in formats with other conventions (see recon convert --list).
     """
     if settings.show_list:
         return _list_of_formats()

@@ -83,7 +83,7 @@ def doctor(progress: Progress) -> Answer:
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
     """Return the results of all checks.
 
-    No problem raises an exception.
+    A check that fails is a result, and raises no exception.
     """
     checks: list[_Check] = []
     for i, check_part in enumerate((versions, packages, viewer, self_test)):

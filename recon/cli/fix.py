@@ -75,9 +75,9 @@ class FixSettings(ResultSettings):
 def fix(settings: FixSettings, console: Console) -> Answer:
     """Correct wrong keypoints in a browser, while the animal is fitted again.
 
-    The page is served on this machine only, until you press Ctrl-C. Every change is saved to the corrections file; the
-    results are not changed. --export-labels and --export-table do not open the page: they write the corrections for
-    training the detector.
+    The page is served on this machine only, until you press Ctrl-C. Every change is saved to the corrections file, and
+    the results stay unchanged. --export-labels and --export-table write the corrections for training the detector, and
+    do not open the page.
 
     Example: recon fix results/clip --video clip.mp4
     """

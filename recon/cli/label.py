@@ -66,7 +66,7 @@ def label(settings: LabelSettings, console: Console) -> Answer:
     """Label frames of a video in a browser, for recon train and DeepLabCut.
 
     The frames are chosen so that they differ, or with --result so that a fit gains most. The page is served on this
-    machine only, until you press Ctrl-C. Labels are saved with every click; run the same command again to continue.
+    machine only, until you press Ctrl-C. Labels are saved with every click. Run the same command again to continue.
 
     Example: recon label run.mp4 --skeleton cheetah-24 --out project
     """

@@ -49,7 +49,7 @@ RATE_SAME = 0.01
 MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
 STILLS = 9
-"""Largest number of stills on a page."""
+"""Maximum number of stills on a page."""
 LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to the files of the fit, if they exist when the page is made."""
 
@@ -84,7 +84,7 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
 
 
 def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
-    """Return the clip's frame number of the video's first frame.
+    """Return the number that the video's first frame has in the clip.
 
     A camera that began later or earlier than the first has different frame numbers in its keypoint file.
     """
@@ -151,7 +151,7 @@ def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answ
 
 
 def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) -> Index:
-    """Return the rows of up to `count` frames with a pose, evenly spaced.
+    """Return the rows of the motion for up to `count` stills, which are evenly spaced frames with a pose.
 
     `start` is the frame number of the video's first picture.
     """

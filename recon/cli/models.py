@@ -174,7 +174,7 @@ def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
 def subject_fit(settings: SubjectFitSettings) -> Answer:
     """Measure one animal in clips filmed by several cameras, for `recon fit --subject`.
 
-    With --no-lengths, only the detector is measured, for `recon fit --set detector`; the clips may then show several
+    With --no-lengths, only the detector is measured, for `recon fit --set detector`, and the clips may show several
     measured animals.
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml

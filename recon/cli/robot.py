@@ -29,7 +29,7 @@ def pose(settings: PoseSettings) -> Answer:
 
 
 def dh(settings: TableSettings) -> Answer:
-    """Print a leg's Denavit-Hartenberg table, its end position for given angles, and all angles for a given end.
+    """Print a leg's Denavit-Hartenberg table, its end position for given angles, and angles for a given end position.
 
     Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
     """

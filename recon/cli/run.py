@@ -66,7 +66,7 @@ RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "playback", "page"]
 OVERLAY = "overlay.mp4"
 RECORDED_FRAMES = 1500
-"""Longest clip, in frames, whose video is put into a recording, which has a JPEG of each frame."""
+"""Maximum number of frames of a clip whose video is put into the recording, as a JPEG of each frame."""
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 
 
@@ -252,7 +252,7 @@ def run_video(
     out, report_of_fit = job.run.out, {}
     with sole_writer(out):
         record, stages, outcomes, must_run = Record(out / RECORD), _stages(job), [], False
-        for name, row in record.rows.items():  # version 0.2 kept no other record of these files
+        for name, row in record.rows.items():  # version 0.2 recorded the files of a stage only here
             if name in stages:
                 folder = stages[name].output.folder
                 digests_of_stage = {
