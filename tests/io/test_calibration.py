@@ -21,7 +21,7 @@ SIZE = (1920, 1080)
 
 
 def opencv_text(suffix: str, **values) -> str:
-    """Return a file as OpenCV writes it; arrays and numbers by key."""
+    """Return the text of OpenCV's file with these arrays and numbers."""
     storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for key, value in values.items():
         storage.write(key, np.asarray(value, dtype=float) if isinstance(value, list | np.ndarray) else value)
@@ -63,7 +63,7 @@ def write(tmp_path):
 
 
 def refuses(path, *expected, name=None, **options) -> None:
-    """Check that a file is refused for the expected problems, given as for `refusal` but without the file."""
+    """Check that reading a file raises these problems, given as for `refusal` but without the file."""
     with refusal(*((path, *one) for one in expected)):
         read_camera(path, name, **options)
 
@@ -198,7 +198,7 @@ class TestAcinoSet:
 
 class TestOpenDroneMap:
     def test_by_hand(self, write):
-        """Intrinsics in fractions of the longer side, from the picture's middle, are read, also in a reconstruction."""
+        """Intrinsics are converted from fractions of the picture's longer side, also those in a reconstruction."""
         lens = {"width": 1600, "height": 1000, "focal_x": 0.75, "focal_y": 0.5, "c_x": 0.01, "c_y": -0.02}
         brown = lens | {"projection_type": "brown", "k1": -0.2, "k2": 0.1, "p1": 0.001, "p2": 0.002, "k3": -0.03}
         old = {"width": 1600, "height": 1000, "projection_type": "perspective", "focal": 0.75, "k1": -0.2, "k2": 0.1}
@@ -213,7 +213,7 @@ class TestOpenDroneMap:
             np.testing.assert_allclose(plain.matrix, [[1200, 0, 799.5], [0, 1200, 499.5], [0, 0, 1]])
             assert (wide.model, wide.distortion.tolist()) == ("fisheye", [-0.2, 0.1, 0.0, 0.0])
 
-    def test_what_cannot_be_used(self, write):
+    def test_unusable_files_are_refused(self, write):
         path = write("cameras.json", {"a": {"projection_type": "spherical", "width": 10, "height": 5}})
         refuses(path, ("a: projection_type", "'spherical'"))
         refuses(write("other.json", {"projection_type": "brown"}), ("cameras", "no table"))
@@ -299,7 +299,7 @@ class TestChoiceOfCamera:
     def test_by_name_or_number(self, write, names, wanted, found):
         assert read_camera(write("calibration.toml", anipose(*names)), wanted).name == found
 
-    def test_by_place_in_a_file_without_names(self, write):
+    def test_camera_by_index_in_a_file_without_names(self, write):
         content = scene()
         content["cameras"][1]["t"] = [[9.0], [9.0], [9.0]]
         path = write("scene.json", content)
@@ -311,17 +311,17 @@ class TestChoiceOfCamera:
         path = write("calibration.toml", anipose("cam1", "cam2", "cam6"))
         refuses(path, ("camera", f"'{wanted}'", "cam1, cam2, cam6"), name=wanted)
 
-    def test_several_and_no_name(self, write):
+    def test_several_cameras_without_a_chosen_name_are_refused(self, write):
         refuses(write("calibration.toml", anipose("cam1", "cam2")), ("camera", "2 cameras", "cam1, cam2"))
 
-    def test_another_size_is_said_of_each_camera(self, write):
+    def test_a_wrong_size_is_reported_for_each_camera(self, write):
         path = write("calibration.toml", anipose("cam1", "cam2", "cam3"))
         width, height = read_camera(path, "cam1").image_size_px
         other = (width, height + 10)
         each = [(f"cam{i}.size", f"{width}x{height}", f"{width}x{height + 10}") for i in (1, 2, 3)]
         refuses(path, *each, name="cam2", image_size_px=other)
 
-    def test_number_that_two_names_fit(self, write):
+    def test_a_number_that_matches_two_names_is_refused(self, write):
         refuses(write("calibration.toml", anipose("cam1", "cam_1")), ("camera", [2, "'1'"], "cam1, cam_1"), name=1)
 
     def test_names_must_differ(self, write):
@@ -362,7 +362,7 @@ class TestImageSize:
 
 class TestLayoutsOfLabs:
     def test_jarvis(self, write):
-        """JARVIS's matrices are MATLAB's: intrinsics and rotation are transposed."""
+        """The transposed matrices of JARVIS, which are MATLAB's, are read."""
         values = {"intrinsicMatrix": np.transpose(K), "distortionCoefficients": [RADTAN], "R": R.T}
         path = write("left.yaml", opencv_text(".yml", **values, T=[[x] for x in T]))
         camera = read_camera(path, image_size_px=SIZE)
@@ -407,7 +407,7 @@ class TestLayoutsOfLabs:
         "ends", [("_left", "_right"), ("0", "1"), ("L", "R")], ids=["left and right", "from 0", "letters"]
     )
     def test_ends_of_keys_of_stereo_files(self, write, ends):
-        """Stereo files may end their keys in several ways; the size may be a list, and the translation `tvec`."""
+        """Keys of stereo files have various ends, the size may be a list, and `tvec` is a translation."""
         values = {f"K{end}": K for end in ends} | {f"D{end}": RADTAN for end in ends}
         first, second = read_cameras(write("a.json", {**values, "R": R.tolist(), "tvec": T, "image_size": SIZE}))
         np.testing.assert_array_equal(first.centre_world, [0, 0, 0])
@@ -428,7 +428,7 @@ class TestLayoutsOfLabs:
         assert_camera(read_camera(write("a.json", values)), RADTAN, "radtan", world_z_up=False)
 
     def test_yaml_of_python(self, write):
-        """YAML of Python is read: lists without indentation, and a table for each camera."""
+        """Python's YAML, whose lists are not indented, is read."""
 
         def block(rows, indent):
             return "".join(
@@ -448,7 +448,7 @@ class TestLayoutsOfLabs:
 
     @pytest.mark.parametrize("by_table", [False, True])
     def test_tables_inside_a_camera(self, write, by_table):
-        """JSON with tables inside a camera is not taken for an AcinoSet scene, although it has `cameras`."""
+        """JSON with tables inside a camera is not read as an AcinoSet scene, although it has `cameras`."""
         inner = {"intrinsics": {"K": K, "dist": RADTAN, "size": SIZE}, "extrinsics": {"R": R.tolist(), "t": T}}
         path = write("a.json", {"cameras": {"A": inner}} if by_table else inner)
         assert_camera(read_camera(path), RADTAN, "radtan", posed=True, world_z_up=False)
@@ -456,7 +456,7 @@ class TestLayoutsOfLabs:
         refuses(write("b.json", foreign), ("A.k", "shape"), ("A.distortions", "the file has k, c, f"))
 
     def test_rotation_without_translation_is_a_rectification(self, write):
-        """A rotation without a translation is a rectification, in camera_info of ROS 2 with keys in lower case."""
+        """A rotation without a translation is read as a rectification, as in camera_info of ROS 2."""
         values = {
             "k": np.ravel(K).tolist(),
             "d": RADTAN,
@@ -480,7 +480,7 @@ class TestLayoutsOfLabs:
 
     @pytest.mark.parametrize("by_name", [False, True])
     def test_tables_in_json(self, write, by_name):
-        """JSON tables such as CMU Panoptic's have the stated lens; only AcinoSet's keys mean fisheye and z up."""
+        """Tables in JSON such as CMU Panoptic's have the stated lens, and not z up like AcinoSet's files."""
         table = {"resolution": SIZE, "K": K, "distCoef": RADTAN, "R": R.tolist(), "t": [[x] for x in T]}
         tables = {"a": table} if by_name else [{"name": "a", "type": "hd"} | table]
         path = write("panoptic.json", {"cameras": tables})
@@ -513,12 +513,12 @@ class TestLayoutsOfLabs:
             ({"lens": "fisheye", "distortion_model": "plumb_bob"}, ("distortion_model, lens", ["radtan and fisheye"])),
         ],
     )
-    def test_a_lens_that_is_not_clear(self, write, more, expected):
+    def test_an_ambiguous_lens_is_refused(self, write, more, expected):
         values = {"K": K, "D": FISHEYE, "width": 1920, "height": 1080, **more}
         refuses(write("a.json", values), expected)
 
     def test_region_and_binning_of_ros(self, write):
-        """Region and binning of ROS are applied as in image_geometry: the corner shifts the principal point."""
+        """The region's corner shifts the principal point, and binning divides it, as in ROS' image_geometry."""
         text = f"width: 1920\nheight: 1080\nK: {np.ravel(K).tolist()}\nD: {RADTAN}\nbinning_x: 2\nbinning_y: 0\n"
         text += "roi:\n  x_offset: 320\n  y_offset: 180\n  width: 1280\n  height: 720\n"
         camera = read_camera(write("roi.yaml", text))
@@ -576,7 +576,7 @@ class TestMalformed:
         refuses(write(name, text), expected)
         assert capfd.readouterr() == ("", "")
 
-    def test_numbers_of_no_camera(self, write):
+    def test_numbers_too_large_for_a_camera_are_refused(self, write):
         for values, found in (([1e300] * 4, "1e+300"), ([1.0, 1, 1, 2e9], "2e+09")):
             refuses(write("a.json", {"camera_resolution": list(SIZE), "k": K, "d": values}), ("d", found))
         tiny = write("b.json", {"camera_resolution": list(SIZE), "k": K, "d": [0.1, 0, 0, 1e-320]})
@@ -650,7 +650,7 @@ class TestRealFiles:
 
     @pytest.mark.slow
     def test_cheetah_runs_project_their_truth_onto_their_detections(self, shared_data):
-        """Cheetah runs project their truth onto their detections, within the 10 to 25 px of that published fit."""
+        """The published 3D poses of cheetahs project onto the detections within the 10 to 25 px of that fit."""
         runs = sorted((shared_data / "cheetah-runs").glob("*/scene.json"))
         assert len(runs) == 5
         for scene_file in runs:
@@ -671,7 +671,7 @@ class TestRealFiles:
             assert 5 < np.nanmedian(np.concatenate(distances)) < 25
 
 
-def test_a_lens_of_opensfm_is_known_whatever_else_is_missing(tmp_path):
+def test_opensfm_lens_is_recognised_without_its_other_values(tmp_path):
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps({"a": {"projection_type": "brown", "height": 480, "focal_x": 0.8, "focal_y": 0.8}}))
     refuses(path, *((f"a: {field}", "nothing") for field in ("matrix", "distortion", "width, height")))

@@ -1,4 +1,4 @@
-"""Test tracks of moving cameras, which are read, filled and refused, and clips of these cameras."""
+"""Test the reading and interpolation of camera tracks, and fits of clips by moving cameras."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def turning(T: int, by_rad: float = 0.01, centre_m: tuple[float, float, float] =
 
 
 def refuses(text: str, path: Path, *expected: tuple[object, ...]) -> None:
-    """Check that a track is refused for the expected problems, given as for `refusal` but without the file."""
+    """Check that a track raises these problems, given as for `refusal` but without the file."""
     path.write_text(text)
     with refusal(*((path, *one) for one in expected)):
         read_camera_track(path)
@@ -87,7 +87,7 @@ def test_a_table_of_poses_from_the_camera_to_the_world(tmp_path):
 def test_poses_of_opendronemap(name, tmp_path):
     """Poses of OpenDroneMap are read.
 
-    OpenSfM stores rotations as vectors from the world to the camera; shots.geojson has positions.
+    OpenSfM stores rotation vectors from the world to the camera, and shots.geojson has the cameras' positions.
     """
     poses, frames = turning(3), [7, 8, 11]
     shots = {}
@@ -121,7 +121,7 @@ def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):
 
 
 def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
-    """Gaps of 3 frames at 30 Hz are filled by an even turn and motion, and gaps of 4 frames are not."""
+    """Gaps of 3 frames at 30 Hz are interpolated at constant velocity, and gaps of 4 frames are not."""
     poses, kept = turning(12, 0.05), np.array([0, 3, 7, 8])
     poses[:, :3, 3] = -(poses[:, :3, :3] @ np.array([[t, 0.1 * t, 1.0] for t in range(12)])[..., None])[..., 0]
     zoom = np.column_stack([1000.0 + 10 * np.arange(12), 1000.0 + 10 * np.arange(12), np.zeros((12, 2))])
@@ -152,7 +152,7 @@ def test_short_gaps_are_filled_and_long_ones_are_not(tmp_path):
     ],
 )
 def test_lenses_of_a_colmap_model(tmp_path, line, model, distortion):
-    """Lenses of a COLMAP model are converted: its pixels begin at the corner of the first pixel, ours at its centre."""
+    """Lenses of a COLMAP model, which counts pixels from the corner of the first pixel, are converted."""
     out = write_model(tmp_path / "phone", [line, "2 FOV 640 480 1 1 1 1 1"], np.arange(4), turning(4), [1] * 4)
     for path in (out, out / "images.txt"):
         track = read_camera_track(path)
@@ -186,8 +186,8 @@ def test_a_colmap_model_that_zooms(tmp_path):
     )
 
 
-def test_how_exact_its_turns_are(tmp_path):
-    """The standard deviation of rotations is read, kept over short gaps, and refused if it is no number."""
+def test_standard_deviations_of_rotations_are_read(tmp_path):
+    """The standard deviation of rotations is kept over short gaps, and refused if it is not a number."""
     path = write_track(tmp_path / "track.csv", np.array([3, 5, 6]), turning(3))
     head, *rows = path.read_text().splitlines()
     said = [f"{row},{sigma}" for row, sigma in zip(rows, (0.02, 0.05, 0.01), strict=True)]
@@ -199,8 +199,8 @@ def test_how_exact_its_turns_are(tmp_path):
         refuses(text, path, ("sigma_deg", "line 4", "0 to 10 degrees"))
 
 
-def test_what_a_doubtful_turn_does_to_points():
-    """An uncertain rotation makes points uncertain as if they turned about the camera with it."""
+def test_uncertain_rotations_make_points_uncertain():
+    """The uncertainty of points is that of a rotation about the camera."""
     points, sigma = np.random.default_rng(0).normal([0.0, 9.0, 0.0], 1.0, (2, 3, 3)), np.radians([0.3, 0.1])
     pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), rotation_sigma_rad=sigma)
     turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))
@@ -210,7 +210,7 @@ def test_what_a_doubtful_turn_does_to_points():
     assert pans.part(slice(1, 2)).turn_px == pytest.approx(np.radians(0.1) * pans.focal_px)
 
 
-def test_a_table_with_many_faults_names_them_all(tmp_path):
+def test_all_faults_of_a_table_are_reported(tmp_path):
     path, places = tmp_path / "track.csv", TRACK_HEADER.replace("tx,ty,tz", "x,y,z")
     refuses(
         f"{TRACK_HEADER}\n0,2,0,0,0,0,0,0\n1,1,0,0,0,0,,0\n1,1,0,0,0,0,0,1e9\n",
@@ -248,10 +248,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
 
 
 def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
-    """A world whose z does not point up is refused, such as COLMAP's with y down.
-
-    Cameras that lean by less than 60 degrees in most frames pass.
-    """
+    """COLMAP's world, whose y points down, is refused. Cameras that lean by less than 60 degrees are accepted."""
     down = np.tile(np.eye(4), (3, 1, 1))
     with refusal(("track.csv", "poses", ["not upright, taking z as up", "3 of 3 frames"], "z up")):
         read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down))
@@ -261,7 +258,7 @@ def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path):
-    """A drone that looks down from 12 m and follows the animal has a track; the depth is known to the animal's size."""
+    """The depth below a drone that follows the animal is known as precisely as the animal's size."""
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
     truth = replace(truth, xyz_m=truth.xyz_m[:16], frames=truth.frames[:16])
     turn = Rotation.from_euler("xz", [-180, 130], degrees=True).as_matrix()
@@ -304,8 +301,8 @@ def test_settings_that_do_not_fit(runs, tmp_path):
             prepare(FitSettings(**given, **more))
 
 
-def test_whose_track_it_is(runs, tmp_path):
-    """A track belongs to the camera whose name its own name contains, here the second of two."""
+def test_a_track_belongs_to_the_camera_in_its_name(runs, tmp_path):
+    """A track belongs to the camera whose name is part of the track's name, here the second of two cameras."""
     aside = np.tile(ASIDE, (40, 1, 1))
     track = write_track(tmp_path / "cam2_track.csv", np.arange(40), aside)
     first, second = prepare(settings(runs, 1, 2, camera_track=track)).sources
@@ -320,7 +317,7 @@ def test_whose_track_it_is(runs, tmp_path):
         prepare(settings(runs, 1, 2, camera_track=nobody))
 
 
-def test_a_model_brings_the_lens_of_its_camera(runs, tmp_path):
+def test_a_colmap_model_has_the_lens_of_its_camera(runs, tmp_path):
     lens = "3 OPENCV_FISHEYE 1920 1080 {0} {0} 960 540 0 0 0 0".format(FISHEYE.matrix[0, 0])
     models = [
         write_model(tmp_path / name, [lens], np.arange(40), np.tile(at, (40, 1, 1)), [3] * 40)
@@ -335,7 +332,7 @@ def test_a_model_brings_the_lens_of_its_camera(runs, tmp_path):
         prepare(replace(settings(runs, 1), camera_track=tuple(models[:1])))
 
 
-def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(runs, tmp_path):
+def test_a_batch_finds_tracks_next_to_its_manifest_and_notices_changes(runs, tmp_path):
     track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
     manifest = tmp_path / "clips.csv"
     manifest.write_text(f"keypoints,camera,fps,camera_track\n{runs}/run_cam1.csv,{runs}/scene.json,90,track.csv\n")
@@ -350,7 +347,7 @@ def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(runs, tm
 
 
 def test_frames_without_a_pose_have_no_detections(runs, tmp_path):
-    """Frames without a camera pose have no detections, unless a gap of up to 0.1 s (9 frames at 90 Hz) was filled."""
+    """Detections are left out in frames without a camera pose, but kept in gaps of up to 9 frames at 90 Hz."""
     frames = np.array([t for t in range(35) if not 10 < t < 23 and t not in (3, 4)])
     track = write_track(tmp_path / "track.csv", frames, np.tile(AHEAD, (len(frames), 1, 1)))
     (source,) = prepare(settings(runs, 1, camera_track=track)).sources
@@ -394,7 +391,7 @@ def panned(runs: Path) -> dict[str, Any]:
 
 
 def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
-    """A camera that pans gives the motion of a still one, if neither uses the height of the camera."""
+    """A panning camera and a still camera give the same motion if the height of the camera is not used."""
     options: dict[str, Any] = {"ground": "none"}
     pan = fit_clip(FitSettings(**panned(tmp_path), **options))
     still = fit_clip(
@@ -410,7 +407,7 @@ def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
 
 @pytest.mark.slow
 def test_command(tmp_path):
-    """The command works from end to end: read back, evaluated, analysed, converted and fitted again."""
+    """A fit with a camera track can be read, evaluated, analysed, converted and repeated by commands."""
     given, out = panned(tmp_path), tmp_path / "out"
     track = Path(str(given["camera_track"]))
     lines = track.read_text().splitlines()

@@ -1,4 +1,4 @@
-"""Test that every format keeps what it should, and that independent readers read it."""
+"""Test that every format keeps all values, and that other programs' readers read recon's files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FPS = 119.88
 OF_2D = [f for f in FORMATS if "2D" in f.writes]
 OF_3D = [f for f in FORMATS if "3D" in f.writes]
 OF_POINTS = [f for f in FORMATS if f in OF_2D or f in OF_3D]
-TOLERANCE_M = {"c3d": 3e-7}  # 32 bits and millimetres
+TOLERANCE_M = {"c3d": 3e-7}  # numbers of 32 bits, in millimetres
 
 
 def label(f: Format) -> str:
@@ -38,7 +38,7 @@ def label(f: Format) -> str:
 
 
 def a_clip(frames: np.ndarray = FRAMES) -> Keypoints:
-    """Return three keypoints with a missing frame, missing points and one unknown likelihood."""
+    """Return a clip of three keypoints with a missing frame, missing points and one unknown likelihood."""
     rng = np.random.default_rng(0)
     xy, confidence = rng.uniform(0, 1000, (len(frames), 3, 2)), rng.uniform(0.1, 1, (len(frames), 3))
     xy[-1, 2], confidence[-1, 2] = NAN, 0.0
@@ -127,7 +127,7 @@ def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
     ],
 )
 @pytest.mark.parametrize("target", OF_POINTS, ids=label)
-def test_one_frame_and_other_beginnings(target, frames, tmp_path):
+def test_single_frames_and_other_first_frames_are_kept(target, frames, tmp_path):
     path = tmp_path / f"clip{target.suffixes[0]}"
     if target in OF_2D:
         target.write(a_clip(frames), path)
@@ -207,7 +207,7 @@ def test_deeplabcut_by_pandas(files_2d, files_3d, name):
 
 
 def test_deeplabcut_h5_for_every_pandas(files_2d):
-    """DeepLabCut's H5 is read by every pandas; pandas 2 reads an old version with a header of plain text."""
+    """The header is plain text and states an old version of pandas, so that every pandas reads the file."""
     import tables  # slow to import
 
     with tables.open_file(str(files_2d["deeplabcut.h5"])) as file:
@@ -311,7 +311,7 @@ def test_parquet_by_pandas(files_3d):
 
 
 def test_c3d_by_ezc3d(files_3d):
-    """ezc3d reads our C3D: a point with residual -1 is missing, and frames of the gap are there, all missing."""
+    """Points are missing in C3D if their residual is -1, as in all frames of a gap."""
     import ezc3d
 
     file = ezc3d.c3d(str(files_3d["c3d.c3d"]))
@@ -340,7 +340,7 @@ def test_more_points_than_one_list_of_labels_holds(tmp_path):
 
 
 def test_trc_by_its_layout(files_3d):
-    """A TRC file has its documented layout: x, z, -y of ours, in metres; a missing point is three empty cells."""
+    """A TRC file has x, z and -y of a position in metres, and three empty cells for a missing point."""
     lines = files_3d["trc.trc"].read_text(encoding="utf-8").splitlines()
     assert lines[0].split("\t")[:3] == ["PathFileType", "4", "(X/Y/Z)"]
     header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
@@ -365,7 +365,7 @@ def test_npz_by_numpy(files_3d):
         assert float(file["fps"]) == FPS
 
 
-# The command
+# Choice of formats, and refused conversions
 
 
 def test_choice_of_format():
@@ -383,7 +383,7 @@ def test_choice_of_format():
         choose_format(Path("a.csv"), "fbx")
 
 
-def test_2d_does_not_become_3d_nor_3d_2d(files_2d, files_3d, tmp_path):
+def test_2d_and_3d_are_not_converted_into_each_other(files_2d, files_3d, tmp_path):
     with refusal((files_2d["movement.nc"], "content", "2D keypoints", "3D positions for TRC")):
         convert(ConvertSettings(source=files_2d["movement.nc"], out=tmp_path / "a.trc"))
     with refusal(
@@ -407,7 +407,7 @@ def test_every_problem_at_once(tmp_path):
     assert path.read_text() == "nothing of use\n"
 
 
-def test_whole_or_not_at_all(files_2d, tmp_path):
+def test_a_failed_conversion_leaves_no_folder(files_2d, tmp_path):
     out = tmp_path / "new" / "a.nwb"
     no_rate = replace(a_clip(), fps=None)
     FORMATS[0].write(no_rate, tmp_path / "a.csv")
@@ -473,7 +473,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
 
 
 def test_folder_of_results(results, tmp_path):
-    """A folder of results gives the joints with z up, the frame rate of the report and the limbs of the skeleton."""
+    """A folder of results is converted with z up, the report's frame rate and the skeleton's limbs."""
     from recon.fit.motion import Motion
 
     notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb")).data["notes"]
@@ -489,14 +489,14 @@ def test_folder_of_results(results, tmp_path):
         convert(ConvertSettings(source=tmp_path, out=tmp_path / "b.nwb"))
 
 
-# The command
+# The command line
 
 
 def run(*arguments: str | Path):
     return CliRunner().invoke(app, ["convert", *map(str, arguments)])
 
 
-def test_results_as_json_have_the_verdict_as_the_report_has_it(whole_results, tmp_path):
+def test_results_as_json_have_the_verdict_of_the_report(whole_results, tmp_path):
     said = json.loads(run(whole_results, tmp_path / "a.csv", "--json").output)
     assert said["verdict"] == json.loads((whole_results / "report.json").read_text(encoding="utf-8"))["verdict"]
 

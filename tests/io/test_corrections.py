@@ -44,7 +44,7 @@ def test_a_corrected_detection_is_certain_and_a_hidden_one_missing(keypoints: Ke
     assert keypoints.present.all()
 
 
-def test_everything_that_is_not_there_is_named_at_once(keypoints: Keypoints):
+def test_all_unknown_cameras_keypoints_and_frames_are_reported(keypoints: Keypoints):
     rows = [Correction(40, "cam", "nose", None, None), Correction(4, "cam", "ear", None, None)]
     rows.append(Correction(4, "cam9", "nose", None, None))
     with pytest.raises(InputError) as refusal:
@@ -103,10 +103,7 @@ def test_frames_that_a_spreadsheet_writes(tmp_path: Path):
 
 
 def test_corrections_of_another_clip_are_refused(keypoints: Keypoints):
-    """Corrections of another clip are refused, although it has the same keypoints and frames.
-
-    If left and right were exchanged, a detection is that of another keypoint.
-    """
+    """Corrections are refused if none of their positions is that of a detection of any keypoint."""
     other = [Correction(4 + i % 3, "", "nose", (50.0 + i, 60.0), (9.0, 8.0)) for i in range(5)]
     with pytest.raises(InputError) as refusal:
         with_corrections([keypoints], ["cam"], other, Path("corrections.csv"))

@@ -1,4 +1,4 @@
-"""Test DeepLabCut's project, given as a folder or by its config.yaml, and FMPose3D's poses from DeepLabCut."""
+"""Test DeepLabCut's projects, given as a folder or as config.yaml, and poses of FMPose3D."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_a_configuration(project):
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_labels_of_a_project(project, name):
-    """The labels of a project are those of its scorer, even if others labelled a folder too."""
+    """A project's labels are those of its scorer, even if another person labelled a folder too."""
     with refusal((project, "label files", "none", "labeled-data")):
         read_labels(project / name)
     for folder, people in (("run1", ("another", "me")), ("run2", ("another",))):
@@ -139,10 +139,10 @@ AS_WRITTEN = split_names(
 
 @pytest.fixture
 def of_fmpose3d(tmp_path: Path) -> Path:
-    """Write the sample's truth as FMPose3D has it.
+    """Write the sample's true poses as FMPose3D does.
 
-    Animal3D's points have DeepLabCut's names, are relative to the tail's base, in a camera's axes and in another unit;
-    frame 5 is empty.
+    The points of Animal3D have DeepLabCut's wrong names. They are relative to the tail's base, in a camera's axes and
+    another unit. Frame 5 is empty.
     """
     truth, by = read_pose3d(SAMPLE.with_name("whole_truth.csv")), load_names("animal3d").names
     xyz = 3.0 * truth.of_joints([by.get(name, name) for name in ANIMAL3D])
@@ -181,7 +181,7 @@ def test_poses_of_fmpose3d(of_fmpose3d, suffix):
 
 
 def test_poses_of_the_demo_of_fmpose3d(of_fmpose3d, tmp_path):
-    """Poses of FMPose3D's demo are read: a file per picture, such as `pose3D/0000_3D.npz`, of Animal3D's points."""
+    """FMPose3D's demo writes a file for each picture, such as `pose3D/0000_3D.npz`, with Animal3D's points."""
     truth, poses = SAMPLE.with_name("whole_truth.csv"), read_pose3d(of_fmpose3d)
     xyz = poses.xyz_m[:, [poses.names.index(name) for name in ANIMAL3D]]
     for frame in (3, 4, 7):

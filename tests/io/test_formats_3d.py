@@ -1,4 +1,4 @@
-"""Test 3D points of other programs: TRC, C3D, BVH, npz, Parquet."""
+"""Test the reading of 3D points in TRC, C3D, BVH, npz and Parquet files of other programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from recon.io.positions import read_pose3d
 
 
 def test_real_trc(shared_data):
-    """A real TRC file is read: commas for tabs, millimetres, and fewer frames than its header announces."""
+    """A real TRC file has commas instead of tabs, millimetres, and fewer frames than its header states."""
     path = shared_data / "importer-files" / "c3d-trc" / "markers.trc"
     pose = read_pose3d(path, up="z")
     table = pd.read_csv(path, skiprows=6, header=None)
@@ -27,14 +27,14 @@ def test_real_trc(shared_data):
     np.testing.assert_allclose(pose.xyz_m.reshape(93, -1), table.to_numpy()[:, 2:155] / 1000)
     assert [says(note, "652 frames", 93) for note in pose.notes] == [True]
     assert says(read_pose3d(path).notes[1], "way is up")
-    # With y up, which is wrong for this file, its y becomes our z.
+    # with y up, which is wrong for this file, its y becomes z
     np.testing.assert_array_equal(read_pose3d(path).xyz_m[..., 2], pose.xyz_m[..., 1])
 
 
 def c3d_bytes(processor: int, integers: bool) -> bytes:
-    """Return C3D bytes of two frames, 5 and 6, of two points and one analog channel.
+    """Return a C3D file of frames 5 and 6 with two points and one analog channel.
 
-    The computer is given by its number (84 Intel, 86 MIPS). The second point is missing in the first frame.
+    `processor` is 84 for Intel or 86 for MIPS. The second point is missing in the first frame.
     """
     order = ">" if processor == 86 else "<"
 
@@ -60,7 +60,7 @@ def c3d_bytes(processor: int, integers: bool) -> bytes:
 
 @pytest.mark.parametrize("integers", [False, True])
 @pytest.mark.parametrize("processor", [84, 86])
-def test_c3d_of_other_computers(tmp_path, processor, integers):
+def test_c3d_of_other_processors(tmp_path, processor, integers):
     path = tmp_path / "a.c3d"
     path.write_bytes(c3d_bytes(processor, integers))
     pose = read_pose3d(path)
@@ -114,11 +114,11 @@ Frame Time: 0.0333333
 
 
 def test_bvh_by_hand(tmp_path):
-    """A BVH file has the positions computed by hand.
+    """Positions of a BVH file agree with positions computed by hand.
 
-    At rest the knee is 2 below, its end 1 along x. In the second frame the hips, at (1, 2, 3), turn by 90 degrees about
-    z, so that -y becomes x: the knee is at (3, 2, 3). A turn of the knee about its own x leaves its end, which lies on
-    that axis, 1 along the turned x axis, y.
+    At rest the knee is 2 below the hips, and its end is 1 from the knee along x. In the second frame the hips, at (1,
+    2, 3), turn by 90 degrees about z, so that -y becomes x: the knee is at (3, 2, 3). A turn of the knee about its own
+    x axis does not move its end, which lies on that axis.
     """
     pose = read_pose3d(save(tmp_path / "a.bvh", BVH), unit="m", up="z")
     assert pose.names == ("hips", "knee", "knee_end")
@@ -213,7 +213,7 @@ def test_npz_problems(tmp_path):
     refuses(tmp_path / "b.npz", ("frames", "3 after 3", "increasing"), read=read_pose3d)
 
 
-def test_parquet_of_others(tmp_path):
+def test_parquet_of_other_programs(tmp_path):
     table = pd.DataFrame({"frame": [1, 2], "nose_x_mm": [1.0, NAN], "nose_y_mm": [2.0, NAN], "nose_z_mm": [3.0, NAN]})
     table.to_parquet(tmp_path / "a.parquet")
     np.testing.assert_allclose(read_pose3d(tmp_path / "a.parquet").xyz_m[:, 0], [[0.001, 0.002, 0.003], [NAN] * 3])

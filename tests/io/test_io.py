@@ -56,7 +56,7 @@ def refuses(path: Path, *expected: tuple[object, ...], individual: str | None = 
 
 
 def naive_csv(path: Path, individual: str | None = None) -> dict[str, np.ndarray]:
-    """Return a CSV column by column: "bodypart/coord" -> values, and "frame"."""
+    """Return the columns of DeepLabCut's CSV by "bodypart/coord", and the frame numbers as "frame"."""
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     start = next(i for i, row in enumerate(rows) if row[0] == "coords") + 1
@@ -92,7 +92,7 @@ def test_real_csv_of_one_animal(shared_data):
     assert keypoints.notes == ()
 
 
-def test_real_file_of_animals_told_apart_by_their_names_beginnings(shared_data):
+def test_real_file_of_animals_recognised_by_prefixes(shared_data):
     path = shared_data / "importer-files" / "deeplabcut" / "deepof_two_animals_prefixed.csv"
     refuses(path, ("individual", "2 animals", "B, W"))
     keypoints, columns = read_keypoints(path, "W"), naive_csv(path)
@@ -185,7 +185,7 @@ def test_hdf5_of_another_kind(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["deepof_single.h5", "openfield_table.h5"])
-def test_h5_that_is_cut_off(shared_data, tmp_path, name):
+def test_an_h5_file_that_is_cut_off_is_refused(shared_data, tmp_path, name):
     whole = (shared_data / "importer-files" / "deeplabcut" / name).read_bytes()
     for length in (8, 100, 2000, len(whole) // 2, len(whole) - 1):
         path = tmp_path / "cut.h5"
@@ -224,7 +224,7 @@ def test_single_animal(tmp_path):
     ids=["bom", "crlf", "no-final-newline", "semicolons", "tabs", "blank-lines", "scorer-suffix", "float-index",
          "nan-cells", "quotes-and-blanks"],
 )  # fmt: skip
-def test_variants_that_say_the_same(tmp_path, text):
+def test_equivalent_tables_are_read_equally(tmp_path, text):
     plain, variant = read_keypoints(save(tmp_path, SINGLE)), read_keypoints(save(tmp_path, text, "variant.csv"))
     assert plain.names == variant.names
     for field in ("xy_px", "confidence", "frames"):
@@ -264,7 +264,7 @@ def test_several_animals(tmp_path):
         ("nose ear tail", ()),
     ],
 )
-def test_animals_told_apart_by_the_beginning_of_names(tmp_path, names, animals):
+def test_animals_are_recognised_by_prefixes_of_bodyparts(tmp_path, names, animals):
     header = [["scorer"], ["bodyparts"], ["coords"]]
     for name in names.split():
         for row, cells in zip(header, (["n"] * 3, [name] * 3, ["x", "y", "likelihood"]), strict=True):
@@ -278,8 +278,8 @@ def test_animals_told_apart_by_the_beginning_of_names(tmp_path, names, animals):
 
 
 @pytest.mark.parametrize("nothing", ["", "0.0"])
-def test_animals_without_points_are_no_choice(tmp_path, nothing):
-    """Animals without points need no choice: DeepLabCut has empty or zero columns for animals that it never saw."""
+def test_animals_without_points_need_no_choice(tmp_path, nothing):
+    """DeepLabCut writes empty or zero columns for animals that it never saw."""
     text = "scorer,n,n,n,n,n,n,n,n,n\nindividuals,m1,m1,m1,m2,m2,m2,m3,m3,m3\nbodyparts" + ",nose" * 9
     text += "\ncoords" + ",x,y,likelihood" * 3
     none = ",".join([nothing, nothing, "0.0"])
@@ -360,7 +360,7 @@ def test_stray_blanks_in_names_are_noted(tmp_path):
 
 
 def test_likelihoods_that_mean_something_else_are_refused(tmp_path):
-    """Likelihoods in per cent are refused, because all of them would pass the threshold."""
+    """Likelihoods in per cent would all be above the threshold."""
     for text, *expected in (
         (SINGLE.replace("0.9", "37"), "likelihood", ["0 to 37", "above 1 in 20 % of the points"], "0 to 1"),
         (SINGLE.replace("0.9", "-1"), "likelihood", "-1 to 1", "0 to 1"),
@@ -384,13 +384,13 @@ def test_a_calibration_in_place_of_keypoints_is_named(text, tmp_path):
 
 
 def test_odd_likelihoods_are_noted(tmp_path):
-    """Likelihoods of networks whose scores are no probabilities are noted."""
+    """Scores slightly outside 0 to 1, which are not probabilities, give a note."""
     (note,) = read_keypoints(save(tmp_path, SINGLE.replace("0.9", "1.2"))).notes
     assert says(note, "Likelihoods", "0 to 1.2", "0 and 1")
 
 
-def test_names_that_command_a_terminal(tmp_path):
-    """Names that would control a terminal are refused, in one line that controls nothing."""
+def test_names_that_would_control_a_terminal_are_refused(tmp_path):
+    """The message about such a name is a single line without control characters."""
     for path, *said in (
         (save(tmp_path, SINGLE.replace("nose", "\x1b[31mnose")), "column \\x1b[31mnose/x: found"),
         (save(tmp_path, "frame,bodypart,x,y\n0,no\x1b]0;se,1,2\n", "b.csv"), "names of points: found 'no\\x1b]0;se'"),
@@ -405,7 +405,7 @@ def test_names_that_command_a_terminal(tmp_path):
 
 
 def test_missing_header_row_is_noted(tmp_path):
-    """A missing header row is noted, and the names of the columns are known without it."""
+    """A missing header row gives a note, since the other rows name the columns."""
     whole, headless = (read_keypoints(save(tmp_path, text)) for text in (SINGLE, SINGLE.split("\n", 1)[1]))
     assert whole.notes == ()
     (note,) = headless.notes
@@ -416,7 +416,7 @@ def test_missing_header_row_is_noted(tmp_path):
 
 
 @pytest.mark.parametrize("cell", ["1_000.5", "１", "٣", "1e5_0", "0x10"])
-def test_numbers_of_python_only(tmp_path, cell):
+def test_numbers_that_only_python_accepts_are_refused(tmp_path, cell):
     wrong = (f"'{cell}'", "a number")
     refuses(save(tmp_path, SINGLE.replace("1.5", cell)), ("line 4, nose/x", *wrong))
     refuses(save(tmp_path, f"frame,bodypart,x,y\n0,nose,{cell},2\n"), ("line 2, x", *wrong))
@@ -437,7 +437,7 @@ def test_numbers_of_python_only(tmp_path, cell):
         ("time_s", ("0", "1e300"), ("time", "0 to 1e+300 s")),
     ],
 )
-def test_frames_and_times_that_are_none(tmp_path, clock, cells, expected):
+def test_invalid_frame_numbers_and_times_are_refused(tmp_path, clock, cells, expected):
     text = f"{clock},bodypart,x,y,fps\n" + "".join(f"{cell},nose,1,2,25\n" for cell in cells)
     refuses(save(tmp_path, text), expected)
 
@@ -509,11 +509,11 @@ def test_binary_after_the_header(tmp_path):
         (LABELS.replace("0009", "7"), ("frames", "7 after 7")),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path, text, expected):
+def test_the_problem_of_a_table_is_reported(tmp_path, text, expected):
     refuses(save(tmp_path, text), expected)
 
 
-def test_several_columns_that_are_wrong(tmp_path):
+def test_all_wrong_columns_are_reported(tmp_path):
     nameless = ((f"column {kind}", "without a printable name") for kind in ("x", "y", "likelihood"))
     refuses(save(tmp_path, SINGLE.replace("nose", "")), *nameless)
     twice = (("bodypart nose", "more than one"), ("bodypart nose", "no y"))

@@ -1,4 +1,4 @@
-"""Test formats other than DeepLabCut's: layouts that occur in practice, and damaged files."""
+"""Test formats other than DeepLabCut's, with layouts that occur in practice and with damaged files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SLEAP_AXES = {"f": "frame", "t": "track", "n": "node", "c": "xy"}
 
 
 def sleap_file(path: Path, tracks="tcnf", scores="tnf", occupancy="ft", dims: bool = True, **more) -> Path:
-    """Write an analysis file of SLEAP with its axes in this order; `more` replaces datasets, None leaves one out."""
+    """Write SLEAP's analysis file with axes in this order; `more` replaces datasets, and None leaves one out."""
     occupied = np.ones((5, 2), np.uint8)
     occupied[0, 1] = 0
     arrays = {
@@ -80,7 +80,7 @@ def test_sleap_not_transposed(tmp_path):
     np.testing.assert_array_equal(read_keypoints(path, "a").xy_px, XY[:, 0])
 
 
-def test_sleap_tracks_without_points_are_no_choice(tmp_path):
+def test_sleap_tracks_without_points_need_no_choice(tmp_path):
     occupied = np.zeros((5, 2))
     occupied[1:3, 1] = 1
     path = sleap_file(tmp_path / "a.h5", track_occupancy=occupied)
@@ -142,7 +142,7 @@ def movement_data(plural: bool, space: str = "xy", **attributes):
     )
 
 
-def test_movement_animals_without_points_are_no_choice(tmp_path):
+def test_movement_animals_without_points_need_no_choice(tmp_path):
     data = movement_data(False)
     data["position"][..., 1] = np.nan
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
@@ -174,7 +174,7 @@ def test_movement_attributes_of_other_kinds(tmp_path):
 def test_movement_without_numbers_of_its_dimensions(tmp_path):
     """A movement file is read without numbers of its dimensions.
 
-    Other programs than h5netcdf store only in each dimension which variables it belongs to.
+    Programs other than h5netcdf store only the variables of each dimension.
     """
     data = movement_data(True)
     data.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
@@ -245,7 +245,7 @@ def test_real_nwb(shared_data):
 
 
 def nwb_file(path: Path, edit=None) -> Path:
-    """Write two animals, a and b, with our own writer; `edit` may change the file."""
+    """Write an NWB file of two animals, a and b, which `edit` may change."""
     write = next(f.write for f in FORMATS if f.name == "nwb")
     clip = Keypoints(("nose", "tail"), XY[:, 0, :2], SCORE[:, 0, :2], np.arange(5), fps=20.0, individual="a")
     write(clip, path)
@@ -346,7 +346,7 @@ def test_coco_problems(tmp_path, change, expected):
     refuses(save(tmp_path / "a.json", json.dumps(COCO | change)), expected)
 
 
-# MMPose, whose whole files are tested with the names of detectors
+# MMPose; other tests read complete files of its demo
 
 
 def mmpose_file(path: Path, frames: object, names: object = ("nose", "tail")) -> Path:
@@ -419,7 +419,7 @@ def written(folder: Path) -> list[tuple[Path, object]]:
 
 
 def test_cut_off_files_are_refused(tmp_path):
-    """Files that were cut off are refused, except a text table that happens to end with a full row."""
+    """Files that are cut off are refused, except text tables that end with a complete row."""
     for path, read in written(tmp_path):
         content = path.read_bytes()
         for share in (0.02, 0.3, 0.6):
@@ -432,13 +432,13 @@ def test_cut_off_files_are_refused(tmp_path):
                     read(cut)
 
 
-def test_the_content_counts_not_the_extension(tmp_path):
+def test_formats_are_recognised_by_content_not_by_suffix(tmp_path):
     for path, read in written(tmp_path):
         renamed = path.rename(tmp_path / f"{path.stem}.dat")
         assert len(read(renamed).frames) == 5
 
 
-def test_a_choice_that_is_none(tmp_path):
+def test_an_unknown_individual_is_refused(tmp_path):
     for path, read in written(tmp_path):
         with pytest.raises(InputError) as caught:
             read(path, "rex")
@@ -528,7 +528,7 @@ def test_openpose_with_two_persons_and_other_lists(tmp_path):
 
 
 def dannce_file(path: Path, packed: bool = True, **changes) -> Path:
-    """Write a file as Label3D does, of two cameras and two frames of two points."""
+    """Write Label3D's file with two cameras and two frames of two points."""
     points = np.array([[[1.0, 2, 3], [4, 5, 6]], [[7, 8, 9], [NAN, NAN, NAN]]])
     label = {"data_3d": points.reshape(2, 6), "data_frame": np.array([[10], [20]], np.int32)}
     lens = {
@@ -557,7 +557,7 @@ TURN = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]).as_matrix()
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_dannce(tmp_path, packed):
-    """A camera of DANNCE projects a point as DANNCE does, with K and r on the right and the first pixel (1, 1)."""
+    """A camera projects a point as DANNCE does, where matrices are transposed and the first pixel is (1, 1)."""
     path = dannce_file(tmp_path / "run_dannce.mat", packed)
     pose = read_pose3d(path, unit="mm")
     assert (pose.names, pose.frames.tolist()) == (("point1", "point2"), [10, 20])

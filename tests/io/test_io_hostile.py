@@ -1,4 +1,4 @@
-"""Test that files made to do harm run nothing and take little memory, and that each gets a clear message."""
+"""Test that hostile files run no code and take little memory, and that each gives a clear message."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3,
 
 @dataclass(frozen=True)
 class Touch:
-    """An object that creates a file when it is unpickled."""
+    """Object that creates a file when it is unpickled."""
 
     path: str
 
@@ -52,12 +52,12 @@ class Touch:
 
 
 def harm(marker: Path) -> np.bytes_:
-    """Return a pickle that PyTables would store as an attribute, which ends in a dot."""
+    """Return a pickle that creates the file `marker` when it is read, as PyTables would store it in an attribute."""
     return np.bytes_(pickle.dumps(Touch(str(marker)), 0))
 
 
 def attribute_of(where: str, name: str) -> Callable[[Path, Path], None]:
-    """Write a table of DeepLabCut's with one attribute replaced."""
+    """Return a function that writes DeepLabCut's table with a pickle in one attribute."""
 
     def make(path: Path, marker: Path) -> None:
         write_deeplabcut(CLIP, path)
@@ -113,7 +113,7 @@ def test_hostile_hdf5_runs_nothing(tmp_path, name):
 
 
 def test_the_hostile_files_are_hostile(tmp_path):
-    """The hostile files are hostile: PyTables runs the code in them, so that the test above can fail."""
+    """PyTables runs the code in the hostile files, so the test above can fail."""
     ran = []
     for name in ("root.h5", "group.h5", "labels.h5", "cells.h5"):
         marker, path = tmp_path / f"ran-{name}", tmp_path / name
@@ -143,7 +143,7 @@ def test_hostile_hdf5_in_a_batch(tmp_path):
     assert not marker.exists()
 
 
-def test_what_is_pickled_is_named(tmp_path):
+def test_pickled_objects_are_named(tmp_path):
     HOSTILE["labels.h5"](tmp_path / "a.h5", tmp_path / "ran")
     with refusal((tmp_path / "a.h5", "content", ["non_index_axes", "GLOBAL posix system"])):
         read_keypoints(tmp_path / "a.h5")
@@ -184,7 +184,7 @@ def test_data_that_unpack_to_more_than_any_clip_has(tmp_path, monkeypatch):
         read_keypoints(tmp_path / "a.h5")
 
 
-def test_a_key_whose_parts_take_the_square_of_their_number(tmp_path):
+def test_a_deeply_nested_key_of_toml_is_refused(tmp_path):
     (tmp_path / "a.toml").write_text(".".join("a" * 100_000) + " = 1\n")
     with refusal((tmp_path / "a.toml", "content", "nested too deeply")):
         load_skeleton(tmp_path / "a.toml")
@@ -243,7 +243,7 @@ def test_a_table_of_equal_rows_that_asks_for_the_memory(tmp_path, monkeypatch):
         read_pose3d(tmp_path / "text.parquet")
 
 
-def test_a_text_in_every_row_that_takes_room_once(tmp_path):
+def test_a_text_in_every_row_takes_memory_once(tmp_path):
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     rows = 20_000
     joints = arrow.DictionaryArray.from_arrays(arrow.array(np.zeros(rows, np.int32)), arrow.array(["x" * 20_000 + " "]))
@@ -292,7 +292,7 @@ def many_names(folder: Path) -> dict[str, Path]:
 
 
 def test_frames_times_points_that_fill_the_memory(tmp_path, monkeypatch):
-    """Files of less than 1 MB with 30,000 frames of 30,000 points are refused, because they would take 20 GB."""
+    """Files of less than 1 MB with 30,000 frames of 30,000 points would take 20 GB of memory."""
     files = many_names(tmp_path)
     monkeypatch.setattr("recon.io.common.POINTS_MAX", 1000)
     for name, path in files.items():
@@ -329,8 +329,8 @@ def test_a_cell_that_is_too_long(read, tmp_path):
         read(tmp_path / "long.csv")
 
 
-def test_heap_without_an_end(tmp_path):
-    """A heap without an end is refused; the library would search for the next object for ever."""
+def test_an_endless_heap_of_texts_is_refused(tmp_path):
+    """The HDF5 library would search for the next object of the heap for ever."""
     write_movement(CLIP, tmp_path / "a.nc")
     content = bytearray((tmp_path / "a.nc").read_bytes())
     heap = content.index(b"GCOL")
@@ -340,8 +340,8 @@ def test_heap_without_an_end(tmp_path):
         read_keypoints(tmp_path / "a.nc")
 
 
-def test_data_in_other_files(tmp_path):
-    """Data in other files are refused, because a file must not choose which other files are opened."""
+def test_data_in_other_files_are_refused(tmp_path):
+    """A file must not determine which other files are opened."""
     (tmp_path / "secret").write_bytes(np.arange(30.0).tobytes())
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
@@ -396,8 +396,8 @@ def test_a_skeleton_that_extends_a_name_too_long_for_a_file(tmp_path):
         load_skeleton(tmp_path / "a.toml")
 
 
-def test_a_prior_with_numbers_that_signal(tmp_path):
-    """A prior with a signalling NaN of four bytes is refused, although NumPy warns when it is converted."""
+def test_a_prior_with_signalling_nan_is_refused(tmp_path):
+    """NumPy only warns when a signalling NaN of four bytes is converted."""
     content = resources.files("recon") / "animal" / "priors" / "running-cheetah.npz"
     with np.load(BytesIO(content.read_bytes())) as file:
         arrays = dict(file)

@@ -1,4 +1,4 @@
-"""Test files of labels of a video's frames: DeepLabCut's layout, as pandas reads it, and COCO."""
+"""Test files of labelled frames in DeepLabCut's layout, as pandas reads it, and in COCO's."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
-def test_pandas_reads_both_tables_in_deeplabcut_s_layout(folder: Path):
+def test_pandas_reads_both_tables_in_the_layout_of_deeplabcut(folder: Path):
     csv = pd.read_csv(folder / "CollectedData_me.csv", header=[0, 1, 2], index_col=[0, 1, 2])
     h5 = pd.read_hdf(folder / "CollectedData_me.h5", "df_with_missing")
     for table in (csv, h5):
@@ -52,7 +52,7 @@ def test_every_file_reads_back(folder: Path, name: str):
     np.testing.assert_array_equal(read.xy_px, LABELS.xy_px)
 
 
-def test_a_label_s_origin_is_in_a_table(folder: Path):
+def test_the_origin_of_each_label_is_in_a_table(folder: Path):
     lines = (folder / "origins.csv").read_text().splitlines()
     assert lines[1:] == [
         "img0007.png,nose,1.5,2.0,by hand",
@@ -68,6 +68,6 @@ def test_the_same_labels_give_the_same_bytes(folder: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize("name", ["", "../me", "a/b", "a\\b", ".hidden", "a\nb", "a*"])
-def test_a_name_that_is_no_file_s_is_refused(name: str):
+def test_a_name_that_cannot_be_a_file_name_is_refused(name: str):
     with pytest.raises(InputError, match="a file name"):
         require_label_names("run", name)

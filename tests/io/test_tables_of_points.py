@@ -1,4 +1,4 @@
-"""Test tables of points: columns, units of times, traces of spreadsheets, crops, lost markers, text as frames."""
+"""Test columns, units of times, spreadsheets' changes, crops and lost markers in tables of points."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def test_plain_csv_of_several_animals(tmp_path):
     assert (found.individual, found.frames.tolist(), found.xy_px[:, 0].tolist()) == ("m2", [0, 1], [[3, 4], [5, 6]])
 
 
-def test_columns_that_mean_nothing_are_named(tmp_path):
+def test_unknown_columns_are_reported(tmp_path):
     found = read_keypoints(save(tmp_path / "a.csv", "frame,nose_x,nose_y,speed\n0,1,2,3\n"))
     assert [says(note, "left out: speed") for note in found.notes] == [True]
 
 
 def test_anipose_3d_csv(tmp_path):
-    """Anipose's 3D CSV needs a unit, because the file does not state that of the calibration board."""
+    """Anipose's 3D CSV needs a unit, because the file does not state it."""
     header = "nose_x,nose_y,nose_z,nose_error,nose_ncams,nose_score,M_00,M_01,center_0,fnum"
     path = save(tmp_path / "a.csv", f"{header}\n10,20,30,1,2,0.9,1,0,0,7\n,,,,,,1,0,0,8\n")
     pose = read_pose3d(path, unit="mm")
@@ -118,14 +118,14 @@ def test_frames_of_times():
     assert frames(np.arange(100, 10_000) / 29.97) == (list(range(100, 10_000)), 29.97)
     assert frames([1 / 3], 30) == ([10], 30)
     assert frames([7.0]) == ([0], None)
-    # A clock that is 100 ppm off, and noise of a tenth of a frame, shift no frame.
+    # a clock error of 100 ppm and noise of a tenth of a frame shift no frame
     noisy = np.arange(5000) * 1.0001 / 120 + np.random.default_rng(0).uniform(-0.1, 0.1, 5000) / 120
     assert frames(noisy + 1.0, 120)[0] == list(range(120, 5120))
 
 
 @pytest.mark.parametrize("fps", [24, 29.97, 60, 90])
 def test_times_rounded_to_hundredths(fps):
-    """Times rounded to hundredths have the rate of the whole duration, although the median step is 0.01 or 0.02 s."""
+    """The frame rate follows from the whole duration, although the median step is 0.01 or 0.02 s."""
     times = np.round(np.arange(100) / fps, 2)
     found, rate = frames_of_times(Path("a"), times, None)
     assert found.tolist() == list(range(100))
@@ -134,7 +134,7 @@ def test_times_rounded_to_hundredths(fps):
 
 @pytest.mark.parametrize("gaps", [(), (20, 21, 60)])
 def test_times_of_a_jittering_clock(gaps):
-    """Times of a jittering clock with missing frames have a rate; if one is given, each time gets its nearest frame."""
+    """The frame rate is estimated in spite of missing frames; if it is given, each time gets its nearest frame."""
     frames = np.setdiff1d(np.arange(200), gaps)
     times = 12.3 + (frames + np.random.default_rng(1).normal(0, 0.12, len(frames))) / 60
     found, rate = frames_of_times(Path("a"), times, None)
@@ -145,10 +145,7 @@ def test_times_of_a_jittering_clock(gaps):
 
 
 def test_times_of_a_variable_rate():
-    """Times of a variable rate are refused unless a rate is given.
-
-    A telephone goes from 30 to 24 frames per second. If a rate is given, each time belongs to the nearest frame.
-    """
+    """A variable rate, from 30 to 24 Hz as in a telephone's video, is refused unless a rate is given."""
     times = np.cumsum(1 / np.linspace(30, 24, 120))
     with refusal(("a", "time", ["variable frame rate: 33.4 to 41.7 ms"])):
         frames_of_times(Path("a"), times, None)
@@ -166,10 +163,7 @@ def test_times_of_a_variable_rate():
     ],
 )
 def test_a_table_of_times(stamp, tmp_path):
-    """A table of times in ISO 8601 is read.
-
-    Bonsai writes it; others have only milliseconds, or seconds that repeat. `--fps` replaces the rate of rounded times.
-    """
+    """Time stamps in ISO 8601 are read with any precision, and `--fps` replaces the rate of rounded times."""
     fps = 150 if "59" not in stamp else 30
     rows = [stamp.format(2 + k / fps) + f",{k},{2 * k},0.9" for k in range(40)]
     (tmp_path / "clip.csv").write_text("\n".join(["timestamp,nose_x,nose_y,nose_likelihood", *rows]))
@@ -191,7 +185,7 @@ def test_a_table_of_times(stamp, tmp_path):
     ],
 )
 def test_times_that_cannot_be_read(column, times, found, expected, tmp_path):
-    """Times that cannot be read are refused: milliseconds without a unit, time codes, and dates of unknown format."""
+    """Milliseconds without a unit, time codes, and dates of unknown format are refused."""
     path = tmp_path / "a.csv"
     path.write_text("\n".join([f"{column},nose_x,nose_y", *(f"{time},1,2" for time in times)]))
     with refusal((path, column, [found], expected)):
@@ -200,10 +194,7 @@ def test_times_that_cannot_be_read(column, times, found, expected, tmp_path):
 
 @pytest.mark.parametrize("index", ["", "Unnamed: 0"])
 def test_an_index_of_pandas(index, tmp_path):
-    """A table with an index of pandas is read.
-
-    If pandas wrote DeepLabCut's table again, it has a column of row numbers; a wide table has the frames there.
-    """
+    """An unnamed first column is ignored in DeepLabCut's tables, and has the frames in wide tables."""
     path = tmp_path / "a.csv"
     path.write_text("\n".join([f"{index},{TABLE[0]}", *(f"{i},{row}" for i, row in enumerate(TABLE[1:]))]))
     assert read_keypoints(path).xy_px[:, 0].tolist() == [[1.5, 2.25], [5, 6]]
@@ -231,7 +222,7 @@ TABLE = ["scorer,net,net,net,net", "bodyparts,nose,nose,tail,tail", "coords,x,y,
 )
 @pytest.mark.parametrize("wide", [False, True])
 def test_a_table_that_excel_saved(saved, wide, tmp_path):
-    """A table that Excel saved is read: decimal commas, a line with the separator, empty columns, a byte order mark."""
+    """Excel writes decimal commas, a line with the separator, empty columns, and a byte order mark."""
     rows = ["frame,nose_x,nose_y,tail_x,tail_y", *TABLE[3:]] if wide else TABLE
     (tmp_path / "a.csv").write_text(saved("\n".join(rows) + "\n"), encoding="utf-8")
     found = read_keypoints(tmp_path / "a.csv")
@@ -240,7 +231,7 @@ def test_a_table_that_excel_saved(saved, wide, tmp_path):
 
 
 def test_headers_that_spreadsheets_leave(tmp_path):
-    """Headers with merged cells, and the tables of two networks side by side, are named in the message."""
+    """The message names merged cells in the header, or the two networks whose tables are side by side."""
     path = tmp_path / "a.csv"
     path.write_text("\n".join([TABLE[0], "bodyparts,nose,,tail,", *TABLE[2:]]))
     with refusal((path, "header row bodyparts", ["empty cells after 'nose'", "merged"], "unmerge")):
@@ -251,7 +242,7 @@ def test_headers_that_spreadsheets_leave(tmp_path):
 
 
 def test_a_column_that_is_repeated(tmp_path):
-    """A repeated column, as pandas leaves an index, is named if its cells are equal, and refused if they differ."""
+    """A repeated column gives a note if its cells are equal, and is refused if they differ."""
     path = tmp_path / "a.csv"
     path.write_text("frame,nose_x,nose_y,frame\n0,1,2,0\n1,3,4,1\n")
     found = read_keypoints(path)
@@ -263,10 +254,7 @@ def test_a_column_that_is_repeated(tmp_path):
 
 
 def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
-    """Blank and repeated columns of DeepLabCut's tables are left out.
-
-    A number below 1 in quotes has a decimal comma.
-    """
+    """Blank and repeated columns are left out, also if decimal commas are in quoted numbers."""
     path = tmp_path / "a.csv"
     rows = [
         ",scorer,net,,net,net",
@@ -333,8 +321,8 @@ CROPPED = "clipDLC_resnet50_runAug1shuffle1_1000"
         ({}, (0, 0)),
     ],
 )
-def test_the_crop_that_deeplabcut_states_beside_its_table(end, about, shift, tmp_path):
-    """The crop that DeepLabCut states next to its table is applied, and missing points stay (0, 0)."""
+def test_the_crop_that_deeplabcut_states_is_applied(end, about, shift, tmp_path):
+    """The crop's corner, in a file next to the table, is added to keypoints, and missing points stay missing."""
     rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9", "1,0,0,0"]
     path = tmp_path / f"{CROPPED}{end}"
     path.write_text("\n".join(rows))
@@ -345,7 +333,7 @@ def test_the_crop_that_deeplabcut_states_beside_its_table(end, about, shift, tmp
 
 
 def test_nothing_in_a_pickle_is_run(tmp_path):
-    """Nothing in a pickle of metadata is run, and a file that would run something is ignored."""
+    """A pickle of metadata that would run code is ignored."""
     rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9"]
     (tmp_path / f"{CROPPED}.csv").write_text("\n".join(rows))
     harm = tmp_path / "harm"
@@ -419,7 +407,7 @@ LOST = [
 
 
 def test_lost_markers_that_are_written_as_zeros(tmp_path):
-    """Lost markers that are written as zeros are missing, but a point that is zero throughout is an origin."""
+    """Zeros are read as missing, except for a point that is zero in all frames, which is an origin."""
     rows = ["0\t0.0\t1\t2\t3\t0\t0\t0", "1\t0.0167\t0\t0\t0\t0\t0\t0", "2\t0.0333\t0\t2\t3\t0\t0\t0"]
     (tmp_path / "a.trc").write_text("\n".join([*LOST, *rows]))
     found = read_pose3d(tmp_path / "a.trc", up="z")
@@ -429,7 +417,7 @@ def test_lost_markers_that_are_written_as_zeros(tmp_path):
 
 
 def test_another_number_for_lost_markers(tmp_path):
-    """Another number three times marks lost markers if it occurs again; a table is read as a TRC file is."""
+    """A number that occurs repeatedly in all three coordinates marks a lost marker, in tables as in TRC files."""
     rows = ["0,-9999,-9999,-9999,1,2,3", "1,1,2,4,-9999,-9999,-9999", "2,5,5,5,0,0,0"]
     (tmp_path / "a.csv").write_text("\n".join(["frame,paw_x,paw_y,paw_z,nose_x,nose_y,nose_z", *rows]))
     found = read_pose3d(tmp_path / "a.csv", unit="m", up="z")
@@ -446,7 +434,7 @@ def test_another_number_for_lost_markers(tmp_path):
     ],
 )
 def test_the_upward_axis_of_positions(up, expected, tmp_path):
-    """The up axis of positions can be stated: DeepLabCut's first camera has y down. Every choice is a rotation."""
+    """Every upward axis that can be stated gives a rotation, such as -y for DeepLabCut's first camera."""
     path = tmp_path / "a.csv"
     path.write_text("scorer,DLC_3D,DLC_3D,DLC_3D\nbodyparts,a,a,a\ncoords,x,y,z\n0,1,2,3\n")
     found = read_pose3d(path, unit="m", up=up)
@@ -461,7 +449,7 @@ def test_the_upward_axis_of_positions(up, expected, tmp_path):
 
 @pytest.mark.parametrize(("scorer", "asked"), [("DLC_3D", True), ("recon", False), (None, False)])
 def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
-    """Triangulated positions of DeepLabCut are in the unit of the board; those of recon are in metres."""
+    """DeepLabCut's triangulated positions are in the unit of the board, and recon's are in metres."""
     rows = [] if scorer is None else [f"scorer,{scorer},{scorer},{scorer}"]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([*rows, "bodyparts,nose,nose,nose", "coords,x,y,z", "0,100,200,3000"]))
@@ -477,11 +465,7 @@ BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"
 
 
 def test_tracks_of_one_animal_are_joined(tmp_path):
-    """Tracks of one animal are joined.
-
-    The message offers a broken track and a track of corrected frames together, because they never overlap in time. A
-    third animal is there all the time.
-    """
+    """The message suggests joining two tracks that never overlap in time, but not a third animal's track."""
     rows = [f"track_0,{k},{k},1,0.9,{k},2,0.8" for k in range(5)]
     rows += [f",{k},{k},1,0.9,{k},2,0.8" for k in range(5, 8)] + [f"other,{k},9,9,0.9,9,9,0.8" for k in range(8)]
     (tmp_path / "a.csv").write_text("\n".join([BROKEN, *rows]))
@@ -504,5 +488,5 @@ def test_frames_as_text(frames, text):
 
 
 @pytest.mark.parametrize("text", [[], ["a"], ["3-1"], ["1", "1"], ["5", "2"], ["1-2-3"]])
-def test_other_text_is_no_frames(text):
+def test_other_text_is_not_read_as_frames(text):
     assert frames_of_text(text) is None

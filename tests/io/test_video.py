@@ -1,4 +1,4 @@
-"""Test videos that are read and written: frame numbers, and no incomplete files."""
+"""Test the frame numbers of videos that are read, and that no incomplete video is written."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def grey(level: int) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=[".avi", ".mp4"])
 def counted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write twenty frames, whose grey level is ten times the frame number."""
+    """Write a video of twenty frames whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("video") / f"counted{request.param}"
     with video_writer(path, (64, 48), 25.0) as write:
         for number in range(20):
@@ -44,12 +44,12 @@ def test_frames_are_counted_from_zero(counted):
     assert levels(counted) == [(n, n) for n in range(20)]
 
 
-def test_a_part_of_the_frames_keeps_their_numbers(counted):
+def test_a_range_of_frames_keeps_its_frame_numbers(counted):
     assert levels(counted, 3, 15, 4) == [(3, 3), (7, 7), (11, 11)]
     assert levels(counted, 18, 30) == [(18, 18), (19, 19)]
 
 
-def test_probe_says_what_the_file_says(counted):
+def test_probe_returns_what_the_file_states(counted):
     info = probe(counted)
     assert (info.size_px, info.fps, info.stated_frames) == ((64, 48), 25.0, 20)
 
@@ -79,7 +79,7 @@ def test_pictures_of_another_size_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "found"), [("none.mp4", "no such file"), ("text.mp4", "cannot be decoded")])
-def test_what_is_no_video_is_an_input_error(tmp_path, name, found, capfd):
+def test_a_file_that_is_no_video_is_refused(tmp_path, name, found, capfd):
     (tmp_path / "text.mp4").write_text("no video")
     with refusal((tmp_path / name, "video", found, "a video")):
         probe(tmp_path / name)
@@ -97,7 +97,7 @@ def test_a_suffix_without_a_codec_is_an_input_error(tmp_path):
 
 
 def test_names_that_look_like_addresses(tmp_path, monkeypatch, counted):
-    """Names that look like addresses are read as files; ffmpeg would take the text before a colon for a protocol."""
+    """FFmpeg would take the text before a colon for a protocol."""
     monkeypatch.chdir(tmp_path)
     Path("http:").mkdir()
     for name in (f"run10:30{counted.suffix}", f"http:/run{counted.suffix}"):
@@ -130,7 +130,7 @@ def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):
     assert said.endswith(f"--frames :{at + 100}")
 
 
-def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
+def test_frames_missing_without_gaps_in_time_stamps_are_reported(tmp_path):
     video = write_damaged_video(tmp_path / "a.avi")
     times = np.array([stamp_s for _, stamp_s, _ in timed_frames(video)])
     assert missing_frames(times) == {}
@@ -180,7 +180,7 @@ def test_time_stamps(counted, times_s, missing):
         (slice(0, -12), slice(None), 150, (0, 0)),
     ],
 )
-def test_black_bars_are_even_and_beside_a_picture_that_is_lit(rows, columns, level, bars):
+def test_black_bars_are_equal_and_surround_a_bright_picture(rows, columns, level, bars):
     picture = np.full((48, 64, 3), 10, dtype=np.uint8)
     picture[rows, columns] = level
     assert (black_bars(picture, 1), black_bars(picture, 0)) == bars

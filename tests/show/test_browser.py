@@ -1,4 +1,4 @@
-"""Test pages in a browser: nothing is cut or off the screen, controls work, and all views show one frame.
+"""Test in a browser that pages are not cut, that controls work, and that all views show the same frame.
 
 The tests need Chromium and the package playwright (`apt-get install chromium`), and skip without them.
 """
@@ -38,7 +38,7 @@ from recon.show.page.compare_page import compare_page
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 PATIENCE_MS = 180_000.0
-"""Longest time that a page may take on a busy machine, ms."""
+"""Longest time in milliseconds that a page may take on a busy machine."""
 VIEWS = {"desk": (1280, "light"), "phone": (390, "light"), "night": (1280, "dark")}
 PLAYER = "document.querySelector('.player').reconPlayer"
 CUT = """() => {
@@ -108,7 +108,7 @@ def tab(chromium) -> Any:
 
 @pytest.fixture
 def messages(tab) -> Iterator[list[str]]:
-    """Return what the browser reports about the pages that a test opens."""
+    """Yield a list of the errors and warnings that the browser reports during a test."""
     texts: list[str] = []
 
     def hear(message: Any) -> None:
@@ -133,7 +133,7 @@ def show_as(page: Any, view: str) -> None:
 
 @pytest.fixture
 def opened(tab, messages) -> Iterator[Callable[..., Any]]:
-    """Open a page in a view; the browser must report nothing, and fetch nothing but the page itself."""
+    """Yield a function that opens a page; the browser must report nothing, and fetch only the page."""
     fetched: list[str] = []
 
     def hear(request: Any) -> None:
@@ -154,7 +154,7 @@ def opened(tab, messages) -> Iterator[Callable[..., Any]]:
 
 
 def level_at(page: Any, row: int) -> float:
-    """Show a row, wait for its picture, and return its brightness."""
+    """Show a row of the motion, wait for its picture, and return the picture's brightness."""
     page.evaluate(f"{PLAYER}.cursor.go({row})")
     page.wait_for_function(SHOWN.replace("PLAYER", PLAYER), arg=row)
     return page.evaluate(LEVEL.replace("PLAYER", PLAYER))
@@ -162,7 +162,7 @@ def level_at(page: Any, row: int) -> float:
 
 @pytest.fixture(scope="module")
 def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dict[str, Path]:
-    """Return pages with a video and names that are HTML, of two cameras, of a whole run, and of a rejected result."""
+    """Return pages of a clip with names that are HTML, of two cameras, of a whole run, and of a rejected result."""
     folder = tmp_path_factory.mktemp("browser")
     settings = {"camera": Path("camera.toml"), "fps": 30}
     source = small_trajectory.sources[0]
@@ -193,7 +193,7 @@ def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dic
 
 
 class Pages(dict[str, Path]):
-    """Pages by name, each of which is written when a test needs it."""
+    """Dictionary of pages by name, which writes a page when a test needs it."""
 
     def __init__(self, folder: Path, clips: Sequence[str], video: Path) -> None:
         super().__init__()
@@ -261,7 +261,7 @@ def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, 
     page.set_viewport_size({"width": 690, "height": 1000})  # A4 within its margins
     page.evaluate(DRAWN_AGAIN)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-    assert page.evaluate(CUT.replace(".scroll, .wide, ", "")) == []  # paper does not scroll
+    assert page.evaluate(CUT.replace(".scroll, .wide, ", "")) == []  # nothing scrolls on paper
 
 
 def test_every_view_shows_the_frame_of_the_cursor(pages, opened):
@@ -415,11 +415,11 @@ def test_a_comparison_marks_a_clip_everywhere_and_leads_to_its_page(pages, opene
     page = opened(path, "phone")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.evaluate(CUT) == []
-    assert page.locator(".pair").count() == 1  # Ada's, in both gaits
+    assert page.locator(".pair").count() == 1  # the clips of Ada in both gaits
     heights = page.evaluate("[...document.querySelectorAll('.dot circle')].map((dot) => +dot.getAttribute('cy'))")
-    assert heights[0] > heights[1] > heights[2]  # film, none, whole
+    assert heights[0] > heights[1] > heights[2]  # heights of film, none and whole
     page.hover("tr[data-clip=film] td")
-    assert page.locator(".near").count() == 2  # its dot and its row
+    assert page.locator(".near").count() == 2  # the clip's dot and row
     page.select_option(".filter select", "walk")
     assert page.locator(".filter output").text_content() == "2 of 3 clips"
     assert page.locator(".dot.faint").count() == 1
@@ -450,7 +450,7 @@ def test_a_page_without_scripts_has_its_pictures(pages, chromium):
 
 @pytest.mark.slow
 def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
-    """The numbers of the page are those of the result, read through the script that draws them."""
+    """The script that draws the page reads the numbers of the result."""
     page = opened(pages["whole"])
     motion = Motion.load(pages["whole"].parent)
     got = page.evaluate(f"(({{clip}}) => [clip.joint(30, 5), clip.cameras[0].error(30, 5), clip.count])({PLAYER})")
@@ -470,11 +470,11 @@ PLACED = """([position, x, y]) => {
   const [left, top] = picture.place([x, y]);
   return [box.left + left, box.top + top];
 }"""
-"""Script that selects an entry, enlarges a position of the picture, and returns where it is on the screen."""
+"""Script that selects an entry, zooms in on a pixel of the picture, and returns its position on the screen."""
 
 
 class EditorPage:
-    """The page of `recon fix` in a browser, with the corrections saved after each action."""
+    """Page of `recon fix` in a browser, which saves the corrections after each action."""
 
     def __init__(self, page: Any, session: CorrectionSession) -> None:
         self.page, self.session = page, session
@@ -483,7 +483,7 @@ class EditorPage:
         return self.page.evaluate(script.replace("EDITOR", EDITOR), argument)
 
     def click(self, position: int, point_px: tuple[float, float]) -> None:
-        """Choose an entry of the list, and click where its keypoint is, on top of others."""
+        """Choose an entry of the list, and click on a pixel of the picture."""
         x, y = self.evaluate(PLACED, [position, *point_px])
         self.page.keyboard.down("Shift")
         self.page.mouse.click(x, y)
@@ -502,7 +502,7 @@ class EditorPage:
             self.page.keyboard.press(key)
 
     def saved(self) -> dict[tuple[int, str], tuple[float, float] | None]:
-        """Wait until everything is saved, and return the content of the file."""
+        """Wait until everything is saved, and return the corrections in the file."""
         self.evaluate("() => EDITOR.saving")
         return {(row.frame, row.keypoint): row.now_px for row in read_corrections(self.session.out)}
 
@@ -529,7 +529,7 @@ def editor(
 
 @pytest.mark.parametrize("count", [8, pytest.param(30, marks=pytest.mark.slow)])
 def test_points_arrive_where_they_are_put(editor: EditorPage, count: int):
-    """Points arrive where they are put: by a click or by dragging, within half a pixel of their targets."""
+    """A click or a drag puts a point within half a pixel of its target."""
     targets = {}
     for position, item in enumerate(editor.session.state()["queue"][:count]):
         x, y = item["expected_px"]
@@ -570,8 +570,8 @@ def test_keys_accept_hide_clear_swap_and_undo(editor: EditorPage):
     assert editor.saved() == {}
 
 
-def test_labels_from_nothing(tab, messages: list[str], tmp_path: Path):
-    """Clicks label keypoints one after the other; dragging, skipping, undo and the next frame work."""
+def test_clicks_label_a_video_without_detections(tab, messages: list[str], tmp_path: Path):
+    """Clicks label one keypoint after the other, and dragging, skipping, undo and the next frame work."""
     pytest.importorskip("tables")
     video = tmp_path / "run.avi"
     with video_writer(video, (320, 240), 25.0) as write:

@@ -1,4 +1,4 @@
-"""Test configurations in the animal's own frame: positions, scales and colours of the drawing."""
+"""Test positions, scales and colours in figures of configurations in the animal's own frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TIMES = np.linspace(1.0, 2.0, 31)
 
 
 def swinging() -> np.ndarray:
-    """Return points (31, 4, 3), U, V, W in m, of a trunk and two legs, of which the left one swings forwards."""
+    """Return points (31, 4, 3) in metres in UVW of a trunk and two legs, of which the left leg swings."""
     points = np.zeros((31, 4, 3))
     points[:, 1, 0] = 0.6
     angle = np.linspace(-0.5, 0.5, 31)
@@ -30,11 +30,11 @@ def swinging() -> np.ndarray:
 
 
 def drawn_in(axes) -> list:
-    """Return the collections of lines of a panel, one for each limb."""
+    """Return the line collections in a panel, of which each is a limb."""
     return [found for found in axes.collections if isinstance(found, LineCollection)]
 
 
-def test_in_body_is_free_of_place_and_heading_and_has_the_lengths():
+def test_in_body_removes_position_and_heading_and_keeps_lengths():
     body, rng = load_skeleton("cheetah-24"), np.random.default_rng(0)
     states = np.zeros((5, body.n_state))
     states[:, 4:] = body.mean_rad + 0.2 * rng.standard_normal((5, len(body.mean_rad)))
@@ -56,7 +56,7 @@ def test_in_body_is_free_of_place_and_heading_and_has_the_lengths():
     assert (left[:, 0] < 0).all()  # U is forwards
 
 
-def test_of_a_chain_they_are_the_published_local_joints():
+def test_in_body_returns_the_published_local_joints_of_a_chain():
     chain = load_chain("cheetah-8u")
     rng = np.random.default_rng(1)
     state = np.zeros((4, chain.n_state))
@@ -91,13 +91,13 @@ def test_left_and_right_have_their_colours_full_at_the_end_and_pale_at_the_begin
         assert (np.diff(of_limb.sum(axis=1)) < 0).all()
 
 
-def test_the_animal_is_large():
-    """The animal is drawn large: ten centimetres or more of a page, from the side."""
+def test_the_animal_is_drawn_large():
+    """The animal is at least ten centimetres long on a page in the side view."""
     side = plots.body_fixed(swinging(), LIMBS, TIMES, SIDES).axes[0]
     assert side.get_window_extent().width / side.figure.dpi * 25.4 > 100
 
 
-def test_without_a_pose_there_is_nothing():
+def test_without_a_pose_nothing_is_drawn():
     figure = plots.body_fixed(np.full((5, 4, 3), np.nan), LIMBS, TIMES[:5], SIDES)
     texts = [text.get_text() for artist in (figure, *figure.axes) for text in artist.texts]
     assert "no data" in texts
@@ -112,7 +112,7 @@ def test_without_a_pose_there_is_nothing():
     ],
 )
 def test_no_pose_is_cut_wherever_the_animal_goes(small_trajectory, drift_m):
-    """No pose is cut, even if the animal climbs or runs off to the side, as in unusable clips."""
+    """Poses are not cut even if the animal climbs or runs off to the side, as in unusable clips."""
     joints_m = small_trajectory.upright.xyz_m + np.linspace(0, 1, 8)[:, None, None] * np.array(drift_m)
     figure = composites(joints_m, small_trajectory.limbs, small_trajectory.time_s)
     figure.draw_without_rendering()

@@ -18,7 +18,7 @@ from recon.show.tables import write_tables
 
 
 def within(decimals: int) -> dict[str, float]:
-    """Return the tolerances of numbers with these decimals."""
+    """Return the tolerances with which numbers rounded to `decimals` are compared."""
     return {"rtol": 0, "atol": 0.51 * 10.0**-decimals}
 
 
@@ -27,7 +27,7 @@ METRES = within(5)
 
 
 def test_last_digits_that_differ_between_processors_are_not_written(small_motion, tmp_path):
-    """Last digits that differ between processors are not written, zeros have no sign, and numbers are short."""
+    """Numbers are rounded so that processors agree, zeros have no sign, and numbers are short."""
     states = np.array(small_motion.states)
     states[0, :3] = -1e-13, 0.1 + 1e-14, -2.5
     for name, shift in (("one.csv", 0.0), ("other.csv", 3e-14)):
@@ -131,7 +131,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
     assert table.shape == (T, 2 * A)
 
 
-def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
+def test_quality_has_the_flags_of_each_frame(small_trajectory, tmp_path):
     tables.quality(small_trajectory, tmp_path / "quality.csv")
     table = read_csv(tmp_path / "quality.csv", index_col="frame")
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "", "data poor;ambiguous depth", "", ""]
@@ -158,7 +158,7 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
 
 
 @pytest.mark.parametrize("motion", ["small_motion", "small_trajectory"])
-def test_every_writer_writes(motion, tmp_path, request):
+def test_every_table_is_written(motion, tmp_path, request):
     write_tables(request.getfixturevalue(motion), tmp_path)
     outputs = [*tables.CLIP_OUTPUTS, tables.REPROJECTION]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)

@@ -1,4 +1,4 @@
-"""Test `recon figure`: sizes, letters and fonts of figures for a paper, and their captions."""
+"""Test the sizes, letters, fonts and captions of the figures for papers that `recon figure` draws."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_a_comparison_has_all_its_text(scale):
 
 
 def test_figures_are_drawn_and_saved_by_the_style_alone():
-    """Figures are drawn and saved by the style alone, because other code would draw ticks of another size."""
+    """Only `recon.show.plots.style` draws and saves figures, so that all have ticks of the same size."""
     strangers = []
     for path in sorted((ROOT / "recon").rglob("*.py")):
         if path.name == "style.py" and path.parent.name == "plots":

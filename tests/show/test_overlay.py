@@ -1,4 +1,4 @@
-"""Test the overlay: positions, colours and frames of the drawing, and results and videos that do not match."""
+"""Test positions, colours and frames of overlays, and results and videos that do not match."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def overlay(folder) -> Overlay:
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory) -> Path:
-    """Write twelve frames of 1920x1080, whose grey level is ten times the frame number."""
+    """Write a video of twelve frames of 1920x1080 whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("video") / "clip.avi"
     with video_writer(path, SIZE, 30.0) as write:
         for number in range(12):
@@ -95,7 +95,7 @@ def test_folder_holds_what_is_drawn(overlay, small_trajectory):
 
 
 def test_small_videos_are_enlarged(folder):
-    """Small videos are drawn twice as large: the centre of pixel 10 is between the new pixels 20 and 21."""
+    """Small videos are drawn at twice their size, where the centre of pixel 10 is between pixels 20 and 21."""
     small, large = (overlay_of(Motion.load(folder), zoom=zoom) for zoom in (1, 2))
     np.testing.assert_allclose(large.reprojected_px, 2 * small.reprojected_px + 0.5)
     np.testing.assert_allclose(large.detected_px, 2 * small.detected_px + 0.5)
@@ -111,8 +111,8 @@ def test_near_and_far_are_along_the_camera_axis(fixture, request, tmp_path):
     np.testing.assert_allclose(overlay.nearness, np.clip(-relative / scale, -1, 1), atol=1e-6)
 
 
-def test_limbs_and_marks_are_where_and_in_the_colour_they_should_be(overlay):
-    t = 4  # with an outlier
+def test_limbs_and_marks_have_their_positions_and_colours(overlay):
+    t = 4  # a frame with an outlier
     overlay = replace(overlay, detected_px=np.where(overlay.outliers[..., None], overlay.detected_px, np.nan))
     image = draw_frame(overlay, t, 14, GREY)
     on_top = max(  # the nearest part of a leg, over which nothing is drawn
@@ -158,14 +158,14 @@ def test_near_is_lighter_than_far():
 
 
 def test_views_turn_with_the_animal(overlay):
-    """The views turn with the animal, so that a turn about the vertical changes none of them."""
+    """A rotation of the animal about the vertical does not change the views."""
     turned = replace(overlay, upright_m=overlay.upright_m @ Rotation.from_rotvec([0, 0, 2.1]).as_matrix().T + [5, 6, 7])
     for name, points in overlay.views.items():
         np.testing.assert_allclose(turned.views[name], points, atol=1e-9)
 
 
 def test_views_are_the_side_the_top_and_the_front(overlay, small_trajectory):
-    """The views are from the side, the top and the front, for an animal that runs to the right."""
+    """The three views show an animal that runs to the right."""
     at = small_trajectory.names.index
     nose, left, right, tail = (at(n) for n in ("nose", "l_front_paw", "r_front_paw", "tail_base"))
     side, above, ahead = (overlay.views[name][0] for name in ("side", "from above", "from ahead"))
@@ -199,7 +199,7 @@ def test_headings_are_averaged_and_reach_into_gaps():
 
 
 def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_path):
-    """Every frame is drawn on its own picture: frames 10 to 17 are pictures 3 to 10 of a video from frame 7 on."""
+    """Frames 10 to 17 are drawn on pictures 3 to 10 of a video that begins at frame 7."""
     out = tmp_path / "o.avi"
     data = draw(OverlaySettings(folder=folder, video=video, out=out, first_frame=7, speed=0.5)).data
     assert data == {"out": out, "frames": 8, "fps": 15.0, "speed": 0.5, "notes": []}
@@ -210,8 +210,8 @@ def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_
     assert {path.name for path in tmp_path.iterdir()} == {"o.avi", RECORD}
 
 
-def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
-    """A video of a varying rate is reported: every other frame is 15 ms late."""
+def test_a_video_of_a_varying_rate_is_reported(folder, tmp_path):
+    """A video in which every other frame is 15 ms late is reported."""
     video, late = tmp_path / "film.mkv", count()
     writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIZE)
     for _ in range(8):
@@ -219,7 +219,7 @@ def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
     writer.release()
 
     def moved(found: re.Match[bytes]) -> bytes:
-        """Move a block of Matroska in time: its whole milliseconds are before its flags and its JPEG picture."""
+        """Return a Matroska block with another time, which is in whole milliseconds before its flags and picture."""
         return found[1] + (int.from_bytes(found[2], "big") + 15 * (next(late) % 2)).to_bytes(2, "big") + found[3]
 
     content, blocks = re.subn(rb"(?s)(\xa3.{1,8}?\x81)(..)(\x80\xff\xd8)", moved, video.read_bytes())
@@ -230,13 +230,13 @@ def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
     assert says(note, "film.mkv", "uneven", "(18 to 49 ms apart)")
 
 
-def test_a_video_that_is_too_short_is_said_so(folder, video, tmp_path):
+def test_a_video_that_is_too_short_is_refused(folder, video, tmp_path):
     with refusal((video, "video", "12 frames", ["18 or more", "frames 10 to 17", "--first-frame 10"])):
         draw(OverlaySettings(folder=folder, video=video, out=tmp_path / "o.mp4"))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
+def test_all_mismatches_with_the_video_are_reported(folder, tmp_path):
     small = tmp_path / "small.avi"
     with video_writer(small, (64, 48), 30.0) as write:
         write(np.zeros((48, 64, 3), np.uint8))
@@ -268,12 +268,12 @@ def test_every_still_has_its_animal(folder):
     assert len(tiles) == 8
     for tile in tiles:
         points = np.argwhere((tile[60:-2, 2:-2].astype(int).max(axis=2) - np.max(PAPER)) > 60)
-        assert np.ptp(points[:, 1]) > 0.7 * TILE_PX[0]  # large
+        assert np.ptp(points[:, 1]) > 0.7 * TILE_PX[0]  # the animal fills most of the tile
         assert abs(points[:, 1].mean() - TILE_PX[0] / 2) < 0.15 * TILE_PX[0]
 
 
-def test_rings_are_where_the_joints_were_seen(overlay):
-    """Rings are drawn at the detections: on the skeleton, if joints are exactly at their detections."""
+def test_rings_are_drawn_at_the_detections(overlay):
+    """Rings are on the skeleton if joints are exactly at their detections."""
     (picture,) = draw_tiles(overlay, [0])
     xy = overlay.reprojected_px[0]
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)
@@ -301,7 +301,7 @@ def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
 ):
     """A camera that began at another time has its own frame numbers.
 
-    It began 3 frames earlier than the first camera, or 6 frames later, without pictures of the clip's first two frames.
+    The camera began 3 frames earlier than the first camera, or 6 frames later, after the clip's first two frames.
     """
     with_first(Motion.load(folder), offset_s=offset_s).save(tmp_path / "result")
     told = PageSettings(folder=tmp_path / "result", video=video, first_frame=given)
@@ -332,7 +332,7 @@ def test_each_camera_has_its_picture(filmed_twice, two_cameras, number):
     np.testing.assert_allclose(overlay.nearness, np.clip(-relative / scale, -1, 1), atol=1e-6)
 
 
-def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filmed_twice):
+def test_a_finding_on_one_camera_flags_no_frames_of_another(filmed_twice):
     result = Motion.load(filmed_twice)
     flags = [["gross outliers"] * (t < 3) + ["data poor"] * (t == 2) for t in range(8)]
     wrong = Finding("gross_outliers", "warning", (10, 13), "cam2")
@@ -362,14 +362,14 @@ def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, 
         draw(OverlaySettings(folder=folder, video=video, out=tmp_path / "p.avi", first_frame=7, camera_name="cam2"))
 
 
-def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):
-    """A small animal is shown enlarged in an empty corner of the picture, with its frame."""
+def test_a_small_animal_is_shown_enlarged_in_an_empty_corner(overlay):
+    """The close-up is in a corner through which the animal does not run."""
     t = int(np.flatnonzero(np.isfinite(overlay.reprojected_px[:, 0, 0]))[0])
     middle, extent = np.mean(overlay.reprojected_px[t], axis=0), np.ptp(overlay.reprojected_px[t], axis=0)
     wide, high = round(CLOSE_UP * 1920), round(CLOSE_UP * 1080)
 
     def close_ups(scale: float, to: tuple[float, float]) -> list[bool]:
-        """Return which corners (below right, below left, above right) have a close-up, by its upper edge."""
+        """Return whether the corners below right, below left and above right have the upper edge of a close-up."""
         points = {
             name: np.array(to) + scale * (getattr(overlay, name) - middle) for name in ("reprojected_px", "detected_px")
         }
@@ -401,7 +401,7 @@ def test_a_video_of_another_rate_or_that_goes_on_is_named(small_trajectory):
     assert rate_note(film, None) is None
     assert says(rate_note(film, stated * 2), "unless the video is slowed down")
     settings = PageSettings(folder=Path("run"), video=film)
-    said = first_frame_note(small_trajectory, settings)  # its frames are 10 to 17
+    said = first_frame_note(small_trajectory, settings)  # the frames of the clip are 10 to 17
     assert says(said, f"has {probe(film).stated_frames} frames", "ends with frame 17", "--first-frame 10")
     chosen = replace(small_trajectory, settings={"frames": "10:18"})
     cut = replace(settings, first_frame=10)

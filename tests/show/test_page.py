@@ -1,4 +1,4 @@
-"""Test `recon report`: one file that fetches nothing, with any names in it."""
+"""Test that `recon report` makes single files that fetch nothing and in which names are text."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ GENERATED = '<meta name="generator" content="recon">'
 
 
 class Page(HTMLParser):
-    """A page as a browser would parse it."""
+    """Page parsed as a browser would parse it."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ def require_self_contained(page: Page, folder: Path, scripts: int = 0) -> None:
 
 @pytest.fixture(scope="module")
 def folder(small_trajectory, tmp_path_factory) -> Path:
-    """Return the results of a keypoint file with a name that is HTML."""
+    """Return a folder of results whose keypoint file has a name that is HTML."""
     path = tmp_path_factory.mktemp("page") / "a & <b>"
     source = small_trajectory.sources[0]
     motion = with_first(small_trajectory, keypoints=replace(source.keypoints, source=f"/tmp/{EVIL}"))
@@ -117,7 +117,7 @@ def test_marks_of_direction_are_shown_as_codes():
     assert _without_unseen("Jürgen: 3\u00a0m") == "Jürgen: 3\u00a0m"
 
 
-def test_a_page_says_what_the_report_says(page, folder):
+def test_a_page_states_the_numbers_of_the_report(page, folder):
     results = Motion.load(folder)
     report = build_report(results)
     for text in (
@@ -143,7 +143,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "Flagged frames",
         "Keypoints",
     ]
-    # A picture comes before the text.
+    # a picture comes before the text
     assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}, with the fitted pose" for frame in range(10, 18)}
@@ -200,7 +200,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, tmp_path):
+def test_a_page_names_the_camera_of_its_pictures(two_cameras, tmp_path):
     files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
     write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
     for camera, name in ((None, "cam1"), ("cam2", "cam2")):
@@ -209,7 +209,7 @@ def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, t
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
+def test_a_page_does_not_replace_other_files(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
@@ -230,7 +230,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_page_of_frames_that_are_too_few_for_a_speed(small_motion, tmp_path):
+def test_a_page_of_too_few_frames_for_a_speed(small_motion, tmp_path):
     joints_m = small_motion.solution.joints_m.copy()
     joints_m[0] = np.nan
     motion = replace(small_motion, solution=replace(small_motion.solution, joints_m=joints_m))
@@ -259,7 +259,7 @@ def test_a_page_without_any_pose(small_trajectory, tmp_path):
     assert not page.attributes("img", "src")
 
 
-def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels():
+def test_figures_are_embedded_as_vectors_unless_these_are_large():
     with drawing(30, 60) as figure:
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1])
@@ -277,7 +277,7 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
 
 @pytest.fixture(scope="module")
 def batch(folder, tmp_path_factory) -> Path:
-    """Return the folder of a batch of five clips: to be used, doubtful, not to be used, failed and unsolved."""
+    """Return the folder of a batch of five clips, of which three have verdicts, one failed, and one is unsolved."""
     out = tmp_path_factory.mktemp("batch")
     names = {"good": "done", EVIL: "done", "gone": "done earlier", "bad": "failed", "dark": "unsolved"}
     verdicts = {"good": "use", EVIL: "check", "gone": "do not use"}
@@ -305,7 +305,7 @@ def batch(folder, tmp_path_factory) -> Path:
     return out
 
 
-def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
+def test_the_table_of_a_batch_begins_with_clips_to_check(batch):
     page = Page(write_summary_page(batch))
     require_self_contained(page, batch, scripts=1)
     rows = [
@@ -326,12 +326,12 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     assert rows[-1].count("<div>23</div>") == 1
     assert "a.csv: <b>no</b>" in page.text
     assert "/home" not in page.html
-    assert "7.8" not in page.text  # 7.8 is the mean, which one far keypoint makes large
+    assert "7.8" not in page.text  # 7.8 is the mean, which one distant keypoint makes large
     assert [row.count("<div>0.0</div>") for row in rows] == [0, 0, 0, 1, 1]
     assert [row.count("<polyline") for row in rows] == [0, 0, 0, 8, 8]
 
 
-def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folder):
+def test_a_thumbnail_shows_the_middle_pose_from_the_camera(batch, folder):
     (row,) = (row for row in Page(write_summary_page(batch)).html.split("<tr data-") if ">good<" in row)
     places = [float(v) for points in re.findall(r'points="(.*?)"', row) for v in re.split("[ ,]", points)]
     x, y = np.array(places[::2]), np.array(places[1::2])
@@ -344,8 +344,8 @@ def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folde
     assert np.ptp(x) == pytest.approx(0.9 * 96, abs=1)
 
 
-def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch, in_process):
-    """Pages of a batch are made independently: what is no longer a result is reported, and the others are made."""
+def test_pages_of_a_batch_are_made_independently(batch, monkeypatch, in_process):
+    """A result that is damaged is reported, and the pages of all others are made."""
     pages = []
 
     monkeypatch.setattr("recon.cli.look.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)

@@ -1,4 +1,4 @@
-"""Test the player of a page: its data are the motion's, its pictures fit into the page, its scripts are whole."""
+"""Test the data, the pictures and the scripts of a page's player."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MODULES = sorted(path.stem for path in (FOLDER / "player").glob("*.js"))
 
 
 def unpacked(packed: dict[str, Any]) -> np.ndarray:
-    """Unpack data as `data.js` does."""
+    """Return the numbers in packed data, as `data.js` unpacks them."""
     kinds = {"i2": ("<i2", -32768), "u1": ("u1", 255), "i4": ("<i4", None)}
     kind, nothing = kinds[packed["type"]]
     units = np.frombuffer(base64.b64decode(packed["data"]), kind)
@@ -35,7 +35,7 @@ def unpacked(packed: dict[str, Any]) -> np.ndarray:
 # Data
 
 
-def test_the_poses_in_the_page_are_the_motions(small_trajectory):
+def test_a_page_has_the_poses_of_the_motion(small_trajectory):
     data = player_data.player_data(small_trajectory, None)
     joints_m = unpacked(data["scene"]["joints_m"]).reshape(8, 24, 3)
     np.testing.assert_allclose(joints_m, small_trajectory.upright.xyz_m, atol=1e-4)
@@ -50,7 +50,7 @@ def test_the_poses_in_the_page_are_the_motions(small_trajectory):
     assert data["flags"] == [[3, 4, "no data"], [5, 6, "data poor, ambiguous depth"]]
 
 
-def test_the_cameras_detections_errors_and_places_are_in_the_page(two_cameras):
+def test_a_page_has_detections_errors_and_positions_of_the_cameras(two_cameras):
     data = player_data.player_data(two_cameras, None, 1)
     assert data["chosen"] == 1
     for camera, place, picture in zip(data["cameras"], data["scene"]["cameras"], two_cameras.pictures, strict=True):
@@ -67,7 +67,7 @@ def test_the_cameras_detections_errors_and_places_are_in_the_page(two_cameras):
     np.testing.assert_allclose(data["scene"]["cameras"][1]["poses"][9:], [10, -8, 2.5], atol=1e-6)
 
 
-def test_a_keypoint_says_what_is_wrong_with_it_and_what_the_fit_made_of_it(small_trajectory):
+def test_a_keypoints_note_states_its_errors_and_their_treatment(small_trajectory):
     picture = small_trajectory.pictures[0]
     stuck_px, nose = np.array(picture.source.keypoints.xy_px), small_trajectory.names.index("nose")
     stuck_px[[0, 1, 2, 5, 6, 7], nose] = (4.0, 1000.0)
@@ -91,7 +91,7 @@ def test_cameras_that_would_make_a_page_too_large_are_left_out(two_cameras, monk
     assert second["detected_px"] is not None
 
 
-def test_curves_and_stances_are_those_of_the_analysis(whole_analysis):
+def test_a_page_has_the_curves_and_stances_of_the_analysis(whole_analysis):
     analysis = whole_analysis
     data = player_data.player_data(analysis.motion, analysis)
     speed = next(panel for panel in data["curves"] if panel["group"] == "speed")
@@ -134,10 +134,7 @@ def test_a_finding_names_its_keypoints_and_camera(small_trajectory):
 
 
 def test_the_page_and_the_numbers_name_the_same_worst_keypoint(two_cameras):
-    """The page and the numbers name the same worst keypoint.
-
-    It has the largest median in any camera, not only in the first; detections far off in a few frames do not count.
-    """
+    """The worst keypoint has the largest median distance in any camera, whatever its few largest distances are."""
     joint, few = (two_cameras.names.index(name) for name in ("l_shoulder", "nose"))
     sources = [replace(source, keypoints=replace(source.keypoints)) for source in two_cameras.sources]
     for v, rows, column, off_px in ((0, slice(0, 2), few, 900.0), (1, slice(None), joint, 40.0)):
@@ -156,7 +153,7 @@ def test_the_page_and_the_numbers_name_the_same_worst_keypoint(two_cameras):
     assert line.endswith("; worst keypoint l_shoulder in cam2, 40.0 px median")
 
 
-def test_the_worst_keypoint_comes_first_with_where_it_is_stuck(small_trajectory):
+def test_the_worst_keypoint_comes_first_with_its_stuck_position(small_trajectory):
     source = small_trajectory.sources[0]
     xy_px, joint = source.keypoints.xy_px.copy(), small_trajectory.names.index("l_shoulder")
     xy_px[[0, 1, 2, 4, 5, 6], joint] = [4.0, 1052.0]

@@ -1,4 +1,4 @@
-"""Test that figures show the given values in the right units, and that everything can be read."""
+"""Test that figures show the given values in the right units, and that all texts can be read."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def _without_pyplot(monkeypatch):
 
 @pytest.fixture
 def laid_out() -> None:
-    """Lay figures out, for tests of the positions on the page."""
+    """Mark a test that needs the positions of texts, for which figures have to be laid out."""
 
 
 @pytest.fixture(autouse=True)
 def _laid_out_where_looked_at(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the layout unless a test looks at it, because it takes half of a figure's time."""
+    """Skip the layout of figures unless a test needs it, because it takes half of a figure's time."""
     if "laid_out" not in request.fixturenames:
         leave_out_layout(monkeypatch)
 
@@ -61,7 +61,7 @@ def times(T):
 
 
 def running(T=31, heading=2.0, speed_m_s=8.0):
-    """Return an animal of four joints (T, 4, 3), m, that glides along a heading (rad) without turning."""
+    """Return four joints (T, 4, 3) in metres of an animal that glides along a heading in rad."""
     animal = np.array([[0.0, 0.0, 0.7], [0.6, 0.0, 0.7], [-0.1, 0.1, 0.1], [0.1, -0.1, 0.1]])
     along = animal + speed_m_s * (times(T) - 1.0)[:, None, None] * [1.0, 0.0, 0.0]
     c, s = np.cos(heading), np.sin(heading)
@@ -69,13 +69,13 @@ def running(T=31, heading=2.0, speed_m_s=8.0):
 
 
 def path(T=21):
-    """Return the path of a point along a parabola of an axis, with a speed of t m/s at `times`."""
+    """Return a path along an axis with a speed of t m/s at time t."""
     t = times(T)
     return np.stack([t**2 / 2, np.zeros(T), np.zeros(T)], axis=1)
 
 
 def swinging(T=31):
-    """Return a chain of three links (T, 4, 3), m, in the plane of x and z, of which only the second swings."""
+    """Return the joints (T, 4, 3) in metres of three links in the x-z plane, of which only the second swings."""
     angle = 0.5 * np.sin(2 * np.pi * 2 * times(T))
     joints = np.zeros((T, 4, 3))
     joints[:, 1, 0] = 1.0
@@ -90,7 +90,7 @@ def still_tracks(T=41):
 
 
 def gaits():
-    """Return gaits by hand: `ground` has a complete stride and a stance cut by the clip's end, `body` one stance."""
+    """Return two gaits: `ground` has a complete stride and a stance cut by the clip's end, `body` has one stance."""
     found = gait(still_tracks())
     first = (
         Stance("LH", 1.1, 1.2, 5.0, 10.0),
@@ -120,7 +120,7 @@ def texts(figure):
 
 
 def thick_lines(axes, least=0.85):
-    """Return the lines of at least this width, without the markers."""
+    """Return the lines that are at least `least` points wide."""
     return [line for line in axes.get_lines() if line.get_linewidth() >= least and line.get_linestyle() != "None"]
 
 
@@ -163,7 +163,7 @@ def figures():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("laid_out")
-def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypatch):
+def test_nothing_is_off_the_page_and_no_texts_overlap(figures, monkeypatch):
     draw, drawn = mpl.text.Text.draw, []
     monkeypatch.setattr(mpl.text.Text, "draw", lambda text, *options: (drawn.append(text), draw(text, *options)))
     problems = []
@@ -227,7 +227,7 @@ def test_lines_differ_in_more_than_colour():
 # Nothing to draw
 
 
-def test_nothing_known_is_said():
+def test_figures_without_data_say_so():
     t, nan = times(31), np.full((31, 4, 3), np.nan)
     nothing = point_kinematics(t, nan[:, 0])
     unknown = Portrait(t, nan[:, 0, 0], nan[:, 0, 0])
@@ -258,7 +258,7 @@ def test_composites_turn_the_run_to_the_right(heading):
     at = [0, 3, 7, 10, 13, 17, 20, 23, 27, 30]
     for axes in (side, top, front):
         assert len(thick_lines(axes)) == 10 * 3
-    # Positions are relative to the mean of the first configuration, which is 0.15 m ahead of joint 0.
+    # positions are relative to the mean of the first configuration, which is 0.15 m ahead of joint 0
     rear = 8.0 * (t[at] - 1.0) - 0.15
     trunk, left, right = (thick_lines(side)[k::3] for k in range(3))
     np.testing.assert_allclose([line.get_xdata() for line in trunk], rear[:, None] + [0.0, 0.6], atol=1e-9)
@@ -317,7 +317,7 @@ def test_composites_ground():
     assert max(one.get_xdata()) < min(other.get_xdata())
 
 
-def test_composites_choose_among_the_known():
+def test_composites_choose_among_the_known_poses():
     joints = running()
     joints[5:] = np.nan
     joints[2, 1:] = np.nan
@@ -376,7 +376,7 @@ def test_arrows_are_velocities_to_one_scale():
         (line,) = right.get_lines()
         np.testing.assert_array_equal(line.get_xydata(), np.column_stack([t, field.speed_m_s]))
     assert len(scales) == 1
-    # The second link keeps its angle to the first, so it has no arrows, but a mean.
+    # the second link keeps its angle to the first, so it has no arrows, but a mean speed
     assert f"mean {fields[0].speed_m_s.mean():.2f} m/s" in texts(figure)
     assert "mean 0.00 m/s" in texts(figure)
     (key,) = figure.findobj(mpl.quiver.QuiverKey)
@@ -426,7 +426,7 @@ def test_portraits_in_degrees():
     assert figure.axes[-1].get_ylabel() == "time (s)"
 
 
-def test_portraits_that_say_something_move_more_than_their_uncertainty_and_are_seen():
+def test_clearest_portraits_move_more_than_their_uncertainty():
     t, errors = times(31), [Errors(np.full(31, np.radians(2.0)), 0.05)]
     ranges = {"still": 0.01, "knee": 0.5, "hidden": 0.9, "hip": 0.4, "tail": 0.2}
     portraits = {name: phase_portrait(angle_kinematics(t, x * np.sin(9 * t), errors)) for name, x in ranges.items()}
@@ -435,7 +435,7 @@ def test_portraits_that_say_something_move_more_than_their_uncertainty_and_are_s
     assert [*plots.clearest_portraits(portraits, dict.fromkeys(ranges, 0.1), 2)] == ["knee", "hidden"]
 
 
-def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
+def test_portraits_have_bands_and_are_grey_if_the_pixels_say_little():
     t = times(31)
     errors = [Errors(np.full(31, np.radians(2.0)), 0.05)]
     portrait = phase_portrait(angle_kinematics(t, 0.5 * np.sin(9 * t), errors))
@@ -444,7 +444,7 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
         {"knee": portrait, "hip": portrait}, {"knee": Closure(91.4, 88, 12.3, 9)}, "", shares
     )
     first, second = figure.axes[:2]
-    assert first.get_title() == "knee\n80 % from pixels\n91±20 / 88±14 %"  # 90 %
+    assert first.get_title() == "knee\n80 % from pixels\n91±20 / 88±14 %"  # bands of 90 %
     assert second.get_title() == "hip\n20 % from pixels"
     (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
     assert len({*map(tuple, lines.get_edgecolors())}) == 1
@@ -454,12 +454,12 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
     middles = np.mean([ellipses.min(axis=1), ellipses.max(axis=1)], axis=0)
     path = np.degrees(np.column_stack([portrait.angle_rad, portrait.rate_rad_s]))
     near = np.abs(middles[:, None] - path) / (np.ptp(ellipses, axis=1)[:, None] / 2)
-    assert near.max(axis=2).min(axis=1) == pytest.approx(0, abs=1e-9)  # on the path
-    assert near.max(axis=2).min(axis=0).max() < 0.3  # and all along it
+    assert near.max(axis=2).min(axis=1) == pytest.approx(0, abs=1e-9)  # every ellipse is on the path
+    assert near.max(axis=2).min(axis=0).max() < 0.3  # the ellipses cover the whole path
     assert "less than 50 %" in figure.get_supxlabel()
 
 
-def test_speeds_of_links_with_their_deviations():
+def test_speeds_of_links_have_standard_deviations():
     t = times(20)
     (first, *_) = vector_field(t, swinging(20), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (20, 1)))
     field = replace(first, speed_sigma_m_s=np.full(20, 0.25))
@@ -468,7 +468,7 @@ def test_speeds_of_links_with_their_deviations():
     assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(first.speed_m_s.max() + radius(INTERVAL) * 0.25)
 
 
-def test_a_link_is_grey_where_it_is_not_seen():
+def test_a_link_slower_than_its_uncertainty_is_grey():
     t = times(20)
     (first, *_) = vector_field(t, swinging(20), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (20, 1)))
     slow = replace(first, velocity_m_s=first.velocity_m_s / 40, speed_m_s=first.speed_m_s / 40)
@@ -500,7 +500,7 @@ def test_observability_over_time():
     assert [text.get_text() for text in nothing.texts][-1] == "no data"
 
 
-def test_an_angle_that_is_held_is_shown_as_still():
+def test_a_constant_angle_is_drawn_as_constant():
     t = times(31)
     held = phase_portrait(angle_kinematics(t, 0.5 + 1e-7 * np.sin(9 * t)))
     axes = plots.phase_portraits({"held": held}).axes[0]
@@ -523,7 +523,7 @@ def test_portraits_fit_on_a_page(figures):
 
 
 @pytest.mark.usefixtures("laid_out")
-def test_bars_stand_where_feet_do():
+def test_bars_show_when_feet_stand():
     figure = plots.footfall(gaits(), FPS)
     (axes,) = figure.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["LH", "RH", "RF", "LF"]
@@ -624,7 +624,7 @@ def test_joint_angles_in_degrees():
         assert axes.get_xlabel() == "iteration"
 
 
-def test_names_are_no_formulas(tmp_path):
+def test_names_are_not_drawn_as_formulas(tmp_path):
     with style.drawing(40) as figure:
         figure.subplots().set_title("$t_{$")
     _, svg = style.save(figure, tmp_path, "name")

@@ -1,4 +1,4 @@
-"""Test the report: it is complete and plain JSON, and its counts are right."""
+"""Test that the report is plain JSON and complete, and that its counts are right."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs" / "report.md"
 
 
 def build_report(motion, settings=None, timing_s=None):
-    """Return the report of a motion with its present findings."""
+    """Return the report of a motion, with the findings recomputed."""
     motion = replace(motion, settings=settings or {}, timing_s=timing_s or {})
     return reports.build_report(replace(motion, findings=findings_of(motion)))
 
@@ -43,7 +43,7 @@ def codes(report):
 
 
 def numbers(report, code):
-    """Return the numbers of the finding with this code."""
+    """Return the numbers of a report's finding with a code."""
     (found,) = (one["numbers"] for one in report["findings"] if one["code"] == code)
     return found
 
@@ -63,7 +63,7 @@ def with_solution(motion, **changes):
 
 
 def with_states(motion, states, reports=None):
-    """Return a motion of the frame method with other states of the chain."""
+    """Return a motion of the frame method whose chain has other states."""
     was = motion.solution
     covariance = np.tile(np.eye(states.shape[1]), (len(states), 1, 1))
     told = {name: getattr(was, name) for name in ("travel", "objectives", "fps")} | {"reports": reports or was.reports}
@@ -81,7 +81,7 @@ def test_is_plain_json_that_reads_back(method, request, tmp_path):
     assert report["schema"] == {"name": "recon.fit.report", "version": SCHEMA_VERSION}
 
 
-def test_text_with_brackets_and_lists_stays_as_it_is(tmp_path):
+def test_text_with_brackets_and_lists_is_unchanged(tmp_path):
     report = {"a": "x [ y\nz ] [", "b": [1.5, None], "c": ["[ \\n ]", 'q"']}
     write_report(report, tmp_path / "report.json")
     text = (tmp_path / "report.json").read_text(encoding="utf-8")
@@ -113,7 +113,7 @@ def test_summary_adds_up(report, small_motion):
     assert summary["reprojection_px"]["worst_joint"] == "neck_base"
 
 
-def test_a_frame_that_ran_away_says_so_and_has_no_part_in_the_medians(small_motion):
+def test_a_diverged_frame_is_flagged_and_not_in_the_medians(small_motion):
     states, reports = small_motion.solution.chain_states.copy(), list(small_motion.solution.reports)
     states[2] = np.nan
     reports[2] = replace(reports[2], status="not_converged", in_view=False)
@@ -153,14 +153,14 @@ def test_a_keypoint_that_the_file_lacks(small_motion):
     assert report["missing_keypoints"] == ["spine"]
 
 
-def test_scale_is_not_called_measured(report):
+def test_the_scale_is_not_reported_as_measured(report):
     base = report["assumptions"]["base_length"]
     assert (base["nominal_m"], base["sigma_m"], base["measured"]) == (0.203, 0.02, False)
     assert base["data_share"] < 0.01
     assert report["assumptions"]["camera_level"] is True
 
 
-def test_prior_of_the_base_length_as_given(small_motion):
+def test_the_report_has_the_given_prior_of_the_base_length(small_motion):
     base = build_report(small_motion, {"base_length_m": 0.175, "base_sigma_m": 0.001})["assumptions"]["base_length"]
     assert (base["nominal_m"], base["sigma_m"]) == (0.175, 0.001)
 
@@ -212,7 +212,7 @@ def test_smoothed_root_path(small_motion):
     assert path["smoothed"].keys() == path["exact"].keys()
 
 
-def test_nothing_solved(small_motion):
+def test_a_report_without_any_pose(small_motion):
     states = np.full_like(small_motion.solution.chain_states, np.nan)
     report = build_report(with_states(small_motion, states, (None,) * 6), {})
     json.dumps(report, allow_nan=False)
@@ -221,8 +221,8 @@ def test_nothing_solved(small_motion):
     assert dict(summary_lines(report))["heading"]
 
 
-def test_what_was_decided_about_a_file_is_in_the_summary(small_motion):
-    """Assumptions made when a file was read are in the summary once, such as a missing header row."""
+def test_assumptions_about_a_file_are_in_the_summary(small_motion):
+    """A note on a file, such as a missing header row, is in the summary once."""
     cleaning = replace(small_motion.cleaning, notes=("The header's first row is missing.",))
     lines = summary_lines(build_report(with_first(small_motion, cleaning=cleaning), {}))
     assert [value for label, value in lines if label == "note"] == ["The header's first row is missing."]
@@ -244,7 +244,7 @@ def test_console_summary(report):
 
 
 def test_frames_of_a_trajectory(small_trajectory, two_cameras):
-    """The frames of a trajectory are in quality.csv and in the motion, not in the report."""
+    """Flags, detections, weights and uncertainty of each frame are in the motion, not in the report."""
     motion = small_trajectory
     assert motion.frames.tolist() == list(range(10, 18))
     assert motion.flags == ((), (), (), ("no data",), (), ("data poor", "ambiguous depth"), (), ())
@@ -283,7 +283,7 @@ def test_keypoints_of_a_trajectory(trajectory, small_trajectory):
     assert trajectory["missing_keypoints"] == ["r_eye"]
 
 
-def test_size_says_what_it_comes_from(trajectory, small_trajectory):
+def test_the_size_states_its_source(trajectory, small_trajectory):
     size = trajectory["size"]
     assert (size["factor"], size["sigma"], size["prior_sigma"], size["measured"]) == (1, 0.06, 0.1, False)
     assert size["data_share"] == pytest.approx(1 - 0.36)
@@ -325,8 +325,8 @@ def test_ground_and_stances(trajectory, small_trajectory, world_trajectory):
         assert dict(summary_lines(report))["ground"] == text
 
 
-def test_every_spell_keeps_its_ground(small_trajectory):
-    """Every segment keeps its ground in the report: the second one's is 0.4 m lower, and none is between them."""
+def test_every_segment_keeps_its_ground(small_trajectory):
+    """The ground of the second segment is 0.4 m lower, and there is no ground between the segments."""
     solution = small_trajectory.solution
     ground = solution.segments[0].ground
     states = solution.states.copy()
@@ -372,11 +372,8 @@ def test_the_summary_says_what_was_not_checked_without_a_prior(small_trajectory)
     assert "not checked" not in said("running-cheetah")
 
 
-def test_a_motion_that_the_prior_does_not_know_is_named_first(trajectory, small_trajectory):
-    """A motion that the prior does not know is reported, with the misfit of the worst segment.
-
-    Nothing is reported if the prior fits.
-    """
+def test_a_motion_unlike_the_prior_is_reported(trajectory, small_trajectory):
+    """A motion unlike the prior is reported with the misfit of the worst segment."""
     assert (trajectory["prior"]["prior_misfit"], trajectory["prior"]["weight"]) == (None, 1)
     assert "motion_unlike_prior" not in codes(trajectory)
     (segment,) = small_trajectory.solution.segments
@@ -411,7 +408,7 @@ def test_path_and_heading_of_a_trajectory(trajectory, world_trajectory):
     assert trajectory["heading"]["heading_to_picture_rad"] == pytest.approx(0, abs=1e-9)
 
 
-def test_which_way_is_up_is_an_assumption_or_not(trajectory, small_trajectory, world_trajectory):
+def test_the_upward_direction_is_an_assumption_unless_known(trajectory, small_trajectory, world_trajectory):
     assert (trajectory["assumptions"]["camera_level"], trajectory["assumptions"]["camera_tilt_rad"]) == (True, 0)
     known = build_report(world_trajectory, {})
     assert (known["assumptions"]["camera_level"], known["assumptions"]["camera_tilt_rad"]) == (False, None)
@@ -424,13 +421,13 @@ def test_which_way_is_up_is_an_assumption_or_not(trajectory, small_trajectory, w
         assert ("camera_taken_level" in codes(report)) == warned
 
 
-def test_warnings_where_a_trajectory_is_not_to_be_trusted(small_trajectory):
+def test_a_trajectory_that_did_not_converge_has_warnings(small_trajectory):
     report = build_report(with_solution(small_trajectory, status="not_converged"), {})
     assert numbers(report, "not_converged") == {}
     assert numbers(report, "few_frames") == {"count": 8}
 
 
-def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory):
+def test_the_summary_states_a_distance_that_is_hardly_known(small_trajectory):
     away = small_trajectory.pictures[0].distance_m.mean()
     for share, size_sigma, expected in (
         (0.05, 0.02, None),
@@ -458,12 +455,11 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
         ((0.8, -0.7), 0.21, None, True),
     ],
 )
-def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames, second, warned):
-    """Cameras that seem to be out of step are named.
+def test_cameras_that_seem_out_of_step_are_reported(two_cameras, lags, left_frames, second, warned):
+    """Cameras that seem to be out of step are reported.
 
-    A lag has an expected standard deviation of 0.29 frames, and the difference of two 0.41, if pictures determine it.
-    left_frames: the standard deviation that the pictures leave; if it is nearly as large, the estimate is only a part
-    of the lag.
+    A lag has an expected standard deviation of 0.29 frames, and the difference of two lags 0.41. `left_frames` is the
+    standard deviation after the fit. If it is nearly as large, the estimate is only a part of the lag.
     """
     both = zip(two_cameras.solution.views, two_cameras.sources, lags, strict=True)
     views = tuple(replace(view, offset_frames=source.offset_frames + lag) for view, source, lag in both)
@@ -477,7 +473,7 @@ def test_cameras_that_look_out_of_step_are_named(two_cameras, lags, left_frames,
 
 
 def shifted(motion, keypoints):
-    """Return a motion in which detections of these keypoints are 500 px off in all pictures."""
+    """Return a motion in which the detections of some keypoints are moved by 500 px in all pictures."""
     sources = []
     for source in motion.sources:
         xy_px = source.keypoints.xy_px.copy()
@@ -486,8 +482,8 @@ def shifted(motion, keypoints):
     return replace(motion, sources=tuple(sources))
 
 
-def test_a_keypoint_that_does_not_fit_is_named(two_cameras):
-    """Keypoints that do not fit in both cameras are named; many keypoints share one line."""
+def test_a_keypoint_that_does_not_fit_is_reported(two_cameras):
+    """Keypoints that do not fit in any camera are reported, several of them in one line."""
     column = two_cameras.names.index("l_shoulder")
     report = build_report(shifted(two_cameras, [column]), {})
     assert numbers(report, "keypoints_do_not_fit") == {"keypoints": ["l_shoulder"], "share": 1, "used": 13}
@@ -521,7 +517,7 @@ def test_no_pose_at_all(small_trajectory):
 
 
 def test_console_summary_of_a_trajectory(trajectory):
-    """The console summary of a trajectory has the conclusions; the page has the rest."""
+    """The console summary of a trajectory has the conclusions, without the details of the page."""
     out = StringIO()
     Console(file=out, width=160).print(console_summary(trajectory))
     shown = out.getvalue()
@@ -546,7 +542,7 @@ def test_console_summary_of_a_trajectory(trajectory):
         assert text not in shown
 
 
-def test_how_up_was_found_is_said_to_begin_with(small_trajectory):
+def test_the_summary_states_how_the_upward_direction_was_found(small_trajectory):
     said = finding("up_from_feet", up="0,1,0", height_m=1.9, sigma_rad=0.12)
     lines = build_report(replace(small_trajectory, findings=(said,)), {})["lines"]
     assert ["assumed", sentence(said)] in lines
@@ -589,7 +585,7 @@ def test_a_terminal_names_the_two_notes_with_the_largest_effect(trajectory):
 
 
 @pytest.mark.parametrize("listed", ["", "; missing: nose"])
-def test_a_terminal_says_nothing_of_keypoints_that_are_all_used(trajectory, listed):
+def test_a_terminal_omits_keypoints_if_all_are_used(trajectory, listed):
     lines = [["keypoints", f"all of the skeleton's 24 used{listed}"], ["detections", "9 used"]]
     out = StringIO()
     Console(file=out, width=160).print(console_summary(trajectory | {"lines": lines}))
@@ -634,7 +630,7 @@ def test_cameras(several):
     assert second["distance_m"] == pytest.approx(8, abs=3)
 
 
-def test_the_counts_are_those_of_all_cameras(several, two_cameras):
+def test_counts_include_all_cameras(several, two_cameras):
     summary = several["summary"]
     assert summary["detections"] == 7 * 23 + 6 * 24
     assert summary["reprojection_px"]["mean"] == pytest.approx(500 / (7 * 23 + 6 * 24))

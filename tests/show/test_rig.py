@@ -1,4 +1,4 @@
-"""Test that independent readers of OpenSim models, glTF and BVH find bones where the joints are."""
+"""Test that independent readers of OpenSim models, glTF and BVH find bones at the joints."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_M = 1e-5
 
 
 def a_rig(skeleton: str, seed: int = 0) -> Armature:
-    """Return a rig in any poses, with a missing frame."""
+    """Return a rig in random poses, with a missing frame."""
     body = load_skeleton(skeleton)
     rng = np.random.default_rng(seed)
     states = rng.normal(size=(4, body.n_state))
@@ -47,11 +47,11 @@ def off_m(rig: Armature, joints: bones.Joints) -> float:
 # Contents of the written files
 
 
-def test_the_joints_are_those_of_the_skeleton():
-    """The joints are those of the skeleton, and are interpolated in a frame between two."""
+def test_rig_joints_are_those_of_the_skeleton():
+    """Joints are at the skeleton's positions, and are interpolated in a missing frame."""
     body = load_skeleton("cheetah-24")
     states = np.zeros((4, body.n_state))
-    states[:, 0], states[:, 3] = FRAMES, [3.0, 3.1, 3.1 - 2 * np.pi, 3.1]  # the yaw is the same in the last three
+    states[:, 0], states[:, 3] = FRAMES, [3.0, 3.1, 3.1 - 2 * np.pi, 3.1]  # the last three yaws are nearly equal
     rig = make_rig(body, 2.0, body.markers, FRAMES, states, 50.0)
     assert rig.pose.frames.tolist() == [10, 11, 12, 13, 14]
     for t, row in ((0, 0), (1, 1), (3, 2), (4, 3)):
@@ -80,9 +80,9 @@ def test_an_opensim_model(rig, tmp_path):
 
 
 def test_an_opensim_model_has_masses_and_inertias(tmp_path):
-    """An OpenSim model has masses and inertias of solid cylinders, equal for left and right.
+    """Masses and inertias are those of solid cylinders, equal for left and right.
 
-    The moment of a slender bone across its axis is 1/12 of its length squared.
+    The moment of inertia of a slender bone about an axis across it is m L^2 / 12.
     """
     body = load_skeleton("cheetah-24")
     rig = make_rig(body, 1.0, body.markers, np.arange(2), np.zeros((2, body.n_state)), 50.0, body_mass_kg=40.0)
@@ -104,7 +104,7 @@ def test_an_opensim_model_has_masses_and_inertias(tmp_path):
         assert 0 <= moments[2] <= moments[:2].sum() * (1 + 1e-9)
 
 
-def test_opensim_holds_an_animal_that_stays_with_its_weight(tmp_path):
+def test_opensim_supports_a_still_animal_with_its_weight(tmp_path):
     opensim = pytest.importorskip("opensim")
     body = load_skeleton("cheetah-24")
     still = np.tile(np.concatenate([np.zeros(4), body.mean_rad]), (20, 1))
@@ -121,7 +121,7 @@ def test_opensim_holds_an_animal_that_stays_with_its_weight(tmp_path):
 
 
 def test_coordinates_of_an_opensim_model_are_the_skeletons(tmp_path):
-    """Coordinates of an OpenSim model have the names, values and ranges of the skeleton."""
+    """Coordinates have the names, values and ranges of the skeleton's angles."""
     rig, body = a_rig("cheetah-24"), load_skeleton("cheetah-24")
     write_opensim(rig, tmp_path / "run.osim")
     motion = bones.read_mot(tmp_path / "run.mot")
@@ -161,7 +161,7 @@ def test_gltf(rig, tmp_path):
 
 
 def test_the_mesh_of_a_gltf_file(tmp_path):
-    """The mesh of a glTF file, with all angles 0, has closed capsules around the bones, each moved by its own bone."""
+    """The mesh has a closed capsule around each bone with all angles 0, which moves with the bone."""
     import trimesh
 
     rig = a_rig("cheetah-24")
@@ -183,7 +183,7 @@ def test_the_mesh_of_a_gltf_file(tmp_path):
 
 
 def test_a_bone_has_another_name_than_a_joint():
-    """A bone has another name than a joint, also if a marker has the name of a segment, such as neck."""
+    """Bones have other names than joints even if a marker has the name of a segment, such as neck."""
     body = load_skeleton("quadruped")
     names = tuple("neck" if name == "neck_base" else name for name in body.markers)
     rig = make_rig(body, 1.0, names, np.arange(2), np.zeros((2, body.n_state)), 50.0)
@@ -249,7 +249,7 @@ def test_frames_without_a_pose(whole_results):
         rig_of(with_solution(results, joints_m=longer))
 
 
-def test_points_are_no_bones(tmp_path):
+def test_points_cannot_be_written_as_bones(tmp_path):
     for name, kind in (("whole.csv", "2D keypoints"), ("whole_truth.csv", "3D positions")):
         with refusal((SAMPLES / name, "content", kind, ["results", "BVH"])):
             convert(ConvertSettings(source=SAMPLES / name, out=tmp_path / "a.bvh"))

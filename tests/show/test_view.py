@@ -65,11 +65,11 @@ WHOLE = {
 
 
 CHANGES = {"/picture/outliers", "/world/stance", *(f"/{foot}" for foot in FEET)}
-"""Entities with rows only where they change."""
+"""Entities that have rows only in frames in which they change."""
 
 
 class Recording:
-    """The rows of every entity: `static` by entity and component, `frames` by entity, frame number and component."""
+    """Rows of a recording: `static` by entity and component, `frames` by entity, frame number and component."""
 
     def __init__(self, path: Path) -> None:
         reader = RrdReader(path)
@@ -90,7 +90,7 @@ class Recording:
                     self.time_s[row["frame"]] = row["time"].total_seconds()
 
     def values(self, entity: str, frame: int, component: str = "") -> list[Any]:
-        """Return the value that the viewer shows: the newest of the component up to a frame."""
+        """Return the newest value of a component up to a frame, which the viewer shows."""
         component = component or {**CHAIN, **WHOLE, **FLAGS}[entity]
         rows = self.frames[entity]
         newest = max((n for n, row in rows.items() if n <= frame and component in row), default=None)
@@ -118,7 +118,7 @@ def recording(world_motion: Motion, tmp_path_factory: pytest.TempPathFactory) ->
     return Recording(path)
 
 
-def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
+def test_a_recording_has_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
     assert set(recording.frames) - set(FLAGS) == {*CHAIN, ANIMAL}
     for entity in {*CHAIN, ANIMAL} - CHANGES:
         assert sorted(recording.frames[entity]) == list(world_motion.frames), entity
@@ -159,7 +159,7 @@ def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording
 
 
 def test_the_overview_is_filled_by_all_points() -> None:
-    """The overview shows all points: a path of 14 m, and a camera 10 m to the side of it."""
+    """The overview shows a path of 14 m and a camera 10 m to its side."""
     points = np.array([[-7.0, 0, 0], [7, 0, 0], [-7, 0, 1], [7, 0, 1], [0, -10, 2]])
     eye, target = fitting_eye(points, np.eye(3))
     ahead = (target - eye) / np.linalg.norm(target - eye)
@@ -184,7 +184,7 @@ def test_ground_lies_under_the_paws(recording: Recording, world_motion: Motion) 
     np.testing.assert_allclose(np.diff(np.unique(lines[..., 0])), 1.0)
 
 
-def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_motion: Motion) -> None:
+def test_the_camera_is_at_the_position_of_its_extrinsics(recording: Recording, world_motion: Motion) -> None:
     camera = recording.static["/world/camera"]
     np.testing.assert_allclose(camera["Transform3D:translation"], [[0.0, 0.0, 2.0]], atol=1e-6)
     (columns,) = camera["Transform3D:mat3x3"]
@@ -211,12 +211,12 @@ def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion
             np.testing.assert_allclose(links, ends[linked], atol=1e-3)
 
 
-def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
+def test_the_outlier_is_shown_as_an_outlier(recording: Recording) -> None:
     assert [frame for frame in range(10, 16) if recording.values("/picture/outliers", frame)] == [14]
 
 
 def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Recording, world_motion: Motion) -> None:
-    """The close-up is the picture around the middle of the skeleton, and stays there in a frame without a pose."""
+    """The close-up is centred on the middle of the skeleton, and does not move in a frame without a pose."""
     rows = recording.frames[ANIMAL]
     middle = world_motion.pictures[0].reprojected_px[2].mean(axis=0)
     for frame in (12, 13):
@@ -244,7 +244,7 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Moti
 
 
 def test_no_legend_covers_its_lines() -> None:
-    """No legend covers its lines: three names take three tenths of the height above the lines."""
+    """Three names in a legend take three tenths of the height above the lines."""
     values = np.array([[0.0, 2.0, np.nan], [1.0, 7.0, 3.0]])
     axis: Any = time_view(TimePlot("a", "A", "bcd", [(0, 0, 0)] * 3, values)).properties["ScalarAxis"]
     low, high = axis.range.as_arrow_array().to_pylist()[0]
@@ -258,7 +258,7 @@ def test_without_extrinsics_the_camera_is_the_origin(small_motion: Motion, tmp_p
     np.testing.assert_allclose(
         recording.values("/world/skeleton/joints", 12), small_motion.joints_camera_m[2], atol=1e-5
     )
-    # The ground is level under a level camera, at one height along y, which points down.
+    # under a level camera, whose y points down, level ground has a single y
     assert np.ptp(np.array(recording.static["/world/ground"]["LineStrips3D:strips"])[..., 1]) == 0
 
 
@@ -317,7 +317,7 @@ def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_t
     assert (at["nose"], at["tail2"]) == ("head", "tail")
 
 
-def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: Motion) -> None:
+def test_ellipsoids_are_one_sigma_of_the_pose(played: Recording, world_trajectory: Motion) -> None:
     row = played.frames["/world/uncertainty"][12]
     np.testing.assert_allclose(row["Ellipsoids3D:centers"], world_trajectory.joints_m[2], atol=1e-5)
     axes = Rotation.from_quat(row["Ellipsoids3D:quaternions"]).as_matrix()
@@ -326,11 +326,8 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
     np.testing.assert_allclose(covariance, world_trajectory.relative_covariance_m2()[2], atol=1e-7)
 
 
-def test_shells_of_a_fast_camera_change_25_times_a_second(world_trajectory: Motion, tmp_path: Path) -> None:
-    """Ellipsoids of a fast camera change 25 times per second.
-
-    At 75 Hz, they change in every third frame, and vanish if they are not known.
-    """
+def test_ellipsoids_of_a_fast_camera_change_25_times_a_second(world_trajectory: Motion, tmp_path: Path) -> None:
+    """At 75 Hz, ellipsoids change in every third frame, and vanish if they are not known."""
     source = world_trajectory.sources[0]
     relative_m2 = world_trajectory.solution.relative_covariance_m2.copy()
     relative_m2[3] = np.nan
@@ -349,7 +346,7 @@ def test_shells_of_a_fast_camera_change_25_times_a_second(world_trajectory: Moti
 
 
 def test_limbs_are_interrupted_by_joints_that_are_not_seen() -> None:
-    """Limbs are interrupted by joints that are not seen: the second of a leg, and the end of the tail."""
+    """Limbs are interrupted by an unseen joint in a leg, and end before the unseen end of the tail."""
     points = np.arange(20.0).reshape(2, 5, 2)
     seen = np.array([[True] * 5, [True, False, True, True, False]])
     columns = limb_strips(points, {"leg": (0, 1, 2, 3), "tail": (0, 4)}, seen, with_classes=True)
@@ -366,8 +363,8 @@ def test_flagged_frames_are_marked(played: Recording, world_trajectory: Motion) 
     assert len(set(red)) == 1 < len(set(plain))
 
 
-def test_feet_that_stand_are_marked(recording: Recording, world_motion: Motion, tmp_path: Path) -> None:
-    """Standing feet are marked: none while all feet glide with the body, then those of given stances."""
+def test_standing_feet_are_marked(recording: Recording, world_motion: Motion, tmp_path: Path) -> None:
+    """No feet are marked while all feet move with the body, and then the feet of given stances."""
     motion, analysis = world_motion, ClipAnalysis(world_motion)
     given = np.zeros_like(analysis.standing)
     given[1:3, 0] = given[[2, 4], 1] = True
@@ -383,17 +380,17 @@ def test_feet_that_stand_are_marked(recording: Recording, world_motion: Motion, 
             np.testing.assert_allclose(np.reshape(shown.values("/world/stance", frame), (-1, 3)), feet, atol=1e-5)
 
 
-def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Motion) -> None:
+def test_the_estimated_ground_is_drawn(played: Recording, world_trajectory: Motion) -> None:
     points = np.reshape(played.static["/world/ground"]["LineStrips3D:strips"], (-1, 3))
     ground = world_trajectory.solution.segments[0].ground
     assert ground is not None
-    # The ground rises along x, the direction in which the camera at (1, 2, 3) looks.
+    # the ground rises along x, the direction in which the camera at (1, 2, 3) looks
     np.testing.assert_allclose(points[:, 2], ground.height_m + 0.02 * points[:, 0], atol=1e-5)
     assert np.ptp(points[:, 2]) > 0.05
 
 
-def test_every_spell_has_its_ground(world_trajectory: Motion, tmp_path: Path) -> None:
-    """Every segment has its ground: the second one's is 0.4 m lower, and each is drawn from its first frame on."""
+def test_the_ground_of_every_segment_is_drawn(world_trajectory: Motion, tmp_path: Path) -> None:
+    """The ground of each segment is drawn from its first frame on, 0.4 m lower in the second segment."""
     solution = world_trajectory.solution
     ground = solution.segments[0].ground
     assert ground is not None
@@ -442,7 +439,7 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, 
 
 
 def moving(motion: Motion) -> Motion:
-    """Return a motion whose second camera moves along x, one metre per frame."""
+    """Return a motion whose second camera moves along x by one metre per frame."""
     first, second = motion.solution.views
     poses = np.tile(second.T_camera_world, (8, 1, 1))
     poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]
@@ -472,7 +469,7 @@ def test_every_camera_has_its_pictures(filmed_twice: Recording, two_cameras: Mot
     assert [len(links[frame]["LineStrips2D:strips"] or []) for frame in (11, 12)] == [0, 24]
 
 
-def test_cameras_stand_where_they_stand_and_move_where_they_move(filmed_twice: Recording) -> None:
+def test_cameras_are_drawn_at_their_positions_over_time(filmed_twice: Recording) -> None:
     (place,) = filmed_twice.static["/world/camera/cam1"]["Transform3D:translation"]
     np.testing.assert_allclose(place, [1, 2, 3], atol=1e-5)
     rows = filmed_twice.frames["/world/camera/cam2"]
@@ -573,8 +570,8 @@ def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypat
     assert "http" not in policy
 
 
-def test_a_playback_that_memory_was_short_for_is_none(small_motion, tmp_path, monkeypatch):
-    """A playback for which the memory was too small is an error; rerun itself only warns and leaves parts out."""
+def test_a_playback_without_enough_memory_is_an_error(small_motion, tmp_path, monkeypatch):
+    """Rerun itself only warns and leaves parts out if there is not enough memory."""
     from rerun.encodings import Utf8Batch
 
     def short(*_: Any) -> None:

@@ -1,4 +1,4 @@
-"""Test what a playback shows besides the fit: the plots of an analysis and the frames of a video."""
+"""Test that a playback shows the plots of an analysis and the frames of a video."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FRAMES = list(range(10, 18))
 
 
 def rows(path: Path, kind: str = "recordings") -> dict[str, list[dict[str, Any]]]:
-    """Return the stored rows by entity, without row ids."""
+    """Return the rows of a recording by entity, without row ids."""
     reader = RrdReader(path)
     (store,) = getattr(reader, kind)()
     found: dict[str, list[dict[str, Any]]] = {}
@@ -67,10 +67,10 @@ def test_plots_of_an_analysis_are_those_at_the_frames(found: ClipAnalysis, analy
     np.testing.assert_allclose(trunk[found.motion.frames[7]], [field.speed_m_s[7] for field in found.fields["trunk"]])
 
 
-def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> None:
-    """Forces are drawn under the feet: a body weight is as long as the centre of mass is high.
+def test_forces_are_drawn_under_the_feet(found: ClipAnalysis, analysed: Path) -> None:
+    """Arrows point up, and a force of one body weight is as long as the centre of mass is high.
 
-    Forces point up, and a gap interrupts its own line only.
+    A gap interrupts only the line of its own foot.
     """
     d, gait, data = found.dynamics, found.gait, rows(analysed)
     assert d is not None
@@ -89,7 +89,7 @@ def test_forces_stand_under_the_feet(found: ClipAnalysis, analysed: Path) -> Non
     origins = by_frame(data["/world/forces"], "Arrows3D:origins")[found.motion.frames[t]]
     feet_m = found.motion.in_reference(gait.tracks.foot_m[at[t]])
     np.testing.assert_allclose(origins, feet_m[force[t] > 0], atol=1e-5)
-    # Each force has the colour of its foot's side, which is also that of the hind foot's line.
+    # arrows have the colour of their foot's side, in which the line of the hind foot is also drawn
     of_foot = zip(gait.tracks.feet, colours, strict=True)
     of_side = {foot[0]: colour for foot, colour in of_foot if foot.endswith("H")}
     own = by_frame(data["/world/forces"], "Arrows3D:colors")[found.motion.frames[t]]
@@ -127,7 +127,7 @@ def test_without_masses_there_are_no_forces(found: ClipAnalysis, tmp_path: Path)
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write eleven frames of 1920x1080, whose grey level is ten times the frame number."""
+    """Write a video of eleven frames of 1920x1080 whose grey level is ten times the frame number."""
     path = tmp_path_factory.mktemp("video") / "clip.avi"
     with video_writer(path, (1920, 1080), 30.0) as write_frame:
         for number in range(11):
@@ -142,7 +142,7 @@ def picture(row: dict[str, Any], flag: int) -> np.ndarray:
 
 
 def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
-    """Every frame has its picture: a video from frame 8 on shows its pictures 2 to 9."""
+    """A video that begins at frame 8 shows its pictures 2 to 9."""
     write(small_trajectory, tmp_path / "plain.rrd")
     write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
     data = rows(tmp_path / "motion.rrd")
@@ -156,8 +156,8 @@ def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_
         assert float(image.mean()) == pytest.approx(10 * number, abs=3)
 
 
-def test_the_close_look_is_in_front_and_shows_the_video(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
-    """The close-up is in front and shows the video around the animal's middle, without the picture's edge."""
+def test_the_close_view_is_in_front_and_shows_the_video(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
+    """The first tab is the close view, which shows the video around the animal without the picture's edge."""
     write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
     layout = rows(tmp_path / "motion.rrd", "blueprints")
     (close,) = [path for path, of in layout.items() for row in of

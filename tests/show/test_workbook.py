@@ -1,4 +1,4 @@
-"""Test tables of an analysis for Excel and R: a workbook and one long table, each with its data dictionary."""
+"""Test the workbook and the long table of an analysis, each with its data dictionary."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROWS = 12
 
 @pytest.fixture(autouse=True)
 def few_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Return the beginning of a table of each kind, because all tables have a hundred thousand cells."""
+    """Reduce an analysis to the beginnings of a few tables, because all tables have a hundred thousand cells."""
 
     def begun(make: Callable[[ClipAnalysis], Table | Columns], analysis: ClipAnalysis) -> Table | Columns:
         content = make(analysis)
@@ -61,7 +61,7 @@ def test_units_and_meanings_follow_from_names(table: str, column: str, unit: str
 
 def test_a_meaning_says_more_than_the_name(whole: ClipAnalysis):
     tables = analysis_tables(whole)
-    # In angle_rates, the values of an angle are called like the angle.
+    # in angle_rates, the column of an angle has the angle's name
     names = [(name, column) for name, table in tables.items() if name != "angle_rates" for column in table.columns]
     assert not [
         (name, column) for name, column in names if meaning_of(column, name) in (column, column.replace("_", " "))

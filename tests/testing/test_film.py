@@ -1,4 +1,4 @@
-"""Test that the truth of the rendered film is where its pixels are."""
+"""Test that the true positions of the rendered film agree with its pictures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from recon.testing.film import draw_scene, film_clip, panning_film, render_frame
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 
 
-def test_the_film_is_what_its_files_say():
+def test_the_film_agrees_with_its_files():
     info = probe(SAMPLES / "rendered.mp4")
     assert (info.size_px, info.fps) == ((640, 360), 120)
     truth = read_keypoints(SAMPLES / "rendered_points.csv")
@@ -26,8 +26,8 @@ def test_the_film_is_what_its_files_say():
     np.testing.assert_allclose(labels.xy_px, truth.xy_px[rows][:, [truth.names.index(n) for n in labels.names]])
 
 
-def test_the_animal_is_drawn_where_its_points_are():
-    """The animal is drawn at its points: pixels that differ from the film's median have the same centre."""
+def test_the_animal_is_drawn_at_its_points():
+    """Pixels that differ from the film's median have the same centre as the animal's points."""
     truth = read_keypoints(SAMPLES / "rendered_points.csv")
     pictures = [picture.astype(float) for _, picture in read_frames(SAMPLES / "rendered.mp4", 5, None, 10)]
     still = np.median(pictures, axis=0)
@@ -41,7 +41,7 @@ def test_the_animal_is_drawn_where_its_points_are():
 
 
 def test_the_script_draws_the_film_again():
-    """The script draws the film again, here its first frames; another encoder may differ in the last digits."""
+    """The script draws the film's first frames again, up to differences between encoders."""
     clip, ground_m = film_clip()
     drawn = next(iter(render_frames(clip.truth_m, clip.names, lambda t: clip.camera, ground_m)))
     _, stored = next(iter(read_frames(SAMPLES / "rendered.mp4")))
@@ -50,7 +50,7 @@ def test_the_script_draws_the_film_again():
 
 @pytest.mark.slow
 def test_the_panning_film_shows_the_same_animal():
-    """The panning film shows the same animal: its points are its truth as the cameras of the track see it."""
+    """The points of the panning film are the true positions projected into the cameras of the track."""
     still, ground_m = film_clip()
     camera_at = panning_camera(still)
     pan = panning_film(still, camera_at)
@@ -63,7 +63,7 @@ def test_the_panning_film_shows_the_same_animal():
     assert 40 < turned < 60
     drawn = next(render_frames(still.truth_m[40:42], still.names, lambda t: camera_at(40 + t), ground_m)).astype(float)
     without = draw_scene(camera_at(40), ground_m, np.random.default_rng(0))
-    # Below the shrubs, which the camera's rotation blurs.
+    # below the shrubs, which the camera's rotation blurs
     y, x = np.nonzero(np.abs(drawn - without).max(axis=2)[150:] > 60)
     y += 150
     near = (np.abs(np.stack([x, y], axis=1) - xy_px[40].mean(axis=0)) < [70, 50]).all(axis=1)

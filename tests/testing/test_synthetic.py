@@ -1,4 +1,4 @@
-"""Test simulated clips: plausible motion, correct truth, and samples that the scripts reproduce."""
+"""Test that simulated clips are plausible and exact, and that scripts reproduce the samples."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ def joint(clip, name):
 
 
 def in_camera(camera, points_m):
-    """Return points in the camera frame, (..., 3) -> (..., 3), m."""
+    """Return points (..., 3) in the camera frame, in metres."""
     assert camera.rotation is not None
     return points_m @ camera.rotation.T + camera.translation_m
 
 
 def pose(camera):
-    """Return T_camera_world, (3, 4)."""
+    """Return the upper three rows (3, 4) of a camera's T_camera_world."""
     assert camera.rotation is not None
     assert camera.translation_m is not None
     return np.column_stack([camera.rotation, camera.translation_m])
 
 
 def height_m(points):
-    """Return heights above the ground, m, for a clip that runs to the right in the picture plane, (..., 3) -> (...)."""
+    """Return heights in metres of points (..., 3) above the ground of a clip that runs to the right."""
     return (points[..., 2] - SLOPE * points[..., 0]) / np.hypot(1, SLOPE)
 
 
@@ -163,7 +163,7 @@ def test_heading_beyond_the_limit():
         gallop(heading_rad=1.5)
 
 
-def test_noise_is_as_announced():
+def test_noise_has_the_stated_size():
     clip = gallop(n_frames=30, fps=30)
     many = dataclasses.replace(
         clip.keypoints,
@@ -202,7 +202,7 @@ def test_no_noise_changes_nothing_but_likelihoods():
     assert not outliers.any()
 
 
-def test_samples_are_what_the_script_makes(tmp_path):
+def test_samples_are_those_that_the_script_makes(tmp_path):
     runpy.run_path(str(SAMPLES / "make_samples.py"))["make"](tmp_path)
     made = {path.name for path in tmp_path.iterdir()}
     data = {path.name for path in SAMPLES.iterdir() if path.is_file() and path.suffix not in (".md", ".py")}

@@ -1,4 +1,4 @@
-"""Test chains: link lengths, Jacobians, and their files."""
+"""Test link lengths, Jacobians and files of chains."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_jacobian_against_central_differences(skeleton: UnknownsChain):
     np.testing.assert_allclose(exact.joints_m, skeleton.pose(states).joints_m, atol=1e-12)
 
 
-def test_the_chain_of_the_design():
+def test_the_8u_chain_has_the_published_unknowns():
     skeleton = load_chain("cheetah-8u")
     assert skeleton.state_names == (
         *(f"theta_{i}" for i in (6, 7, 8, 1, 2, 3, 4)),
@@ -66,7 +66,7 @@ def test_the_chain_of_the_design():
 
 
 def test_a_pose_by_hand():
-    """A pose by hand: the spine along U, the first link of the front leg turned down by theta, then sideways by phi."""
+    """The spine lies along U, and the first link of the front leg is turned down by theta, then sideways by phi."""
     skeleton = load_chain("cheetah-8u")
     state = np.zeros((1, 21))
     state[0, 20] = 0.2

@@ -1,4 +1,4 @@
-"""Test direction of travel, side and position from geometry."""
+"""Test the direction of travel, the side and the position that are estimated from geometry."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def test_geometric_start_faces_the_heading_and_lies_in_front():
     assert np.linalg.norm(posed.joints_m[0, 0] - truth) < 0.15 * np.linalg.norm(truth)
 
 
-def test_rays_that_are_all_one_give_a_start():
-    """Rays that coincide give a start although the distance is not determined: it is large and finite."""
+def test_rays_that_coincide_give_a_start():
+    """Rays that coincide do not determine the distance, which is large and finite in the start."""
     ray = np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0])
     heading, up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, -1.0, 0.0])
     shape = SK.local_joints(mean_pose(SK)[None])[0] @ upright_rotation(heading, up).transpose(0, 2, 1)
@@ -73,8 +73,8 @@ def test_rays_that_are_all_one_give_a_start():
         assert np.isfinite(run).all()
 
 
-def test_normal_equations_that_rounding_leaves_singular_are_solved():
-    """Normal equations that rounding makes singular are solved, and the other unknowns are nearly unchanged."""
+def test_nearly_singular_normal_equations_are_solved():
+    """Normal equations that rounding makes singular are solved with nearly unchanged other unknowns."""
     matrix = np.array([np.diag([2.0, 4.0]), np.ones((2, 2))])
     right = np.array([[[2.0], [4.0]], [[3.0], [3.0]]])
     with pytest.raises(np.linalg.LinAlgError):

@@ -1,4 +1,4 @@
-"""Test the frame solver: what it recovers, what it cannot know, and what it reports."""
+"""Test the poses, the uncertainty and the reports of the frame method."""
 
 from __future__ import annotations
 
@@ -63,11 +63,8 @@ def reprojection_px(clip, keypoints, states: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rank_18_from_pixels_and_20_from_joints(seed: int):
-    """The Jacobian has rank 18 from pixels and 20 from joints.
-
-    Pixels do not determine scale, roll and a mode of depth; joints do not determine the roll.
-    """
+def test_the_jacobian_has_rank_18_for_pixels_and_20_for_joints(seed: int):
+    """Pixels do not determine scale, roll and a mode of depth, and joints do not determine the roll."""
     camera = gallop().camera
     state = level_states(5)[seed]
     joints = SK.pose(state[None]).joints_m
@@ -149,7 +146,7 @@ def test_a_clip_without_any_data():
 
 
 def test_report_against_the_problem_by_hand():
-    """The report of one frame has the residuals at the solution, computed by hand."""
+    """The report of a frame agrees with the residuals at the solution, computed without the solver."""
     clip = gallop(n_frames=1)
     solution = fit(clip, clip.keypoints, EXACT)
     report = solution.reports[0]
@@ -165,8 +162,8 @@ def test_report_against_the_problem_by_hand():
     assert report.function_evaluations >= report.iterations > 0
 
 
-def test_the_base_length_comes_back_as_its_prior_says():
-    """The base length is returned as its prior states, although it is wrong, and the data have no share in it."""
+def test_the_base_length_stays_at_its_prior():
+    """The base length stays at its prior, although this is wrong, because the data do not determine it."""
     clip = gallop(n_frames=10)
     wrong = replace(EXACT, base_length_m=0.25, base_sigma_m=0.01)
     solution = fit(clip, clip.keypoints, wrong)
@@ -177,8 +174,8 @@ def test_the_base_length_comes_back_as_its_prior_says():
     assert shares.max() <= 1
 
 
-def test_the_base_lengths_prior_is_the_one_that_is_told():
-    """The base length has the prior that is stated; a length alone keeps the relative spread of the skeleton's."""
+def test_the_base_length_has_the_stated_prior():
+    """If only a length is given, its relative standard deviation is the skeleton's."""
     options = replace(EXACT, base_length_m=0.6, base_sigma_m=None)
     clip = gallop(n_frames=1)
     view = still_view(clip.camera, near(clip, clip.keypoints.xy_px), near(clip, clip.keypoints.confidence))
@@ -188,11 +185,11 @@ def test_the_base_lengths_prior_is_the_one_that_is_told():
     assert prior.sigma == pytest.approx(0.6 * 0.02 / 0.203)
 
 
-def test_precision_shares_of_a_problem_done_by_hand():
-    """Shares of the precision are those computed by hand.
+def test_precision_shares_of_a_problem_computed_by_hand():
+    """Fractions of the precision agree with those computed by hand.
 
-    Each of two unknowns is observed once by data and once by priors: variance 1 / (1/s^2 + 1/p^2), share p^2 / (s^2 +
-    p^2).
+    Data observe each of two unknowns with standard deviation s, and priors with p. The variance is 1 / (1/s^2 + 1/p^2),
+    and the fraction from the data is p^2 / (s^2 + p^2).
     """
     D = SK.n_state
     s, p = 0.5, 2.0
@@ -210,11 +207,8 @@ def test_the_same_input_gives_the_same_states():
     np.testing.assert_array_equal(fit(clip, clip.keypoints, NOISY).states, fit(clip, clip.keypoints, NOISY).states)
 
 
-def test_a_pose_that_runs_away_is_no_part_of_the_solution():
-    """A pose that diverges is not part of the solution.
-
-    All points of a frame are at one point, so that the best explanation is an animal far away.
-    """
+def test_a_pose_that_diverges_is_left_out_of_the_solution():
+    """A frame whose detections coincide fits an animal far away, and is left out of the solution."""
     clip = gallop(n_frames=4)
     xy = clip.keypoints.xy_px.copy()
     xy[2] = xy[2, :1]
@@ -230,11 +224,8 @@ def test_a_pose_that_runs_away_is_no_part_of_the_solution():
     assert all(np.isnan(values).all() for values in shares)
 
 
-def test_detections_outside_of_what_the_lens_can_see_are_left_out():
-    """Detections that the lens cannot have seen are left out.
-
-    All points of a frame are 2,500 px off; without the frame, the solution is the same.
-    """
+def test_detections_outside_the_lens_model_are_left_out():
+    """A frame whose points are 2,500 px outside the picture changes nothing in the solution of other frames."""
     clip = gallop(n_frames=3, camera_model="fisheye")
     xy = clip.keypoints.xy_px.copy()
     off, missing = xy.copy(), xy.copy()
@@ -245,10 +236,11 @@ def test_detections_outside_of_what_the_lens_can_see_are_left_out():
     assert solutions[0].reports[1] is None
 
 
-def test_covariance_of_the_joints_done_by_hand():
-    """The covariance of the joints is that computed by hand, in the world's axes.
+def test_covariance_of_the_joints_computed_by_hand():
+    """The joints' covariance along the world's axes agrees with one computed by hand.
 
-    An uncertain position moves all joints equally; an uncertain size moves them in proportion.
+    An error of the position moves all joints equally, and an error of the size in proportion to their distance from the
+    root.
     """
     camera = gallop(n_frames=2).camera
     state = np.tile(mean_pose(SK), (2, 1))
@@ -272,8 +264,8 @@ def test_covariance_of_the_joints_done_by_hand():
         np.testing.assert_allclose(covariance, 0.01**2 * points[:, :, None] * points[:, None, :], atol=1e-15)
 
 
-def test_deviations_of_the_angles_done_by_hand():
-    """Standard deviations of angles are those computed by hand: the chain's for links, by Euler angles for the root."""
+def test_standard_deviations_of_the_angles_computed_by_hand():
+    """Standard deviations are the chain's for links, and follow from the Euler angles for the root."""
     view = still_view(gallop(n_frames=2).camera, np.zeros((1, 9, 2)), np.ones((1, 9)))
     rng = np.random.default_rng(0)
     state, root = mean_pose(SK)[None], rng.normal(0, 0.01, (SK.n_state, SK.n_state))
@@ -282,7 +274,7 @@ def test_deviations_of_the_angles_done_by_hand():
     sigma = dict(zip(SK.body.state_names[3:], found.angle_sigma_rad[0], strict=True))
     for name, own in zip(SK.angle_names, np.sqrt(np.diagonal(C[0])), strict=False):
         assert sigma[name] == own
-    # Rotations by small Euler angles, drawn from their covariance.
+    # rotations by small Euler angles, drawn from their covariance
     drawn = np.tile(state, (4000, 1))
     drawn[:, SK.euler_slice] += rng.multivariate_normal(np.zeros(3), C[0, SK.euler_slice, SK.euler_slice], 4000)
     turned = SK.to_body(drawn, inverse(view.T_camera_world))[0][:, 3:6]
@@ -290,10 +282,7 @@ def test_deviations_of_the_angles_done_by_hand():
 
 
 def test_reprojection_as_printed_is_neither_weighted_nor_robust():
-    """The reprojection as printed is neither weighted nor robust.
-
-    One detection is 500 px off and has no confidence: its row is its distance in standard deviations.
-    """
+    """The residual of a detection that is 500 px off with confidence 0.01 is its distance in standard deviations."""
     clip = gallop(n_frames=1)
     xy, confidence = near(clip, clip.keypoints.xy_px).copy(), near(clip, clip.keypoints.confidence).copy()
     pixels = clip.camera.project(SK.pose(mean_start := level_states(1)).joints_m)[0]

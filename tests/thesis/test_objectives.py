@@ -1,4 +1,4 @@
-"""Test every objective: its exact Jacobian, and the meaning of its residual. A new term is one line in TERMS."""
+"""Test the Jacobian and the residuals of every objective in `TERMS`, to which a new term is added."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CAMERA = Camera(
 
 
 def states(seed: int) -> np.ndarray:
-    """Return poses in front of the camera, with angles within and beyond their ranges."""
+    """Return states in front of the camera with angles inside and outside their ranges."""
     rng = np.random.default_rng(seed)
     x = np.zeros((N, SK.n_state))
     x[:, SK.theta_slice] = SK.theta.mean_rad + rng.normal(0, 1.2, (N, 7))
@@ -65,12 +65,12 @@ TERMS: list[Objective] = [
 
 @cache
 def posed(state: bytes) -> ChainPose:
-    """Return the pose at a state; all terms are evaluated at the same states."""
+    """Return the pose at a state, from a cache because all terms are evaluated at the same states."""
     return SK.pose_with_jacobian(np.frombuffer(state)[None])
 
 
 def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: float = 1 / 90):
-    """Return residuals (N, M) and Jacobians (N, M, D) of N frames."""
+    """Return residuals (N, M) and Jacobians (N, M, D) of a term in N frames."""
     found = [term.evaluate(posed(now[t].tobytes()), posed(before[t].tobytes()), t, dt) for t in range(len(now))]
     residuals, jacobians = zip(*found, strict=True)
     return np.stack(residuals), np.stack(jacobians)
@@ -78,7 +78,7 @@ def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: f"{t.name}-{getattr(t, 'form', '')}")
 def test_jacobian_against_central_differences(term: Objective):
-    """The Jacobian agrees with central differences at ten random configurations."""
+    """The Jacobian agrees with central differences at ten random states."""
     h = 1e-6
     residual, jacobian = evaluate(term, NOW)
     assert jacobian.shape == (*residual.shape, SK.n_state)
@@ -89,13 +89,13 @@ def test_jacobian_against_central_differences(term: Objective):
     assert np.all(error <= 1e-6 * np.maximum(np.linalg.norm(numeric, axis=(1, 2)), 1.0))
 
 
-def test_the_frame_before_counts_where_a_term_ties_frames():
+def test_only_terms_that_tie_frames_depend_on_the_previous_frame():
     for term in TERMS:
         same = np.array_equal(evaluate(term, NOW, BEFORE)[0], evaluate(term, NOW, BEFORE + 0.1)[0])
         assert same == (not term.ties)
 
 
-def test_every_deadband_term_is_active_somewhere_and_zero_within():
+def test_every_deadband_term_is_active_outside_the_range_and_zero_inside():
     for term in TERMS:
         if getattr(term, "form", None) == "deadband":
             assert np.any(evaluate(term, NOW)[0] > 0), term.name
@@ -111,7 +111,7 @@ def test_printed_form_pulls_towards_the_edge():
 
 
 def test_rate_limit_counts_the_chord_so_that_a_flip_is_not_free():
-    """The rate limit counts the chord, so that a flip costs something: turning by pi sweeps the chord 2."""
+    """A link that turns by pi moves its tip by a chord of 2 link lengths, which the rate limit penalises."""
     after = BEFORE.copy()
     after[:, 0] += np.pi
     for form, swept in (("deadband", 2.0), ("printed", 0.0)):
@@ -155,7 +155,7 @@ def test_roll_prior_is_zero_for_a_level_animal_and_grows_with_roll():
     assert abs(float(rolled[0])) == pytest.approx(np.sin(0.1) / 0.1)
 
 
-def test_travel_that_says_nothing_gives_no_rows():
+def test_an_unknown_direction_of_travel_has_no_effect():
     silent = DirectionPrior("travel prior", 0, LEVEL, np.full((N, 3), np.nan), 0.25, SK.euler_slice)
     residual, jacobian = evaluate(silent, NOW)
     assert np.all(residual == 0)

@@ -1,4 +1,4 @@
-"""Test `recon solver`: the problem at the solution against the report and scipy, and its output."""
+"""Test that the tables of `recon solver` agree with the report and with scipy, and test its output."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def frame(frame_results) -> SolverRecord:
         return read_solver(Motion.load(frame_results), frame_results)
 
 
-def test_the_frame_methods_problem_is_the_reports(frame):
+def test_costs_agree_with_the_reports_of_the_fit(frame):
     for row, told in enumerate(frame.solution.reports):
         costs = {name: cost[row] for name, cost in frame.cost.items() if name in told.cost_shares}
         assert costs == {
             name: pytest.approx(0.5 * share * told.squared_norm, rel=1e-5, abs=1e-6)
             for name, share in told.cost_shares.items()
         }
-    # At a minimum, the gradient is small relative to the Jacobian's columns.
+    # at a minimum, the gradient is small relative to the Jacobian's columns
     assert (frame.optimality < 1e-3 * frame.column_norm.max(axis=1)).all()
 
 
@@ -86,7 +86,7 @@ def test_tables(frame, tmp_path):
     assert {*frames["optimizer_message"]} <= {*EXIT_FLAGS.values()}
     assert frames["rates_passed"].sum() == frame.active["rates"].sum()
     assert unknowns["rates_passed"].sum() == frames["rates_passed"].sum()
-    assert unknowns.loc[14:, "rates_passed"].sum() == 0  # only the first 14 unknowns, the angles, have limited rates
+    assert unknowns.loc[14:, "rates_passed"].sum() == 0  # only the angles, unknowns 0 to 13, have limited rates
     np.testing.assert_allclose(unknowns["column_norm_median"], np.median(frame.column_norm, axis=0))
     assert search["cost"].tolist() == pytest.approx(frame.search.costs.tolist())
     assert search["step"].iloc[:-1].tolist() == pytest.approx(frame.search.step_norms.tolist())
@@ -149,7 +149,7 @@ def test_the_search_of_the_first_frame_is_damped(frame):
 
 
 @pytest.mark.usefixtures("frames_solved_once")
-def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
+def test_the_shown_frame_must_have_a_pose(frame_results, whole_results):
     motion = Motion.load(frame_results)
     assert read_solver(motion, frame_results, int(motion.frames[4])).search.problem.frame == 4
     with refusal(("--frame", "frame", 99, "0 to 29")):
@@ -177,7 +177,7 @@ def test_figures_of_the_frame_method(frame, figures):
     shown = [line for line in poses[0].lines if line.get_gid() == "detected"]
     assert len(shown) == len(frame.motion.limbs)
     np.testing.assert_array_equal(above.lines[0].get_ydata(), frame.search.costs)
-    # The damping has a panel unless every step is a Gauss-Newton step.
+    # the damping has a panel unless every step is a Gauss-Newton step
     assert [axes.lines[0].get_ydata().max() for axes in damped] == [x for x in [frame.search.damping.max()] if x > 1e-8]
     jacobian, *_ = figures["solver_matrices"].axes
     assert jacobian.images[0].get_array().shape == frame.search.problem.at(frame.search.x)[1].shape
@@ -187,7 +187,7 @@ def test_figures_of_the_frame_method(frame, figures):
 
 
 @pytest.mark.usefixtures("frames_solved_once")
-def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
+def test_the_command_writes_all_tables_and_figures(frame_results, undrawn, tmp_path):
     out = tmp_path / "solver"
     ended = run("solver", frame_results, "--out", out)
     assert ended.code == 0, ended.err
@@ -205,7 +205,7 @@ def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
     assert json.loads((out / "solver.json").read_text(encoding="utf-8"))["frames_converged"] == 30
 
 
-def test_settings_that_are_gone_are_said(frame_results, tmp_path):
+def test_missing_settings_are_reported(frame_results, tmp_path):
     folder = tmp_path / "clip"
     shutil.copytree(frame_results, folder)
     (folder / "config.toml").unlink()

@@ -50,7 +50,7 @@ def test_damped_search_finds_the_minimum(damping, factor):
     assert found.njev < found.nfev
 
 
-def test_search_without_evaluations_left_says_so():
+def test_a_search_that_uses_up_its_evaluations_says_so():
     found = minimise(rosenbrock, rosenbrock_jacobian, np.array([-1.2, 1.0]), 1e-10, 5, 1e-2, 10.0)
     assert (found.status, found.nfev) == (0, 5)
 
@@ -62,7 +62,7 @@ def test_both_solvers_end_at_the_same_pose():
     np.testing.assert_allclose(damped.joints_m, minpack.joints_m, atol=1e-3)
 
 
-def test_first_damping_is_the_one_that_is_set():
+def test_the_initial_damping_is_the_given_one():
     options = FrameOptions(path="free", initial_damping=0.5)
     search, _ = FrameSolver(view(), CHAIN, 90.0, options).search(0)
     assert search.damping[-1] < 0.5
@@ -90,6 +90,6 @@ def test_first_frame_starts_from_the_angles_by_hand():
 
 
 @pytest.mark.parametrize("text", ["foo=3", "th6", "th6=x", "x0=3", ""])
-def test_start_angles_that_are_none_are_refused(text):
+def test_invalid_start_angles_are_refused(text):
     with refusal(("--start-angles", "angle", repr(text), "th6")):
         parse_start_angles(text, CHAIN)

@@ -1,4 +1,4 @@
-"""Test the path of the reference joint: its smoothness, its intervals, and the term that ties frames to it."""
+"""Test the smooth path of the reference joint, its intervals, and the term that ties frames to the path."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def straight_states(depth_noise_m: float, T: int = 60, fps: float = 90.0) -> np.
 
 
 def covariances(sigma_depth_m: float, T: int = 60) -> np.ndarray:
-    """Return covariances (T, D, D): 1 cm across, more in depth, and 10 % of size shared with the distance."""
+    """Return covariances (T, D, D) of 1 cm across the view, more in depth, and 10 % in size and distance."""
     sigma = np.full(CHAIN.n_state, 0.1)
     sigma[CHAIN.euler_slice] = 1e-4
     sigma[CHAIN.position_slice] = 0.01, 0.01, sigma_depth_m
@@ -34,7 +34,7 @@ def covariances(sigma_depth_m: float, T: int = 60) -> np.ndarray:
     return np.tile(np.diag(sigma**2), (T, 1, 1))
 
 
-def test_a_straight_run_keeps_its_speed_whatever_jitters_in_depth():
+def test_jitter_in_depth_does_not_change_the_speed_of_a_straight_run():
     path = path_of(CHAIN, straight_states(0.5), covariances(0.5), 90.0)
     speed = np.linalg.norm(path.velocity_m_s, axis=1)
     sigma = np.sqrt(path.covariance[:, 5, 5])
@@ -46,8 +46,8 @@ def test_a_straight_run_keeps_its_speed_whatever_jitters_in_depth():
     assert np.linalg.norm(exact, axis=1).max() > 40.0
 
 
-def test_size_and_distance_are_left_open():
-    """Size and distance are not determined: a larger scene has the same path at the nominal size."""
+def test_size_and_distance_are_not_determined():
+    """A larger and more distant animal has the same path at the expected size."""
     states, base = straight_states(0.0), CHAIN.base_index
     larger = states.copy()
     larger[:, CHAIN.position_slice] *= 1.2
@@ -59,7 +59,7 @@ def test_size_and_distance_are_left_open():
     np.testing.assert_allclose(*(tie.evaluate(pose, None, 5, 0.1)[0] for pose in poses), atol=1e-9)
 
 
-def test_no_path_of_a_single_frame():
+def test_a_single_frame_has_no_path():
     states = straight_states(0.0)
     states[1:] = np.nan
     assert path_of(CHAIN, states, covariances(0.3), 90.0) is None
@@ -70,14 +70,14 @@ def test_the_motion_model_is_a_bounded_acceleration():
     assert np.diag(F)[:3] == pytest.approx(1.0)
     assert F[0, 3] == pytest.approx(0.01)
     assert np.diag(F)[6:] == pytest.approx(np.exp(-0.01 / 0.05))
-    assert Q[6, 6] == pytest.approx(81.0 * (1 - np.exp(-0.4)))  # stationary
+    assert Q[6, 6] == pytest.approx(81.0 * (1 - np.exp(-0.4)))  # the stationary variance of the acceleration
     assert np.linalg.eigvalsh(Q).min() > -1e-12
     assert LEAST_SIGMA_M > 0
 
 
 @pytest.fixture(scope="module")
 def fits(frame_results):
-    """Return real fits of the noisy sample with and without the path."""
+    """Return fits of the noisy sample with and without the path."""
     samples = samples_folder()
     given = {"keypoints": samples / "noisy.csv", "camera": samples / "camera.toml", "fps": 30.0, "method": "frame"}
     return {"smooth": Motion.load(frame_results), "free": fit_clip(FitSettings(**given, path="free"))}
@@ -91,10 +91,9 @@ def test_the_path_is_a_term_with_a_name_and_can_be_switched_off(fits):
 
 
 def test_a_false_peak_is_not_stated(fits):
-    """A false peak is not stated.
+    """No speed is stated for frames solved separately, which jitter in depth.
 
-    Frames solved on their own jitter in depth, so no speed is stated. If they are tied to the path, the interval
-    contains the truth.
+    If frames are tied to the path, the interval of the speed contains the true speed.
     """
     assert "solved separately" in ClipAnalysis(fits["free"]).why_no_speed
     analysis = ClipAnalysis(fits["smooth"])
