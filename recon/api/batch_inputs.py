@@ -59,7 +59,7 @@ _BY_CAMERA = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_
 
 @dataclass(frozen=True, repr=False)
 class Clip(Brief):
-    """One fit of a batch."""
+    """Clip of a batch: the name of its folder and the settings of its fit."""
 
     name: str
     """Name of the clip's folder, unique within the batch even when upper and lower case are not distinguished."""
@@ -462,7 +462,7 @@ def _joined(
 
 
 class _FileOfClip(NamedTuple):
-    """A draft as it was stated, and the same draft with the camera and the clip that its file name contains."""
+    """A draft as given, and the same draft with the names of the camera and the clip that its file name contains."""
 
     stated: _Draft
     with_camera: _Draft

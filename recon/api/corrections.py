@@ -45,7 +45,7 @@ class CorrectionSession:
     out: Path
     """File of the corrections. The session begins with the corrections in the file, if it exists."""
     motion: Motion
-    """The latest fit."""
+    """Motion of the latest fit."""
     camera: int = 0
     """Index of the camera whose video is shown."""
     corrections: list[Correction] = field(default_factory=list)

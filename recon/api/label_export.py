@@ -47,7 +47,7 @@ class CorrectedClip:
     names: Mapping[str, str]
     """Name of each keypoint in the keypoint file, keyed by its name in the fit."""
     file: Keypoints
-    """The keypoint file without corrections."""
+    """Keypoints as in the file, without corrections."""
 
     @classmethod
     def read(cls, folder: Path, path: Path, number: int = 0) -> CorrectedClip:

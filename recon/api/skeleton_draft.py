@@ -266,9 +266,9 @@ class _Distances:
     """Distances between K keypoints over a clip, metres."""
 
     usual_m: Array
-    """Median of each distance over the frames, (K, K)."""
+    """Median of each distance over the frames, shape (K, K), m."""
     changes_m: Array
-    """Standard deviation of each distance over the frames, (K, K), from its range without `TAIL` at each end."""
+    """Standard deviation of each distance over the frames, (K, K), m, from its range without `TAIL` at each end."""
     same_m: float
     """Standard deviation below which a distance counts as constant."""
     length_m: float

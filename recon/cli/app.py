@@ -379,7 +379,7 @@ app = typer.Typer(
 
 
 def commands() -> dict[str, SettingsCommand]:
-    """Return all commands by name."""
+    """Return all commands, keyed by name."""
     group = _Commands()
     return {name: group.load(name) for name in group.functions}
 

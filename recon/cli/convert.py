@@ -24,7 +24,7 @@ from recon.show.plain import by_name
 from recon.show.rig import rig_of
 
 ROBOT_FILE = "robot.npz"
-"""File name in a folder of `recon retarget`."""
+"""Name of the file with a robot's motion, which `recon retarget` writes."""
 
 
 class ConvertSettings(Settings):

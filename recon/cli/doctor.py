@@ -54,7 +54,7 @@ class _Check:
     recon from working ("broken").
     """
     state: str
-    """State of the part, as text."""
+    """Description of the part, such as its version."""
     hint: str = ""
     """Advice, unless the status is ok."""
 

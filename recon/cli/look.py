@@ -114,7 +114,7 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
 
 
 def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
-    """Write the video of a result with its overlay."""
+    """Draw a result on its video, and write the new video."""
     video, out = settings.video, settings.out
     made_from = ReadResults.read(settings.folder)
     output = output_file(out, "overlay", settings.overwrite, input_paths(settings), made_from)
@@ -316,8 +316,6 @@ class PagePictures(NamedTuple):
 
 def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:
     """Return the overlay, the rows of up to `count` stills, and video pictures for the player and the stills.
-
-    The video is read once.
 
     Raises
     ------

@@ -278,7 +278,7 @@ def test_input_problems_equal_those_of_the_fit(clips, wrong, field):
 
 
 def test_a_problem_of_many_clips_is_reported_once(clips, tmp_path):
-    """A problem that many clips share is stated once, also if each clip has its own camera file."""
+    """A problem that many clips share is stated once, even if each clip has its own camera file."""
     plain = "matrix = [[1600, 0, 960], [0, 1600, 540], [0, 0, 1]]\nsize = [1920, 1080]\ndistortions = [0, 0, 0, 0, 0]\n"
     pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]\n"
     for name in "abc":

@@ -422,7 +422,7 @@ def test_a_manifest_row_can_list_several_cameras(tmp_path):
 
 
 def test_a_clip_with_another_set_of_cameras_is_fitted_again(tmp_path):
-    """A clip with a camera more or less is the same clip again, but an unrelated file is another clip."""
+    """A clip with one camera more or fewer is the same clip, but an unrelated file is another clip."""
     out = tmp_path / "out"
     filmed(tmp_path / "clips", "walk-cam1.csv", "walk-cam2.csv")
     both, _ = find_clips([tmp_path / "clips"], TWO)

@@ -102,7 +102,7 @@ def test_a_wrong_unit_is_found_from_few_frames(runs, monkeypatch):
 
 
 def test_outliers_do_not_make_the_animal_longer():
-    """Most frames have an outlier, so the largest extent of a usual frame is that of an outlier."""
+    """In most frames some point is an outlier, so the largest extent of a typical frame is too long."""
     rng = np.random.default_rng(0)
     body = load_skeleton("dog-27")
     points_m = np.repeat(body.expected_points_m()[None], 60, axis=0)
@@ -328,7 +328,7 @@ def test_only_several_static_cameras_are_refined(runs):
 
 
 def test_camera_poses_are_found_from_the_animal_alone(runs, tmp_path):
-    """Camera poses follow from two views of one run, roughly after half a second, without reading the file's poses."""
+    """Camera poses are estimated roughly from half a second of one run in two views, without the file's poses."""
     cameras, report = run_extrinsics([settings(runs, 1, 2, frames="10:36")], tmp_path / "found.toml")
     true, found = (read_cameras(path) for path in (runs / "scene.json", tmp_path / "found.toml"))
     assert [camera.to_dict() for camera in cameras] == [camera.to_dict() for camera in found]

@@ -108,7 +108,7 @@ def test_speed_is_proportional_to_size(whole):
 
 
 def test_uncertainty_of_position_does_not_widen_angles(whole):
-    """The uncertainty of angles comes from the pose alone; the position would make it several times as large."""
+    """The uncertainty of angles excludes that of the position, which would make it several times as large."""
     knee = whole.angles["l_back_knee"]
     assert np.degrees(np.median(knee.series.value_sigma)) < 30
     points = whole.pose.xyz_m[:, [whole.pose.names.index(n) for n in ("l_hip", "l_back_knee", "l_back_ankle")]]
@@ -131,7 +131,7 @@ def test_chains_begin_with_the_trunk(whole, one_sided):
 
 
 def test_events_are_near_those_of_the_true_joints(whole, tables):
-    """Every stance of the truth is found, with its ends within two frames."""
+    """Every true stance is found, with its ends within two frames."""
     assert whole.gait.name.name == "transverse gallop"
     table = tables["stances"]
     ground = table[(table.begins == "yes") & (table.ends == "yes")]
@@ -315,9 +315,9 @@ QUICK_FIGURES = ("forces", "footfalls", "side_view", "speed")
     [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK_FIGURES)) for name in FIGURES],
 )
 def test_each_figure_is_drawn_with_all_its_text(name, whole):
-    """Each figure is drawn with all its text; other tests check the content of the figures.
+    """Each figure is drawn with all its text.
 
-    See `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py`.
+    `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py` check the content of the figures.
     """
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
@@ -340,7 +340,7 @@ def test_each_figure_can_be_saved(name, whole, tmp_path):
 
 
 def test_an_uncertain_acceleration_is_stated_in_words(whole):
-    """Instead of an acceleration that is hardly known, the figure shows the words of the page."""
+    """The figure of an acceleration that is hardly known states this in the words of the page."""
     why = whole.reference_motion.why_no_acceleration
     figure = figures_of(whole)["speed"]()
     assert [axes.get_ylabel() for axes in figure.axes] == ["speed (m/s)"]

@@ -93,7 +93,7 @@ def test_results_of_the_same_run_are_noted(tmp_path: Path, whole_motion: Motion)
 
 
 def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, whole_motion: Motion):
-    """Results of the same keypoint and camera files count once, by their digests; other frames make another clip."""
+    """Results from the same keypoint and camera files, by content, count once unless they have other frames."""
     (source,) = whole_motion.sources
     later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
     motions = dict.fromkeys("abc", whole_motion) | {"=later": replace(whole_motion, sources=(later,))}

@@ -154,7 +154,7 @@ translation = [0, 0, 0]
 
 """
 
-# A whole fit
+# Fits with the frame method
 
 
 def test_fit_writes_every_output(fitted):
@@ -314,7 +314,7 @@ def test_brackets_in_names_are_printed_unchanged(tmp_path):
     refused(fit_args(tmp_path / "b", keypoints=nowhere), (nowhere, "file", "no such file"))
 
 
-# The default method
+# Fits with the default method
 
 
 def test_trajectory_writes_every_output(whole):
@@ -656,7 +656,7 @@ def test_bad_input_creates_no_folder(args, expected, tmp_path, monkeypatch):
 
 
 def test_bad_input_ends_a_process_with_one_line(tmp_path, monkeypatch):
-    """Bad input ends a process with one line: the sentence of the problem."""
+    """Bad input ends a process with one line, which states the problem."""
     monkeypatch.chdir(tmp_path)
     ended = run_process("evaluate", "no.csv", TRUTH)
     assert ended == Ended(2, "", "error: no.csv: no such file\n")

@@ -91,7 +91,7 @@ def test_versions_that_are_too_old_or_missing_are_broken():
 
 
 def test_a_module_from_another_distribution_is_accepted(monkeypatch):
-    """A module of another distribution counts: opencv-python instead of opencv-python-headless."""
+    """opencv-python is accepted instead of opencv-python-headless, because it has the same module."""
     real = metadata.version
 
     def version(name: str) -> str:
@@ -215,7 +215,7 @@ def test_fit_and_demo_print_their_summary_as_json(tmp_path):
 
 
 def test_a_fit_without_a_pose_prints_json_too(tmp_path):
-    """A fit without a pose also prints JSON: four joints are too few for any frame."""
+    """A fit of four joints, which are too few for a pose, also prints JSON."""
     kept = ("l_hip", "r_hip", "nose", "spine")
     few = tmp_path / "few.csv"
     table = pd.read_csv(SAMPLES / "whole.csv", header=[0, 1, 2], index_col=0)
@@ -290,7 +290,7 @@ NAMES = {name for panel in COMMANDS.values() for name in panel if name.split()[0
 
 
 def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> str:
-    """Return what `recon ARGS` prints with these environment variables."""
+    """Return what `recon ARGS` prints with the given environment variables."""
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     out = io.StringIO()
