@@ -106,7 +106,7 @@ def recorded_commands() -> Iterator[Command]:
 
 
 def needed(commands: list[Command], words: list[str]) -> list[Command]:
-    """Keep the commands whose name contains one of the words, and those whose results they read."""
+    """Keep the commands whose name contains one of the words, and the commands whose results they read."""
     chosen = {name for name, _ in commands if any(word in name for word in words)}
     read = {argument for name, arguments in commands if name in chosen for argument in arguments}
     return [command for command in commands if command[0] in chosen | read]

@@ -1,7 +1,7 @@
 """Measure the lengths and the motion prior of a new species with several cameras, then fit clips of one camera.
 
-Run it with `python new_species.py`. Its inputs and outputs are set in new_species.toml, and those of each clip in the
-settings file named there.
+Run it with `python new_species.py`. Its inputs and outputs are set in new_species.toml. Each clip has a settings
+file, which new_species.toml names.
 """
 
 import tomllib

@@ -143,7 +143,7 @@ def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
 
 @cache
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
-    """Measure the keypoint bias in these runs, with the reference's poses if `posed`, and return a body with it."""
+    """Return a body with the keypoint bias measured in some runs, with the reference's poses if `posed`."""
     settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of_body(body_of(), lengths=False, offsets=True)
     if posed:

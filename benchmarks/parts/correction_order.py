@@ -16,7 +16,7 @@ The orders are:
   the linearised fit. This order needs the reconstruction
 
 The last table shows how much of greedy's fall can be reached without the reconstruction. The true errors are replaced
-by errors drawn from the fit's own posterior, for which the expected falls are exact, and all falls are those of the
+by errors drawn from the fit's own posterior, for which the expected falls are exact, and all falls are computed by the
 linearised fit. `expected` is the order of the expected falls of all detections. FOLDER is by default the cheetah-runs
 of $RECON_SHARED_DATA, or of ../shared/data.
 """
@@ -234,7 +234,7 @@ class Linearised:
 
 
 def mean_length(flat_m: Array) -> Array:
-    """Return the mean lengths (n,) of vectors (n, 3 M)."""
+    """Return the mean length (n,) of the M vectors in each row of an array (n, 3 M)."""
     return np.linalg.norm(flat_m.reshape(len(flat_m), -1, 3), axis=-1).mean(axis=1)
 
 

@@ -8,8 +8,8 @@ dog-mocap of $RECON_SHARED_DATA, or of ../shared/data.
 
 For the part `accuracy`, each clip is seen by one still, level pinhole camera, 1920x1080, 0.6 m above the ground, 6 m to
 the side of the clip's path. Its field of view is the smallest whole number of degrees that contains the whole clip.
-Detections are the joints' projections with 2 px of Gaussian noise. The prior is learned from the other seven clips. The
-lengths are those of the dog, which is the same in all clips. The script runs in one thread.
+Detections are the joints' projections with 2 px of Gaussian noise. The prior is learned from the other seven clips. All
+clips show the same dog, and the fits use its lengths. The script runs in one thread.
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ all feet over complete strides must be one body weight. The simulated gallop of 
 its mean force is also known.
 
 A gallop and a trot are simulated from given forces (`recon.testing.steady_gait`) and have exact poses. There are three
-variants: the paws leave the ground and land as fast as those over the plates; they leave and land at rest; or the force
-of a stance is half a sine. The same two gaits, seen by one camera from the side and fitted from noisy detections, test
-the intervals for feet whose parts of the impulse vary as the model states. These gaits provide far more feet than the
-plates.
+variants: the paws leave the ground and land as fast as the paws over the plates; they leave and land at rest; or the
+force of a stance is half a sine. The same two gaits, seen by one camera from the side and fitted from noisy detections,
+test the intervals for feet whose parts of the impulse vary as the model states. These gaits provide far more stances
+than the plates.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
         one, impulse = near.iloc[0], plate.sum() / fps
 
         def off(start_s, end_s, impulse, at_s: np.ndarray = at_s, plate=plate) -> float:
-            """Return the RMS error of the mean force, body weights, for stances with these ends and impulses."""
+            """Return the RMS error of the mean force, body weights, for stances with given times and impulses."""
             begins_s, lasts = start_s[1:, None], (end_s - start_s)[1:, None]
             force = impulse[1:, None] / (MEAN_OF_PEAK * lasts) * shape((at_s - begins_s) / lasts)
             return float(np.sqrt(np.mean((force.mean(axis=0) - plate) ** 2)))
@@ -103,7 +103,7 @@ CARRIED = "strides, intervals of the mean force that contain 1, mean force"
 def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
     """Return the mean vertical force of all feet over each complete stride, and the ends of its 90 % interval.
 
-    The strides are those of the foot with the most strides whose stances are complete in the clip.
+    Only strides of the foot with the most strides count, if all their stances are complete in the clip.
     """
     gait, rows = found.gait, []
     if gait is None or found.dynamics is None or not gait.strides or len(gait.tracks.feet) < 4:
@@ -141,8 +141,9 @@ def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
     Returns
     -------
     tuple
-        The analyses from single cameras, and four fractions of frames: those in which the internal energy and each
-        component of the angular momentum from all cameras are inside the 90 % intervals from a single camera.
+        The analyses from single cameras, and four fractions of frames, for the internal energy and each component of
+        the angular momentum: in these frames, the value from all cameras is inside the 90 % interval from a single
+        camera.
     """
     found, held = [], []
     for run in runs_of(recordings("cheetah-runs")):

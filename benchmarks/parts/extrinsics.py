@@ -209,7 +209,7 @@ def levelled(run: Run, runs: Sequence[Run]) -> dict:
 
 
 def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """Shift cameras by whole frames, and compare the estimated offsets with those of the unshifted clips."""
+    """Shift cameras by whole frames, and compare the estimated offsets with the offsets of the unshifted clips."""
     cameras, rng = cameras_of(clips[0])["all"], np.random.default_rng(0)
     own = [[run.views[camera] for camera in cameras] for run in clips]
     given = [(as_seen(body_of(run.subject), run, runs), run.fps) for run in clips]

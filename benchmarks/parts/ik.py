@@ -4,8 +4,8 @@
 
 The chains are the joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left
 front leg. The script runs on one core, after a first run that is not timed. Tables are in Markdown, as in docs/ik.md.
-The last four parts need real runs: each is a folder with truth.csv and meta.json (fps), by default those of
-cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
+The last four parts need real runs: each is a folder with truth.csv and meta.json (fps), by default the runs in
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
 """
 
 from __future__ import annotations

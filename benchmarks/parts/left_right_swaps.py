@@ -7,7 +7,7 @@ file or in the settings of `recon fit`, and fitted. Errors are means of the join
 default FOLDER is the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without runs, nothing
 is measured. --views n uses every n-th view only. --folds prints the margin of swaps that is chosen on all runs but one,
 for each run. --others lists the findings in unchanged clips of other animals: dogs as in `dog.py`, with the prior of
-the other clips and with independent angles, and a horse's hand labels with a guessed camera. These come from the
+the other clips and with independent angles, and a horse's hand labels with a guessed camera. These clips come from the
 dog-mocap and the horse-side of $RECON_SHARED_DATA.
 """
 
@@ -379,8 +379,8 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
         again, _ = fitted(mended, CASES["untouched"], folder)
         assert isinstance(solution, TrajectorySolution)
         assert isinstance(again.solution, TrajectorySolution)
-        if not swap_improves(again.solution, solution):  # such a swap is not reported, nor corrected
-            break
+        if not swap_improves(again.solution, solution):
+            break  # this swap would be neither reported nor corrected
         wrong.append(wrongly)
         ratios.append(error_mm(view, again, everywhere) / mm)
         overlap = 2 * changed[rows].sum() >= (changed | _of(rows, len(changed))).sum()

@@ -30,7 +30,7 @@ class Circle:
     """Results of all stages, from the training on labels to the comparison of the motion with the truth."""
 
     training: dict[str, Any]
-    """Report of the training."""
+    """Report of the training, the content of training.json."""
     points: dict[str, Any]
     """Scores of the predictions in the frames without labels."""
     predicted: Evaluation

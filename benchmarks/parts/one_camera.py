@@ -2,12 +2,12 @@
 
     python benchmarks/parts/one_camera.py [FOLDER] [--only WORD]
 
-The motions are those of the runs of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. A simulated camera
-(60 degrees, 1920 x 1080) stands at the side of the middle of each run. Except for the condition that a row changes,
-there are all keypoints, 3 px of noise, the run's own frame rate and a distance of 12 m. The lengths are those of the
-expected animal, and the prior is the built-in one, which was learned from these runs; nothing else about the truth is
-known. MPJPE is the mean distance of the joints, both poses centred, and PA-MPJPE the same after the best rotation and
-scale of each frame. "distance" is the relative error of the mean distance from the camera.
+The motions come from the runs in FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. A simulated camera (60
+degrees, 1920 x 1080) stands at the side of the middle of each run. Except for the condition that a row changes, there
+are all keypoints, 3 px of noise, the run's own frame rate and a distance of 12 m. The fits use the lengths of the
+expected animal and the built-in prior, which was learned from the same runs. They know nothing else about the truth.
+MPJPE is the mean distance of the joints, both poses centred, and PA-MPJPE the same after the best rotation and scale of
+each frame. "distance" is the relative error of the mean distance from the camera.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted unchanged, with x scaled,
 with the hind half of a second animal, and with another focal length. Every n-th pair is fitted unchanged, and with a
-second camera that takes one picture per second fewer than its file says. The deviations are those of
+second camera that takes one picture per second fewer than its file says. The deviations come from
 `recon.check.stretch.deviation`, `recon.check.halves.offset_of`, `recon.check.focal.FocalTest.deviation`, and the
 largest of `recon.check.clocks.drifts_of`; halves and drift are in standard deviations.
 """

@@ -11,12 +11,12 @@
   three seconds, and the refreshes are counted. The second number is the processor time of all processes of the browser,
   which draws without a graphics card; if a frame takes 33 ms of one processor, 30 frames per second are drawn
 - `costs` measures the processor time of `recon report` and `recon analyse` with their default options on 40 frames,
-  relative to that of the fit in the same run, as medians of RUNS runs
-- `pages` writes the pages of the rendered film with its video, of a sample of 60 frames, and of twenty of these in a
-  row, forwards and backwards
+  relative to the fit in the same run, as medians of RUNS runs
+- `pages` writes the pages of the rendered film with its video, of a sample of 60 frames, and of twenty such samples in
+  a row, forwards and backwards
 - `summary` writes the page of a batch of copies of one result
 - `run` goes from the rendered film to the page with a network that `recon train` made on this film, and its
-  time is compared with that of a command for each stage and of a second run
+  time is compared with the time of one command per stage, and of a second run
 
 If Chromium is on the path, it opens the pages, and the number of its console messages is printed.
 """

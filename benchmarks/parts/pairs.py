@@ -5,7 +5,7 @@
 The fits use the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. "two" is the named camera of each run with
 each of the `--pairs` other cameras that have the most detections, by default with all others. One of the two is turned
 about its centre, in separate fits for each of its axes (tilt, pan, roll). "one" is the named camera, and "all" are all
-cameras of a run, both unchanged. Fits are those of `recon fit --fast`; --set changes their settings.
+cameras of a run, both unchanged. Clips are fitted like `recon fit --fast`; --set changes the settings of the fits.
 
 The columns are the number of fits that refined a camera; the errors of pose and position, as means over the fits; the
 fraction of the joints' world coordinates inside 90 % intervals, for all fits and for the worst; and the verdicts. The

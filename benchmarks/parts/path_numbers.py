@@ -3,10 +3,10 @@
     python benchmarks/parts/path_numbers.py [FOLDER]
 
 Every view of every run is solved once, frame by frame (`path=free`). Paths with other accelerations and correlation
-times are estimated from these solutions, which is quick. The score of a choice compares the peak speed of the path with
-the true one: the fraction of views within `WITHIN`, minus the difference between the 90 % intervals' coverage and 90 %.
-Each run is left out in turn. The table has the best choice on the other runs, and the results of this choice and of the
-frame method's default parameters on the run that was left out.
+times are estimated from the solutions, which takes little time. The score of a choice compares the peak speed of the
+path with the true one: the fraction of views within `WITHIN`, minus the difference between the 90 % intervals' coverage
+and 90 %. Each run is left out in turn. The table has the best choice on the other runs, and the results of this choice
+and of the frame method's default parameters on the run that was left out.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def clean(views: Sequence[View]) -> list[View]:
 
 
 def outliers(views: Sequence[View]) -> list[View]:
-    """Move a fifth of the detections anywhere into the picture."""
+    """Move a fifth of the detections to random positions in the picture."""
     random = np.random.default_rng(0)
     changed = []
     for view in views:

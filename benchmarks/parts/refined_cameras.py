@@ -3,12 +3,12 @@
     python benchmarks/parts/refined_cameras.py [FOLDER]
 
 Each run is a folder as in `cheetah_runs.py`, used with all cameras. All but the first camera, the named one, are turned
-by 2 degrees about a random axis, and moved by 5 cm in a random direction. The result is compared with that of refining
-the original poses, because these are not exact either. Errors are over all 24 joints. The first table
-compares all runs of one camera file together with each run alone; the keypoint bias is measured in the other runs. The
-second table has means over the runs, each alone, with other detections: the truth's projections, without and with white
-noise of the size of the detector's deviations. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of
-../shared/data. The script runs in one thread.
+by 2 degrees about a random axis, and moved by 5 cm in a random direction. The refined poses are compared with poses
+refined from the original poses, because the original poses are not exact either. Errors are over all 24 joints. The
+first table compares all runs of one camera file together with each run alone; the keypoint bias is measured in the
+other runs. The second table has means over the runs, each alone, with other detections: the truth's projections,
+without and with white noise of the size of the detector's deviations. FOLDER is by default the cheetah-runs of
+$RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 
 from __future__ import annotations

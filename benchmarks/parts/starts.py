@@ -5,9 +5,9 @@
 Windows are all frames of each run, as in `cameras.py`, seen by each single camera, each pair of cameras, and all
 cameras of a run. Each window is approached (`recon.fit.starts.approach`) as in a fit, with all starts (`_WORSE`
 infinite; for one camera none is left out), and without giving any start up (`_HOPELESS` infinite). The columns are the
-windows in which the constant has an effect; those of them in which the best minimum, and a second one that would be
-reported, have a lower cost without the constant, by at least `LOWER`; and the largest decrease of the best minimum's
-cost. Costs are half squared standard deviations.
+windows in which the constant has an effect; how many of these windows have a best minimum, or a second minimum that
+would be reported, whose cost is lower by at least `LOWER` without the constant; and the largest decrease of the best
+minimum's cost. Costs are half squared standard deviations.
 """
 
 from __future__ import annotations

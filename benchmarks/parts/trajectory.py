@@ -96,9 +96,9 @@ class Fit:
     off_m: np.ndarray
     """Errors (T, J) in the camera's frame, metres."""
     inside_relative: np.ndarray
-    """1.0 (T, J) where the centred truth is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
+    """Whether each centred true joint is inside its 90 % region, shape (T, J): 1.0, 0.0, or NaN if unknown."""
     inside_place: np.ndarray
-    """1.0 (T, J) where the truth in the camera's frame is in its 90 % region, 0.0 elsewhere, NaN if unknown."""
+    """Whether each true joint in the camera's frame is inside its 90 % region, shape (T, J): 1.0, 0.0, or NaN."""
     sigma_m: np.ndarray
     """Stated standard deviation (T,) of the joints within the pose, metres, RMS over the joints."""
     too_far_m: float
@@ -251,7 +251,7 @@ def _in_camera(solution: TrajectorySolution, covariance_m2: np.ndarray) -> np.nd
 
 
 def _inside(error_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-    """Return 1.0 inside the 90 % region, 0.0 outside, NaN without truth or solution, as (T, J)."""
+    """Return whether each error (T, J, 3) is inside the 90 % region: 1.0, 0.0, or NaN without truth or solution."""
     off = sigmas(error_m, covariance_m2)
     return np.where(np.isfinite(off), off < radius(0.9, 3), np.nan)
 

@@ -4,7 +4,7 @@
 
 Each clip of a dog's motion capture with a mean speed of at least `SLOWEST_M_S` is moved back by its mean velocity, seen
 by one camera from the side as in `dog.py`, and fitted with the belt's speed. Its speed, stride length and stances are
-compared with those of the markers over ground. FOLDER is by default the dog-mocap of $RECON_SHARED_DATA, or of
+compared with the values of the markers over ground. FOLDER is by default the dog-mocap of $RECON_SHARED_DATA, or of
 ../shared/data.
 """
 

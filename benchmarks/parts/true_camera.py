@@ -45,7 +45,7 @@ KINDS = {
     "two cameras, one turned by 2 to 6 degrees": [name for name in CASES if name.startswith("two, one turned")],
     "two cameras, one moved by 0.25 or 0.5 m": [name for name in CASES if name.startswith("two, one moved")],
 }
-"""Cases of wrong_inputs.py whose keypoints equal those of the right input."""
+"""Cases of wrong_inputs.py with the keypoints of the right input and a wrong camera file."""
 CLEAR = 3.0
 """Log-likelihood gain above which the right file would clearly win."""
 

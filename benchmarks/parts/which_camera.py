@@ -10,7 +10,7 @@ rises by 3 %.
 - found: the fits with the finding another_camera_fits
 - with a limit from the other runs: the same, with a limit of twice the largest gain of the right camera in other runs
 - beyond the bound: the error of pose or position is above the upper end of the stated interval
-- without the test: the verdict if there were no such finding
+- without the test: the verdict if the finding another_camera_fits did not exist
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted like `recon fit`
 with each of `CASES` put into its files or settings. Cases of two cameras use each pair of a run's cameras. --views n
-uses every n-th view only. Errors are in the world of the camera file; those of the pose are centred. A case whose name
+uses every n-th view only. Errors are in the world of the camera file, and pose errors are centred. A case whose name
 begins with "right" is a correct input. The columns are:
 
 - doubled: clips whose error in pose or position is at least twice that of the same clip with the correct input
@@ -14,8 +14,8 @@ begins with "right" is a correct input. The columns are:
 - in the camera's frame: errors relative to the clip and the camera from which the keypoints really come, which is all
   that one camera can show
 
---findings prints the findings of each case, and those of a horse that is fitted as a cheetah (the horse-side of the
-same folder).
+--findings prints the findings of each case, and the findings on a horse that is fitted as a cheetah (the horse-side of
+the same folder).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Define costs on the joint angles of redundant chains, with their gradients and Hessians.
 
-The costs are those of C. van der Leek's thesis (2022), except that each link has its own length in the rotational
+The costs come from C. van der Leek's thesis (2022), except that each link has its own length in the rotational
 energies; the thesis prints r5 for all links.
 """
 

@@ -324,7 +324,7 @@ def _clamped(values: Array, limit: Array) -> Array:
 
 
 def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:
-    """Return the rates of all joints from those of the free joints, with 0 for the others.
+    """Return the rates of all joints within their limits; joints that are not free have the rate 0.
 
     The motion along the null space is reduced as far as the limits require, and the note says so.
     """

@@ -131,7 +131,7 @@ def find_stride(
 def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
     """Return the angles (n,) with the end effector at its rearmost position, and its foremost position (dim,), metres.
 
-    Forwards is the first axis of the base frame. `q` holds joint angles (K, n), such as those of a stride, NaN if
+    Forwards is the first axis of the base frame. `q` holds joint angles (K, n), such as the angles of a stride, NaN if
     missing.
 
     Raises

@@ -300,7 +300,7 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
 def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
 
-    The variance is that of the probability (B, K, h, w) around each point, minus the variance of the Gaussian that the
+    The variance of the probability (B, K, h, w) around each point is reduced by the variance of the Gaussian that the
     network is trained on. Distances beyond `FAR` count as `FAR`.
     """
     spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))

@@ -350,7 +350,7 @@ def _begin(run: TrainingRun) -> State:
 
 
 def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
-    """Write a checkpoint with everything that the rest of a run depends on."""
+    """Write a checkpoint from which the run can continue as if it had not been interrupted."""
     content = {
         "settings": run.settings.of_training(),
         "names": list(run.spec.names),
@@ -365,7 +365,7 @@ def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
 def _resumed(run: TrainingRun, out: Path) -> State:
     """Load the state of a training run from a folder's checkpoint.
 
-    If the keypoints, settings or pictures of the checkpoint differ from those of the run, InputError is raised.
+    If the keypoints, settings or pictures of the checkpoint differ from the run's, InputError is raised.
     """
     path = out / CHECKPOINT_FILE
     content = net.load_torch(path)

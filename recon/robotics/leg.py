@@ -23,8 +23,8 @@ The inverse starts at the knee, from P^2 + Q^2 = n^2, the squared distance of th
     s = atan2(q, p) -+ acos(-r / sqrt(p^2 + q^2))
     p = 2 (uo lo + l1 l2)    q = 2 (l2 uo - l1 lo)    r = lo^2 + l2^2 + uo^2 + l1^2 - n^2
 
-The two signs are the two ways to bend the knee. The solution with s above that of the stretched leg, atan2(q, p), is
-used, so that the knee never bends backwards. The other angles follow from pairs of linear equations. Two flap angles
+The two signs are the two ways to bend the knee. The solution with s above atan2(q, p), the angle of the stretched leg,
+is used, so that the knee never bends backwards. The other angles follow from pairs of linear equations. Two flap angles
 reach a foot, one with the leg pointing down and the other with the leg pointing up. The angle within 90 degrees of down
 is used.
 """

@@ -485,7 +485,7 @@ class _Carrying:
             return ((nudged.needed - by_feet).reshape(K, 6, -1) - unmet[:, None]).swapaxes(1, 2) / STEP
 
         def rows(*parts: Array) -> Array:
-            """Convert derivatives with respect to the base's pose into those for the spline's coefficients."""
+            """Convert derivatives with respect to the base's pose to derivatives for the spline's coefficients."""
             by = (np.einsum("kij,kn->kinj", part, way) for part, way in zip(parts, self.ways, strict=False))
             return np.sum([*by], axis=0).reshape(K, parts[0].shape[1], -1)
 

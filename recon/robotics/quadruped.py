@@ -55,7 +55,7 @@ class RobotLeg:
     closed: Leg | None = None
     """Closed form of the leg, in leg axes."""
     signs: Array | None = None
-    """Signs of the joints' own angles relative to those of the closed form, shape (n,)."""
+    """Signs of the joints' own angles relative to the angles of the closed form, shape (n,)."""
 
     @property
     def joints(self) -> tuple[str, ...]:

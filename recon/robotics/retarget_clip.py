@@ -80,7 +80,7 @@ class RetargetSettings(Settings):
     format: Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None = None
     """Also write files for programs that train policies, with velocities: amp, isaaclab, mjlab or mjlab-csv."""
     rate: Annotated[Positive, Option(expected="a number above 0")] = RATE_HZ
-    """Frames per second of --format."""
+    """Frame rate of the files of --format, frames per second."""
     samples: Annotated[
         Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
     ] = None

@@ -2,10 +2,10 @@
 
     python tests/fuzz/kills.py [--count 200] [--seed 0]
 
-One child after the other replaces the results of one fit by those of another. Each child is killed before or after one
-of its steps, or at a random time during the steps. The folder that it leaves must be refused, or be one of the two
-results to the last byte, and the next child must be able to write. The script prints the number of each outcome, and
-ends with 1 if there was a mixture.
+One child after the other replaces the results of one fit by the results of another fit. Each child is killed before or
+after one of its steps, or at a random time during the steps. The folder that it leaves must be refused, or be one of
+the two results to the last byte, and the next child must be able to write. The script prints the number of each
+outcome, and ends with 1 if there was a mixture.
 """
 
 from __future__ import annotations
