@@ -1,6 +1,6 @@
-"""Diagnose faults of an input or of a fit.
+"""Detect faults in the inputs and the result of a fit, and give the verdict on a clip.
 
-A `Finding` has a code and numbers; `CODES` gives the severity and text of each code. `add_verdict` adds the findings of
-a motion and the verdict that follows from them. `input_findings` fits parts of the clip again to detect wrong inputs;
-`agreement_findings` compares the cameras.
+A `Finding` has a code and numbers, and `CODES` has the severity and the text for each code. `input_findings` fits parts
+of the clip again to detect wrong inputs, and `agreement_findings` compares the cameras. `add_verdict` adds all other
+findings to a motion, and the verdict that follows from them.
 """

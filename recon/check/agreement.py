@@ -1,13 +1,13 @@
-"""Test whether the cameras of a clip agree: compare each camera's detections with points from the other cameras.
+"""Test whether the cameras of a clip agree, by comparing each camera's detections with points seen by the others.
 
 The rays of the cameras are compared by their error ratios (`recon.check.sights`). The test uses no body and no fit, so
 it also detects a camera that pulls the fit away from the others.
 
-If error ratios are too high, cameras are left out one by one until the rest agrees (`_largest_agreeing_group`). For
+If error ratios are too high, cameras are left out one by one until the others agree (`_largest_agreeing_group`). For
 each camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If the
-rotation or the offset lowers the error ratio enough, it is named as the cause; otherwise the cause is unknown.
-Exchanged files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`). If no two of
-the cameras agree, one error names all of them.
+rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown.
+Exchanged files of two cameras are tried first, since they explain the errors of two cameras at once
+(`_exchanged_pair`). If no two cameras agree, a single error names all of them.
 """
 
 from __future__ import annotations
@@ -41,52 +41,53 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding
 
 MAX_ERROR_RATIO = 1.6
-"""Largest error ratio at which a camera agrees with the others.
+"""Largest error ratio at which a camera counts as agreeing with the others.
 
-The limit is raised if the other cameras are noisier than expected.
+The limit is raised if the other cameras are noisier than expected (`MAX_NOISE_FACTOR`).
 """
 MAX_NOISE_FACTOR = 2.0
-"""Largest factor on the expected errors that is attributed to noise of the detector."""
+"""Largest factor by which `MAX_ERROR_RATIO` is raised for a noisy detector, with three or more cameras."""
 MAX_NOISE_FACTOR_OF_TWO = 1.1
-"""Largest factor on the expected errors of only two cameras that is attributed to noise of the detector.
+"""Largest factor by which `MAX_ERROR_RATIO` is raised for a noisy detector, with two cameras.
 
-There is no third camera to show that the errors are noise. The error ratios of 68 real pairs of cameras are up to 1.5.
-Two cameras show a rotation of one of them only across the line between them.
+The factor is smaller than `MAX_NOISE_FACTOR`, because no third camera shows that the errors are noise. The error ratios
+of 68 real pairs of cameras are up to 1.5. A rotation of one of two cameras raises the error ratio only if it turns the
+rays out of the planes through both cameras.
 """
 EXPLAINED = 0.25
-"""Largest fraction of a camera's error ratio that is left when a cause that explains the error is undone."""
+"""Fraction of a camera's error ratio that may remain, at most, after correcting a cause that explains the error."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
-"""Rotation from which a camera that agrees is still reported, if its error ratio decreases by `CLEAR_GAIN`."""
+"""Minimum rotation for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0
-"""Time offset, in frames, from which an agreeing camera is reported, if its error ratio decreases by `CLEAR_GAIN`."""
+"""Minimum time offset, frames, for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_GAIN = 1.5
-"""Smallest factor by which a rotation or time offset of an agreeing camera reduces its error ratio, to be reported."""
+"""Minimum factor by which a rotation or a time offset must reduce the error ratio of a camera that agrees."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
-"""Largest best-fitting rotation that is attributed to the camera."""
+"""Largest rotation of a camera that is reported as a cause; a larger one is more likely another fault."""
 FRAMES = 480
-"""Largest number of frames in which cameras are compared.
+"""Maximum number of frames in which cameras are compared.
 
-In a longer clip, the frames with the most detections in common are used.
+In a longer clip, the stretch of frames with the most detections in common is used.
 """
 _KEPT_POINTS = 16
-"""Number of groups of cameras whose triangulated points are kept in memory for further comparisons."""
+"""Number of groups of cameras whose triangulated points are cached for further comparisons."""
 Comparison = dict[str, float]
 """Comparison of one camera with the cameras that agree with each other; NaN if unknown.
 
-- points: number of points compared
-- error_px: median distance from the positions at which the others see the points
-- level: error ratio
-- turn_rad: angle of the best rotation of the camera
-- late_frames: delay of its pictures relative to the stated times
-- level_turned, level_late: error ratio after that rotation, and after that delay
+- points: number of points that were compared
+- error_px: median distance of the detections from the positions at which the others see the points
+- level: error ratio of the camera
+- turn_rad: angle of the rotation that makes the camera agree best
+- late_frames: delay of the camera's pictures that makes it agree best
+- level_turned, level_late: error ratio after this rotation, and after this delay
 """
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
-    """Return the findings on a motion's two or more cameras, compared with each other at their given poses.
+    """Return the findings from a comparison of a motion's cameras with each other, at their given poses.
 
     There is a note on each camera, and an error for each camera that is exchanged, turned, late, or off for an unknown
-    reason. If no two cameras agree, one error names all cameras. The result is deterministic.
+    reason. If no two cameras agree, a single error names all cameras. The result is deterministic.
 
     Parameters
     ----------
@@ -140,10 +141,10 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[Sight], sigma_px: float, keypoint_sigma_m: float, points_of: PointsOf
 ) -> tuple[list[Sight], tuple[int, ...], float]:
-    """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit for error ratios.
+    """Return the sights after undoing an exchange of two cameras' files, these cameras, and the limit of error ratios.
 
-    Without exchanged cameras, the pair is (). The limit is higher than `MAX_ERROR_RATIO` if the cameras that agree best
-    are noisier than expected.
+    The pair of cameras is () if no files are exchanged. The limit is higher than `MAX_ERROR_RATIO` if the cameras that
+    agree best are noisier than expected.
     """
     everyone = tuple(range(len(views)))
     ratios = error_ratios(sights, everyone, points_of)
@@ -165,10 +166,10 @@ def _without_exchange(
 def swaps_by_effect(
     findings: Sequence[Finding], motion: Motion, sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[Finding, ...]:
-    """Return findings in which the severity of swaps follows from their effect, for three or more cameras.
+    """Return findings in which the severity of each left-right swap follows from its effect on the points.
 
-    A swap in one camera has little effect if the others agree, because the robust fit follows them. Parameters are as
-    in `agreement_findings`.
+    With fewer than three cameras, the findings are not changed. A swap in one camera has little effect if the other
+    cameras agree, because the robust fit follows them. The other parameters are as in `agreement_findings`.
     """
     names = [view.camera.name for view in motion.solution.views]
     if len(names) < 3 or not any(item.code.startswith("left_right_swap") for item in findings):
@@ -186,10 +187,10 @@ def swaps_by_effect(
 
 
 def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
-    """Return how far camera v moves the points that the other cameras see, in metres.
+    """Return the distances by which camera v moves the points that the other cameras see, in metres.
 
-    The first number is the movement about the middle of the points, the second the movement of this middle. Both are
-    means over joints and frames, and NaN if the other cameras alone see too few points.
+    The values are those of `EFFECTS`: the movement of the points about their mean, and the movement of this mean, both
+    averaged over joints and frames. Both are NaN if the other cameras see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)
     if len(partners) < 2:
@@ -210,7 +211,7 @@ def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[
 def _compare_with_agreeing(
     sights: Sequence[Sight], fps: float, limit: float, points_of: PointsOf
 ) -> tuple[tuple[int, ...], list[Comparison]]:
-    """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
+    """Return the cameras that agree, and the comparison of each camera with these, or with all cameras if none agree.
 
     A camera can be turned by some degrees about its line of sight while its error ratio is still low. Agreeing cameras
     that a rotation or a time offset clearly improves are therefore removed as well.
@@ -227,7 +228,7 @@ def _compare_with_agreeing(
 
 
 def _are_within(ratios: Array, limit: float) -> bool:
-    """Return whether all known error ratios are at most the limit; unknown ones are NaN."""
+    """Return whether no error ratio exceeds the limit, ignoring unknown ratios, which are NaN."""
     return not (ratios > limit).any()
 
 
@@ -236,7 +237,10 @@ def _is_explained(ratio: float, previous: float, limit: float) -> bool:
 
 
 def _exchanged_pair(ratios: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:
-    """Return the two cameras whose error ratios are explained by exchanged files."""
+    """Return the two cameras whose error ratios are best explained by exchanged files, or None.
+
+    `trials` has the error ratios of all cameras after exchanging the files of each pair.
+    """
     explained = {
         pair: np.nansum(after_exchange)
         for pair, after_exchange in trials.items()
@@ -258,9 +262,9 @@ def _compare_each(
 
 
 def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
-    """Return the camera's error ratio after each possible cause is undone, by the cause's code.
+    """Return a dictionary of the camera's error ratio after correcting each possible cause, with the code as the key.
 
-    A rotation or delay below `least_rad` or `least_frames` is not a possible cause.
+    A rotation below `least_rad`, or a delay below `least_frames`, is not a possible cause.
     """
     is_turned = least_rad <= comparison["turn_rad"] <= LARGEST_ROTATION_RAD
     is_late = abs(comparison["late_frames"]) >= least_frames
@@ -269,13 +273,13 @@ def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float 
 
 
 def _gain(comparison: Comparison) -> float:
-    """Return the factor by which the best rotation or time offset reduces a camera's error, or 1 if both are small."""
+    """Return the factor by which the best rotation or time offset reduces the error ratio; 1 if both are small."""
     causes = _causes(comparison, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
     return max((comparison["level"] / max(ratio, 1e-9) for ratio in causes.values()), default=1.0)
 
 
 def _code(comparison: Comparison, limit: float) -> str:
-    """Return the code of a camera's finding: the cause that leaves the smallest error, if it explains the error."""
+    """Return the code of the cause that leaves the smallest error ratio; "camera_off" if no cause explains enough."""
     likeliest = min(
         (ratio, code) for code, ratio in {**_causes(comparison), "camera_off": np.inf}.items() if not np.isnan(ratio)
     )
@@ -291,11 +295,11 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
 
 
 def _largest_agreeing_group(sights: Sequence[Sight], fps: float, limit: float, points_of: PointsOf) -> tuple[int, ...]:
-    """Return the cameras left after removing the least agreeing cameras one by one, or () if no two agree.
+    """Return the cameras that agree after the others were removed one by one, or () if no two agree.
 
-    The last two of three cameras can only be compared with each other, and a camera next to another one may pass in
-    spite of its time offset. The first camera to be removed is therefore one that a rotation or an offset would bring
-    into agreement with both.
+    The last two of three cameras can only be compared with each other, and two cameras that stand side by side may
+    agree in spite of a time offset. The first camera to be removed is therefore one that a rotation or an offset would
+    bring into agreement with both others.
     """
     agreeing = tuple(range(len(sights)))
     while not _are_within(error_ratios(sights, agreeing, points_of), limit):
@@ -307,12 +311,12 @@ def _largest_agreeing_group(sights: Sequence[Sight], fps: float, limit: float, p
 
 
 class _RemovalCost(NamedTuple):
-    """Cost of removing a camera from those that agree; the camera with the lowest cost is removed first."""
+    """Cost of removing a camera from a group; the camera with the lowest cost is removed first."""
 
     is_unexplained: bool
     """Whether neither a rotation nor a time offset makes the camera agree."""
     ratio_sum: float
-    """Sum of the error ratios that are left after the removal or the best correction of the camera."""
+    """Sum of the error ratios that remain after the removal, or after the best correction, of the camera."""
 
 
 def _cost_of_removal(
@@ -323,9 +327,9 @@ def _cost_of_removal(
     limit: float,
     points_of: PointsOf,
 ) -> _RemovalCost:
-    """Return the cost of removing the one agreeing camera that is not among `rest`.
+    """Return the cost of removing a camera from the group `agreeing`, which leaves the cameras `rest`.
 
-    A rotation and a time offset are tried only if there are three cameras.
+    A rotation and a time offset of the camera are tried only if the group has three cameras.
     """
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
@@ -339,7 +343,7 @@ def _cost_of_removal(
 
 
 def _compare(sight: Sight, partners: Sequence[Sight], fps: float, points_of: PointsOf, wide: bool) -> Comparison:
-    """Return the comparison of a camera with others; if `wide` is true, a long range of time offsets is searched."""
+    """Return the comparison of a camera with partners; `wide` selects the wider range of time offsets."""
     corrected = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         ratio, error_rad, n = error_ratio_of_pair(sight, partners[0])

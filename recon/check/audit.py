@@ -1,7 +1,7 @@
 """Audit a file of 2D keypoints or 3D poses from any program, without a camera, a fit or a model of the animal.
 
-Each check measures one number, which is larger the more suspicious the file is. `LIMITS` has the largest number of each
-check in a correct file (`benchmarks/parts/audit.py` tests the limits by leaving recordings out).
+Each check measures a value that increases with the suspicion of a fault. A value above the check's limit (`LIMITS`)
+leads to a finding. `benchmarks/parts/audit.py` tests the limits on recordings that were left out when choosing them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LIMITS: Mapping[str, float] = {
     "feet_slide": 1.0,
     "joint_beyond_range": 1.0,
 }
-"""Largest value that the measure of each check has in a correct file, by the check's code."""
+"""Value of each check's measure above which a finding is reported, with the check's code as the key."""
 TRACKS_ONLY = ("keypoints_normalised", "keypoints_y_up")
 """Codes of the checks that apply only to 2D keypoints."""
 POSES_ONLY = (
@@ -63,20 +63,20 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "points_identical": ("lengths_change", "joint_beyond_range"),
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }
-"""Findings that follow from another finding, by the code of their cause; only the cause is reported."""
+"""Codes of the consequences of each finding, which are not reported together with it."""
 LEAST_FRAMES = 5
-"""Smallest number of frames that can be audited."""
+"""Minimum number of frames in a file that can be audited."""
 
 
 def audit(points: AuditedPoints) -> tuple[Finding, ...]:
-    """Return the findings on points from any program, the most serious first."""
+    """Return the findings of all checks on the points of a file, the most serious first."""
     suspicious = [measure for measure in measures_of(points) if measure.value > LIMITS[measure.code]]
     explained = {code for measure in suspicious for code in CONSEQUENCES.get(measure.code, ())}
     return sort_findings([_as_finding(points, measure) for measure in suspicious if measure.code not in explained])
 
 
 def measures_of(points: AuditedPoints) -> list[Measure]:
-    """Return the measures of all checks that apply to the points, without those that cannot be computed."""
+    """Return the measures of all checks that apply to the points and can be computed."""
     if len(points.frames) < LEAST_FRAMES or not points.known.any():
         return []
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Define the points of a file to audit, and derive the body parts from their names."""
+"""Define the points of a file that is audited, and derive the parts of the animal from the points' names."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array, Bools, Brief, Index, Integers
 
 NAMES_KNOWN = 0.6
-"""Smallest fraction of matching names with which a built-in skeleton is used.
+"""Minimum fraction of the names in a file that must match a built-in skeleton for the skeleton to be used.
 
-The fraction is that of the file's points or of the skeleton's markers, whichever are fewer.
+If the skeleton has fewer markers than the file has points, it is the fraction of the markers.
 """
 LEAST_NAMES = 4
-"""Smallest number of matching names with which a skeleton is used, because two or three match several animals."""
+"""Minimum number of matching names for a built-in skeleton to be used, because two or three match several animals."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
 _STANDING = re.compile(rf"{_FOOT.pattern}|fetlock|pastern|digit|heel|hock|tarsus|carpus|knee")
 _LOWEST = re.compile(r"(?i)paw|hoof|toe|foot|feet|hand|claw")
@@ -31,25 +31,25 @@ _TRUNK = re.compile(
 )
 _WORD = re.compile(r"[A-Za-z]{3}")
 DECIMALS = 6
-"""Number of decimals above which the numbers of a file count as not rounded."""
+"""Largest number of decimals to which the numbers in a file can be rounded; otherwise they have full precision."""
 
 
 @dataclass(frozen=True)
 class Roles:
-    """Parts of the animal among the K points, as indices."""
+    """Parts of the animal, as indices of the K points."""
 
     skeleton: str | None = None
-    """Built-in skeleton with the points' names."""
+    """Name of the built-in skeleton that has the points' names; None if there is none."""
     feet: tuple[int, ...] = ()
     upper: tuple[int, ...] = ()
-    """Points of the trunk, which are above the feet of a standing animal."""
+    """Points of the trunk, which are above the feet when the animal stands."""
     trunk: tuple[int, int] | None = None
-    """Rear and front end of the trunk."""
+    """Points at the rear and the front end of the trunk; None if unknown."""
     joints: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    """Points above, at and below each joint of the skeleton's section `[anatomy]`, by the joint's name."""
+    """Points above, at and below each joint in the table `[anatomy]` of the skeleton file."""
     limbs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     bones_m: Mapping[tuple[int, int], float] = field(default_factory=dict)
-    """Distances between successive points of the limbs in the skeleton's expected pose, by pair."""
+    """Distance between each pair of successive points of a limb in the skeleton's expected pose."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,26 +58,29 @@ class AuditedPoints(Brief):
 
     names: tuple[str, ...]
     positions: Array
-    """(T, K, 2) or (T, K, 3): positions in pixels, or in 3D in metres; NaN if missing."""
+    """Positions in pixels, shape (T, K, 2), or in metres, shape (T, K, 3); NaN where missing."""
     frames: Integers
     fps: float | None = None
     resolution: float = 0.0
-    """Smallest step between the file's numbers, in the unit of `positions`; 0 if the numbers have full precision."""
+    """Rounding step of the numbers in the file, in the unit of `positions`; 0 if the numbers are not rounded."""
     roles: Roles = field(default_factory=Roles)
 
     @property
     def in_space(self) -> bool:
-        """Return whether the points are 3D."""
+        """Return whether the points are positions in 3D rather than pixels."""
         return self.positions.shape[2] == 3
 
     @cached_property
     def known(self) -> Bools:
-        """Return a mask (T, K) of the frames in which each point is known."""
+        """Return a mask of the frames in which each point is known, shape (T, K)."""
         return np.asarray(np.isfinite(self.positions).all(axis=2))
 
     @cached_property
     def extent(self) -> float:
-        """Return the median size of the animal: the largest side of the box around its points; NaN without points."""
+        """Return the size of the animal, the largest side of the box around its points, as a median over the frames.
+
+        The size is in the unit of `positions`, and NaN without points.
+        """
         counts = self.known.sum(axis=1)
         rows = counts >= max(3, 0.5 * counts.max(initial=0))
         if not rows.any():
@@ -87,14 +90,20 @@ class AuditedPoints(Brief):
 
     @cached_property
     def follows(self) -> Bools:
-        """Return a mask (T,) of frames that follow the frame before without a gap in numbers; False for the first."""
+        """Return a mask (T,) of the frames that follow the previous one without a gap in the frame numbers.
+
+        The mask is false for the first frame.
+        """
         steps = np.diff(self.frames)
         usual = np.median(steps) if len(steps) else 1
         return np.append(False, steps == usual)
 
     @cached_property
     def stands(self) -> Bools:
-        """Return a mask of points (K,) that can stand still while the animal walks: lower limbs, and unnamed points."""
+        """Return a mask (K,) of the points that can stand still while the animal walks.
+
+        These are the points of the lower limbs, and points whose names do not tell the part of the animal.
+        """
         return np.array([bool(_STANDING.search(name)) or not _WORD.search(name) for name in self.names])
 
     def named(self, indices: Sequence[int] | Index) -> tuple[str, ...]:
@@ -104,19 +113,19 @@ class AuditedPoints(Brief):
 
 @dataclass(frozen=True)
 class Measure:
-    """Result of one check; a larger value is more suspicious."""
+    """Result of one check on the points of a file."""
 
     code: str
     value: float
-    """Value to compare with the code's limit (`recon.check.audit.LIMITS`)."""
+    """Value that is compared with the check's limit (`recon.check.audit.LIMITS`); larger values are more suspicious."""
     rows: tuple[int, int] | None = None
-    """First row that the result is about, and the row after the last one; None means all rows."""
+    """Index of the first frame that the result is about, and of the frame after the last; None means all frames."""
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers for the text of the finding."""
+    """Numbers and names that the finding's text states."""
 
 
 def resolution_of(values: Array) -> float:
-    """Return the smallest step between numbers, in their unit; 0 if they have full precision."""
+    """Return the rounding step of the numbers in a file, in their unit; 0 if they are not rounded."""
     sample = values[np.isfinite(values)]
     sample = sample[:: max(1, len(sample) // 4000)]
     for decimals in range(DECIMALS + 1):
@@ -127,7 +136,7 @@ def resolution_of(values: Array) -> float:
 
 
 def roles_of(names: Sequence[str]) -> Roles:
-    """Return the parts of the animal from the points' names, according to a built-in skeleton or one of its maps."""
+    """Return the parts of the animal that the points' names denote, according to a built-in skeleton or name map."""
     skeleton, by_marker = marker_names(names)
     body = None if skeleton is None else load_skeleton(skeleton)
     if body is None or len(by_marker) < max(LEAST_NAMES, NAMES_KNOWN * min(len(names), len(body.markers))):

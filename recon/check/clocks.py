@@ -1,4 +1,4 @@
-"""Test whether the cameras' clocks drift apart, as if one took 59 pictures a second and its file stated 60."""
+"""Test whether the clocks of the cameras drift apart, as if a camera took 59 pictures per second instead of 60."""
 
 from __future__ import annotations
 
@@ -16,29 +16,30 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.starts import APPROACH_HZ
 
 DRIFT_SIGMAS = 3.5
-"""Drift of a clock, in standard deviations, from which the drift is reported.
+"""Drift of a camera's clock, in standard deviations, from which the drift is reported.
 
-In clips of half a second, the drift is 1.2 at most in correct pairs, and 0.0 to 1.3 (median 0.6) if one camera takes
-one picture a second fewer (`python benchmarks/wrong_inputs.py --only limits`). Only longer clips show such a drift.
+In clips of half a second, the drift is at most 1.2 in correct pairs of cameras, and 0.0 to 1.3 (median 0.6) if one
+camera takes one picture per second fewer (`python benchmarks/wrong_inputs.py --only limits`). Half or twice the limit
+would change none of these results, because only longer clips show such a drift. The limit is almost three times the
+largest drift in correct pairs.
 """
 NO_DRIFT_SIGMAS = 0.5 * DRIFT_SIGMAS
-"""Largest drift, in standard deviations, at which the quick test of a long clip is final.
+"""Drift in the quick test of a long clip, in standard deviations, from which the test is repeated with all frames.
 
-The quick test uses some of the frames. If it shows a larger drift, all frames are used.
+The quick test uses only some of the frames.
 """
 RAY_SIGMAS = 3.0
-"""Number of standard deviations by which the drift shown by rays must be below half of an estimate to refute it.
+"""Margin, in standard deviations, by which the drift from rays must be below half of the estimated drift to refute it.
 
-Wrong lengths of a rough skeleton look like a drift, but rays do not depend on them. Errors of detections alone hardly
-ever reach three standard deviations, so a real drift is hardly ever refuted (`tests/check/test_clocks.py` tests
-both).
+Wrong lengths of a rough skeleton look like a drift, but rays do not depend on the lengths. Errors of detections rarely
+reach three standard deviations, so a real drift is rarely refuted (`tests/check/test_clocks.py` tests both).
 """
 
 
 def drifts_of(clip: ClipProblem, solution: TrajectorySolution, every: int = 1) -> dict[int, Step]:
-    """Return the drift of each camera's clock over the clip, in frames, by the camera's number.
+    """Return a dictionary of the drift of each camera's clock over the clip, in frames, with the camera's index as key.
 
-    If `every` is above 1, only every such frame is used, which is several times faster but less exact (`one_steps`).
+    If `every` is above 1, only every n-th frame is used, which is several times faster but less exact (`one_steps`).
     """
     segment = solution.longest_segment
     if segment is None:
@@ -56,18 +57,18 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution, every: int = 1) -
 def drift_findings(
     clip: ClipProblem, solution: TrajectorySolution, names: Sequence[str], fps: float
 ) -> Iterator[Finding]:
-    """Yield a finding on the camera whose clock drifts most significantly, unless rays refute the drift.
+    """Yield a finding on the camera whose clock drifts by the most standard deviations, unless rays refute the drift.
 
     Parameters
     ----------
     clip
-        The problem of the whole clip, with two views or more.
+        The problem of the whole clip, with two or more views.
     solution
         Solution of the problem.
     names
-        The cameras' names.
+        Names of the cameras.
     fps
-        The cameras' common frame rate, frames per second.
+        Stated frame rate of all cameras, frames per second.
     """
     segment = solution.longest_segment
     if segment is None:
@@ -86,7 +87,7 @@ def drift_findings(
         return
     drift_frames, middle_m = steps[camera].value, solution.joints_m[segment.rows].mean(axis=1)
     step_m = float(np.linalg.norm(np.diff(middle_m, axis=0), axis=1).mean())
-    # a camera that is in step at one end is off by half of the drift on average
+    # A camera that is in step at one end of the clip is off by half of the drift on average.
     effect_m = 0.5 * abs(drift_frames) * step_m
     rear, front = (solution.markers_m[segment.rows, clip.body.markers.index(name)] for name in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
@@ -100,7 +101,7 @@ def drift_findings(
 def _is_refuted_by_rays(
     clip: ClipProblem, solution: TrajectorySolution, rows: slice, camera: int, drift_frames: float
 ) -> bool:
-    """Return whether the rays of some frames alone, without the animal's lengths, show less than half of a drift."""
+    """Return whether the rays in some frames show less than half of a drift, without using the animal's lengths."""
     from recon.check.sights import drift_by_rays  # fits of one camera do not import it
 
     by_rays, sigma = drift_by_rays([view.part(rows) for view in clip.views], solution.markers_m[rows], camera)

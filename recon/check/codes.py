@@ -1,6 +1,6 @@
-"""Define every code of a finding: its severity and its text.
+"""Define the severity and the text of the findings with each code.
 
-docs/findings.md explains each code: its meaning, its effect on the result, and the remedy.
+docs/findings.md explains the meaning of each code, the effect on the result, and the remedy.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
 NAMED = 5
-"""Largest number of names in a text."""
+"""Maximum number of names that the text of a finding lists."""
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
-"""Names of numbers that a text shows as lengths.
+"""Names of the numbers of findings that are shown as lengths.
 
-For example, {height_length} shows height_m, with sigma_m if the finding has this number.
+For example, {height_length} in a text shows the number height_m, with sigma_m if the finding has this number.
 """
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
-"""Flags of frames in which one camera's detections are wrong."""
+"""Flags of frames in which the detections of a camera are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
-"""Flags of frames, by the code of their finding."""
+"""Flag of the frames that a finding is about, with the finding's code as the key."""
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the neighbouring frames",
     "diverged": "the best pose was outside the camera's view, and the frame has no pose",
@@ -41,47 +41,60 @@ FLAGS: Mapping[str, str] = {
         "the detections are not those of an animal: they were left out, and the pose comes from the neighbouring frames"
     ),
 }
-"""Meaning of each flag of a frame, in the order of a summary."""
+"""Meaning of each flag of a frame, in the order in which summaries list them."""
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
-"""Severity and text by code, from `codes.toml`; causes come before their consequences."""
+"""Severity and text of each code, from `codes.toml`; causes precede their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
-"""Codes of findings that may be consequences of others."""
+"""Codes of findings that may be consequences of other findings."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
-"""Names of numbers: the change of poses (joints about their middle) and of positions, m, if a finding is right."""
+"""Names of the numbers that state by how much the fault of a finding changes poses and positions, m.
+
+The change of a pose is that of the joints relative to their mean.
+"""
 SPEEDS: tuple[str, str] = ("given_speed_m_s", "other_speed_m_s")
-"""Names of the numbers that state the animal's mean speed at the given and at another frame rate, m/s."""
+"""Names of the numbers that state the animal's mean speed at the given and at the other frame rate, m/s."""
 WITHOUT_FAULT = frozenset({"camera_agreement"})
 """Codes of notes that report agreement, not a fault."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
-    """Return a finding with a code of `CODES` and that code's severity.
+    """Return a finding with a code, the severity of this code, and numbers.
 
     Parameters
     ----------
     code
         Code of the finding, a key of `CODES`.
     frames
-        First frame number, and the one after the last; None means the whole clip.
+        Number of the first frame, and of the frame after the last; None means the whole clip.
     camera
         Name of the camera that the finding is about; None means all cameras, or the clip.
     numbers
-        The numbers and names that the code's text states. Several names are a sequence, which the text lists.
+        Numbers and names that the code's text states. A sequence of names is shown as a list.
     """
     numbers = {name: tuple(value) if isinstance(value, list) else value for name, value in numbers.items()}
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
 def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_sigma_m: float = 0.0) -> Finding:
-    """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
+    """Return a finding with its severity reduced if its effect on the result is small.
 
-    The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. With a
-    smaller effect, the finding is at most a warning. The finding is a note if the effect is no larger than the fit's
-    own error, unless `is_gross` is true because the inputs contradict each other grossly. An effect on positions below
-    the standard deviation `position_sigma_m`, which the fit states for them, is no larger than the fit's own error
-    either.
+    The severity is not changed if an effect (`EFFECTS`) is unknown, or as large as an error that spoils most uses
+    (`LIMIT_OF_TRUNK`). With a smaller effect, the finding is at most a warning. If the effect is no larger than the
+    fit's own error (`EFFECT_OF_NOTE`), it is a note.
+
+    Parameters
+    ----------
+    item
+        The finding.
+    trunk_m
+        Length of the animal's trunk, m.
+    is_gross
+        Whether the inputs contradict each other grossly. If so, the finding does not become a note.
+    position_sigma_m
+        Stated standard deviation of positions, m. A smaller effect on positions counts as no larger than the fit's own
+        error.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
@@ -97,9 +110,9 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_si
 
 
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings sorted by severity, then in the order of `CODES`; findings of one code keep their order.
+    """Return findings sorted by severity, then in the order of `CODES`; findings of the same code keep their order.
 
-    If there is an error that is not itself a possible consequence, findings that may be consequences are left out.
+    Findings that may be consequences (`FOLLOWS`) are left out if there is an error that is not itself one of these.
     """
     caused = any(item.severity == "error" and item.code not in FOLLOWS for item in findings)
     kept, order = (item for item in findings if not (caused and item.code in FOLLOWS)), [*CODES]
@@ -107,9 +120,9 @@ def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def sentence(item: Finding, named: bool = True) -> str:
-    """Return the text of a finding.
+    """Return the text of a finding with its numbers filled in.
 
-    If `named` is true, as for clips of several cameras, the text calls a camera by its name.
+    If `named` is true, as for clips of several cameras, the text states the camera's name.
     """
     words = CODES[item.code][1]
     numbers: dict[str, Any] = item.numbers
@@ -129,9 +142,9 @@ def sentence(item: Finding, named: bool = True) -> str:
 
 
 def effect_text(numbers: Mapping[str, Any]) -> str:
-    """Return the effect of a finding on the result, as a sentence after a space, or "" if it is unknown.
+    """Return a sentence, after a space, that states the effect of a fault on the result, or "" if it is unknown.
 
-    For another frame rate, which changes poses and positions little, the sentence states the effect on the speed.
+    For a wrong frame rate, which changes poses and positions little, the sentence states the effect on the speed.
     """
     if {*SPEEDS} <= numbers.keys():
         speed_text, other_text = (_speed_text(numbers[name]) for name in SPEEDS)
@@ -144,7 +157,7 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
 
 
 def _speed_text(speed_m_s: float) -> str:
-    # two digits, because another frame rate is known only roughly
+    # Two digits are enough, because the other frame rate is known only roughly.
     digits = 0 if speed_m_s >= 9.5 else 1 if speed_m_s >= 0.95 else 2
     return quantity(speed_m_s, digits, "m/s")
 
@@ -156,7 +169,7 @@ def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
 
 
 def names_text(names: Sequence[str]) -> str:
-    """Return the first `NAMED` names as text, and the number of the others."""
+    """Return the first `NAMED` names and the number of the remaining names as text."""
     rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + rest
 

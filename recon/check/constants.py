@@ -1,18 +1,19 @@
-"""Define numbers that several checks share and that no user sets, each with its reason."""
+"""Define the constants that several checks share, each with its reason."""
 
 LIMIT_OF_TRUNK = 0.2
-"""Mean error of the joints, relative to the trunk's length, that spoils most uses: 14 cm for a cheetah.
+"""Mean error of the joints, relative to the trunk's length, above which a result is of no use for most purposes.
 
-A clip may be used if its error is below this limit with a probability of 95 %, and must not be used if a larger error
-is more likely than not. A finding with a smaller effect on poses and positions is not an error.
+The limit is 14 cm for a cheetah. The verdict on a clip is "use" if its error is below this limit with a probability of
+95 %, and "do not use" if its error is more likely above than below it. A finding with a smaller effect on poses and
+positions is not an error.
 """
 EFFECT_OF_NOTE = 0.25
-"""Fraction of `LIMIT_OF_TRUNK` up to which an effect is only a note.
+"""Fraction of `LIMIT_OF_TRUNK` up to which a finding with such an effect is only a note.
 
-The effect is then 3.5 cm for a cheetah, about the error of the fit itself.
+The effect is then at most 3.5 cm for a cheetah, about the error of the fit itself.
 """
 MANY_FRAMES = 1 / 3
-"""Fraction of the frames, or of the detections, above which faulty ones are reported.
+"""Fraction of faulty frames or detections above which they are reported.
 
-The rest would no longer represent the clip.
+With more of them, the other frames or detections would no longer represent the clip.
 """

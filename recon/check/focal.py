@@ -1,9 +1,9 @@
-"""Test one camera's focal length, which affects the animal's perspective, its motion in depth, and the ground.
+"""Test the focal length of a single camera, which affects the animal's perspective, its motion in depth and the ground.
 
 Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks equally large but flatter, and moves
-1.5 times as far in depth. One second of the clip is solved again with other focal lengths, from the solution moved
-along the optical axis. Since errors persist over frames, each fit's cost is divided by their correlation time, in
-frames. The minimum of a parabola through these costs estimates the focal length.
+1.5 times as far in depth. One second of the clip is solved again with other focal lengths. Each fit starts from the
+solution, moved along the optical axis. The cost of a fit is divided by the correlation time of the errors, in frames,
+because errors persist over frames. The minimum of a parabola through the costs is the estimated focal length.
 """
 
 from __future__ import annotations
@@ -25,66 +25,66 @@ from recon.fit.result import Finding
 from recon.geometry.kinematics import ROOT
 
 SHORTER = (-0.4, -0.6)
-"""Logarithms of the factors below 1 that are tried on the focal length.
+"""Logarithms of the two factors below 1 by which the focal length is multiplied in the test.
 
-The second is tried if the first fits better than the given focal length, or if another focal length is possible. A
-much shorter lens would move the animal behind the nearest cameras.
+The second factor is tried if the first one fits better than the given focal length, or if the estimate's deviation
+exceeds `POSSIBLE`. Even shorter lenses would bring the animal closer than any camera stands.
 """
 LONGER = (0.2, 0.4)
-"""Logarithms of the factors above 1 that are tried on the focal length, in the same order as `SHORTER`."""
+"""Logarithms of the two factors above 1 by which the focal length is multiplied, tried in the same way as `SHORTER`."""
 USUAL = -0.12
-"""Mean of the logarithms of the estimated factors in correct views."""
+"""Mean over correct views of the logarithm of the estimated factor on the focal length."""
 SPREAD = 0.15
-"""Standard deviation of the logarithms of the estimated factors in correct views, apart from errors of detections."""
+"""Standard deviation over correct views of the logarithm of the estimated factor, without errors of the detections."""
 POSSIBLE = 0.65
-"""Deviation, in standard deviations, beyond which another focal length is possible.
+"""Deviation of the estimate, in standard deviations, beyond which another focal length is reported as possible.
 
-If the limit is chosen on the other runs, it is exceeded in 6 of 28 correct views, in 15 of 23 views with 1.5 times the
-focal length, in 18 of 25 with 0.7 times, and in 15 of 26 that are letterboxed (`benchmarks/parts/one_step_limits.py
+With the limit chosen on other runs, it is exceeded in 6 of 28 correct views, in 15 of 23 views with 1.5 times the focal
+length, in 18 of 25 views with 0.7 times, and in 15 of 26 letterboxed views (`benchmarks/parts/one_step_limits.py
 --views 1`).
 """
 LIKELY = 1.6
-"""Deviation, in standard deviations, beyond which another focal length is likely.
+"""Deviation of the estimate, in standard deviations, beyond which another focal length is reported as likely.
 
 The deviation is -1.2 to 0.9 in correct views, -2.2 to 0.2 in views with 1.5 times the focal length, and -1.4 to 2.2
-with 0.7 times. It reaches 1.5 in some correct clips that are short or partly hidden.
+with 0.7 times. It reaches 1.5 in some correct clips that are short or in which the animal is partly hidden.
 """
 SEEN = 0.25
-"""Fraction of the frames in which each foot must be detected, because size and distance are uncertain without legs."""
+"""Minimum fraction of the frames in which each foot is detected, because the size is uncertain without legs."""
 BEYOND = 0.2
-"""Largest distance between the logarithm of the estimate and the logarithms that were tried."""
+"""Maximum distance of the logarithm of the estimate beyond the range of logarithms that were tried."""
 INSIDE_90 = 0.5 * NORMAL_90**2
-"""Excess over the smallest cost at which a focal length is at the end of its 90 % interval."""
+"""Difference from the smallest cost at which a focal length is at the end of its 90 % interval."""
 _UNKNOWN_SIGMA = 0.3
-"""Standard deviation of an estimate if the parabola has no minimum."""
+"""Standard deviation of the estimate's logarithm if the parabola has no minimum."""
 _TOLERANCE, _ITERATIONS = 1e-3, 12
 
 
 @dataclass(frozen=True, eq=False)
 class FocalTest:
-    """An estimate of the focal length."""
+    """Estimate of the focal length from a test of one second of a clip."""
 
     log_factor: float
     """Logarithm of the most likely focal length relative to the given one."""
     sigma: float
     """Standard deviation of `log_factor` due to the errors of the detections."""
     effects_m: dict[str, float]
-    """Effects on poses and positions (`EFFECTS`) of a focal length that was tried on the side of the estimate.
+    """Effects on poses and positions (`EFFECTS`) of another focal length that was tried.
 
-    That focal length is the farthest one inside the 90 % interval, or the nearest one if none is inside.
+    On the side of the estimate, it is the most different one within the 90 % interval, or the nearest if none is.
     """
 
     @property
     def deviation(self) -> float:
-        """Return the deviation from the usual estimate, in standard deviations, negative for a shorter lens."""
+        """Return the deviation from the usual estimate, in standard deviations; negative for a shorter lens."""
         return (self.log_factor - USUAL) / math.hypot(SPREAD, self.sigma)
 
 
 def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
     """Return a warning if another focal length is likely, a note if it is possible, and None otherwise.
 
-    The effects of a warning and of a note widen the intervals of the verdict. `noise_px` (T, J) is the noise of the
-    fit.
+    The effects of the warning or note widen the intervals of the verdict. `noise_px` is the fit's standard deviation of
+    each detection, pixels, shape (T, J).
     """
     test = focal_test(baseline, noise_px)
     if test is None or abs(test.deviation) <= POSSIBLE:
@@ -98,10 +98,10 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
 
 
 def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
-    """Return the test of the focal length on the one second of the clip with the most detections.
+    """Return an estimate of the focal length from the one second of the clip with the most detections.
 
-    The result is None if the camera moves, if a foot is seldom seen, or if this second has fewer than three frames or a
-    frame without a pose. `noise_px` (T, J) is the noise of the fit.
+    Return None if the camera moves, if a foot is rarely detected, or if this second has fewer than three frames or a
+    frame without a pose. `noise_px` is the fit's standard deviation of each detection, pixels, shape (T, J).
     """
     rows = best_seen(baseline.view, baseline.clip.fps)
     clip, states = baseline.clip.part(rows), baseline.states[rows]
@@ -126,15 +126,15 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
 
 @dataclass(frozen=True, eq=False)
 class SceneRefit:
-    """Solution of a part of a clip with another camera: states (T, D) at nominal size, and the cost."""
+    """Solution of a part of a clip with another camera: states (T, D) of an animal of nominal size, and their cost."""
 
     cost: float
-    """Cost, in which errors within the correlation time count only once."""
+    """Cost of the solution, in which errors within the correlation time count only once."""
     states: Array
 
 
 def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float) -> SceneRefit:
-    """Return the solution with another focal length, with the contacts and the ground that result from it."""
+    """Return the solution with the focal length multiplied by exp(log_factor), with new contacts and a new ground."""
     (view,) = clip.views
     scaled = replace(clip, views=(view.with_focal_scale(log_factor),))
     axis = view.T_camera_world.reshape(-1, 4, 4)[0, 2, :3]
@@ -144,7 +144,7 @@ def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float)
 
 
 def refit_scene(clip: ClipProblem, start: Array, noise_px: Array) -> SceneRefit:
-    """Return the best fit near the states `start` (T, D), with the contacts and the ground of these states."""
+    """Return the best solution near the states `start` (T, D), with the contacts and the ground of these states."""
     *_, contact_terms = contacts(clip, clip.markers(start), 1.0)
     return _scene_refit(clip, clip.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS))
 
@@ -155,7 +155,7 @@ def _scene_refit(clip: ClipProblem, estimate: Estimate) -> SceneRefit:
 
 
 def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
-    """Return the cost of a ground that is not level, and not near z = 0 if it is known to be there."""
+    """Return the cost of a ground that slopes or, if it is known to be at z = 0, lies at another height."""
     if not (clip.finds_ground and clip.views[0].camera.knows_up):
         return 0.0
     _, ground, _ = contacts(clip, markers_m, 1.0)
@@ -164,7 +164,10 @@ def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
 
 
 def _lowest(costs: Mapping[float, float]) -> tuple[float, float]:
-    """Return the minimum of a parabola through the smallest cost and its neighbours, and the standard deviation."""
+    """Return the minimum of a parabola through the smallest cost and its neighbours, with its standard deviation.
+
+    The keys of `costs` are logarithms of factors on the focal length, as is the minimum.
+    """
     values = sorted(costs)
     least = min(values, key=costs.__getitem__)
     middle = min(max(values.index(least), 1), len(values) - 2)

@@ -1,7 +1,7 @@
-"""Test whether the fore half and the hind half of an animal belong together: another animal may run close behind.
+"""Test whether the fore half and the hind half belong to the same animal, because another one may run close behind.
 
-The alternative is a hind half that is early or late. The half's time offset from the rest multiplies the markers'
-motion in the picture, and one step of the fit estimates this offset with its standard deviation.
+The hind half of another animal looks early or late. A time offset of the hind half shifts its markers along their
+motion in the picture. One step of the fit estimates this offset with its standard deviation.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
 LIMITS = -1.4, 3.3
-"""Time offsets of the hind half, in standard deviations, below which it is late and above which it is early.
+"""Time offsets of the hind half, in standard deviations, below which the half is late and above which it is early.
 
 The offsets are 0.2 to 1.4 in correct views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a
-tenth of a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
+tenth of a second behind (`python benchmarks/wrong_inputs.py --only limits`, five views each).
 """
 LEAST_FRAMES = 3
-"""Smallest number of frames of a segment whose motion is tested."""
+"""Minimum number of frames in a segment of the clip whose halves are compared."""
 DISAGREES = 3.0
-"""Distance from its marker, in standard deviations of the noise, beyond which a detection disagrees with the pose."""
+"""Distance of a detection from its marker, in standard deviations, beyond which it disagrees with the pose."""
 TIMES = 2.0
-"""Ratio of the fractions of disagreeing detections in both halves, above which one half is another animal's.
+"""Ratio of the fractions of disagreeing detections in the two halves, above which only the worse half is reported.
 
-The ratio is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
+The ratio is 3 to 8 if the hind half belongs to another animal, and 1.7 to 3 if the fore half does (three views each).
 """
 
 
 def hind_markers(clip: ClipProblem) -> Bools:
-    """Return a mask (J,) of the markers behind the middle of the trunk, in the expected pose."""
+    """Return a mask (J,) of the markers that are behind the middle of the trunk in the expected pose."""
     body, points_m = clip.body, clip.body.expected_points_m()
     rear, front = (body.markers.index(marker) for marker in body.forward)
     ahead = points_m[front] - points_m[rear]
@@ -55,7 +55,7 @@ def offset_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
 
 
 def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding | None:
-    """Return a finding if the hind half is early or late."""
+    """Return a finding if the hind half is early or late relative to the fore half, otherwise None."""
     offset = offset_of(clip, solution)
     if offset is None or LIMITS[0] * offset.sigma < offset.value < LIMITS[1] * offset.sigma:
         return None
@@ -64,7 +64,7 @@ def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding |
 
 
 def foreign_half(clip: ClipProblem, solution: TrajectorySolution) -> str:
-    """Return the half whose detections disagree with the pose far more often than the other's, or both halves."""
+    """Return words for the half whose detections disagree with the pose far more often, or for both halves."""
     view, is_hind = clip.views[0], hind_markers(clip)
     projected_px, _ = view.project(view.shift_to_exposure(solution.markers_m))
     with np.errstate(invalid="ignore"):  # NaN in frames without a pose

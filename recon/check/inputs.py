@@ -1,8 +1,8 @@
 """Detect wrong inputs: copies, moving cameras, swaps, gross outliers, another picture or camera, a wrong frame rate.
 
-Copies, and motions that no animal makes, come first. Detections that are the same to the last digit were copied, not
-measured. Under a camera that pans, all standing feet slide together. Other faults are recognised from how much more
-likely the clip becomes when they are undone (`recon.check.likelihood`).
+Copied detections, and motions that no animal makes, are tested first. Detections that are equal to the last digit were
+copied, not measured. If the camera pans, all standing feet slide together. The other faults are detected because the
+clip becomes much more likely when they are corrected (`recon.check.likelihood`).
 """
 
 from __future__ import annotations
@@ -44,13 +44,18 @@ from recon.fit.terms import REFERENCE_HZ
 from recon.geometry.camera import Camera
 
 FASTEST_M_S = 40.0
-"""Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
+"""Speed above which no animal runs.
+
+Cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997).
+"""
 
 MOSTLY_POOR = 0.9
-"""Fraction of frames with few or no detections above which the motion, and so the frame rate, follows from the prior.
+"""Fraction of frames with few or no detections above which the frame rate is not tested.
+
+The motion then follows from the prior, and would confirm any frame rate.
 """
 MOVES = ("animal_still", "no_strides", "time_reversed", "treadmill", "camera_moves")
-"""Codes of motions in which left and right cannot be distinguished."""
+"""Codes of findings on the motion of the whole animal, with which left and right cannot be tested."""
 
 
 def input_findings(
@@ -62,29 +67,35 @@ def input_findings(
     seek_swaps: bool = True,
     possible: Sequence[Camera] = (),
 ) -> tuple[Finding, ...]:
-    """Return the findings on the keypoints that a motion was fitted to.
+    """Return the findings on the inputs of a fit: keypoints, cameras and frame rate.
 
-    The tests are, in this order: copies; motions that no animal makes; for each camera, another picture, then swaps;
-    for a single camera, another camera of its file, the animal's halves, the lens, the stretch and the focal length;
-    for several cameras, their clocks; and the frame rate. A test is left out if an earlier finding explains what it
-    would find.
+    The tests are, in this order:
+
+    - copied detections
+    - motions that no animal makes
+    - for each camera, another picture, then left-right swaps
+    - for a single camera, another camera of its file, the animal's halves, the lens, the stretch and the focal length
+    - for several cameras, their clocks
+    - the frame rate
+
+    A test is left out if an earlier finding explains what it would find.
 
     Parameters
     ----------
     motion
-        The motion of the trajectory method.
+        The result of a fit by the trajectory method.
     prior
-        The prior used in the fit.
+        The prior that was used in the fit.
     options
         The options of the fit.
     named
-        For each view, another camera that its file's name contains, or None.
+        For each view, the name of another camera that is part of its keypoint file's name, or None.
     stated_hz
-        Frame rate stated in a file, or None.
+        Frame rate stated in a keypoint file, or None.
     seek_swaps
-        Whether to search for swaps, which takes the longest time.
+        Whether to search for left-right swaps, which takes the most time.
     possible
-        Other cameras of the camera file that may have filmed a single camera's clip.
+        Other cameras in the camera file, one of which may have filmed the clip of a single camera.
     """
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
@@ -127,9 +138,9 @@ def _has_error(findings: Sequence[Finding]) -> bool:
 
 
 def _as_solved(clip: ClipProblem, solution: TrajectorySolution) -> ClipProblem:
-    """Return the problem under the assumptions of its solution.
+    """Return the problem with the weight of the prior and the ground that its solution assumes.
 
-    These are the weight of the prior, and a ground near z = 0, which is assumed only if the feet stand there.
+    A ground near z = 0 is assumed only if the feet stand there in the solution.
     """
     weights = [segment.prior_weight for segment in solution.segments]
     is_elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
@@ -141,13 +152,16 @@ def _as_solved(clip: ClipProblem, solution: TrajectorySolution) -> ClipProblem:
 
 
 def _is_unlike_prior(solution: TrajectorySolution, fps: float) -> bool:
-    """Return whether the animal moves in a way, or at a speed, that the prior does not contain."""
+    """Return whether the motions of the prior do not include the animal's motion or its speed."""
     too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S
     return too_fast or any(segment.unlike_prior for segment in solution.segments)
 
 
 def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | None]) -> dict[int, Finding]:
-    """Return findings on keypoints from another camera, or from another picture of the camera, by the view's index."""
+    """Return a dictionary of findings on views whose keypoints are from another camera or another picture.
+
+    The keys are the views' indices.
+    """
     findings = {}
     for number, source in enumerate(motion.sources):
         camera, named_camera = source.camera.name, named[number]
@@ -162,7 +176,7 @@ def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | Non
 
 
 def _feet_glide(moves: Sequence[Finding]) -> bool:
-    """Return whether standing feet glide forward, as they also do if the frame rate is too high."""
+    """Return whether standing feet move forwards, as they also do if the stated frame rate is too high."""
     slides = [item.numbers.get("slide_m_s") for item in moves]
     return any(isinstance(slide_m_s, float) and slide_m_s > 0 for slide_m_s in slides)
 
@@ -170,10 +184,10 @@ def _feet_glide(moves: Sequence[Finding]) -> bool:
 def _explain_by_only_view(
     motion: Motion, clip: ClipProblem, baseline: Baseline, moves: Sequence[Finding]
 ) -> list[Finding]:
-    """Return `moves`, or findings on a single camera's view that explain them.
+    """Return the findings `moves` on the motion, or findings on the view of a single camera that explain the motion.
 
-    If the path jolts and nothing else was found, the hind half may be another animal's. If there are no moves, the
-    lens, the stretch and the focal length are tested as well.
+    If the path jolts and nothing else was found, the hind half may belong to another animal. If there are no findings
+    on the motion, the lens, the stretch and the focal length are tested as well.
     """
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
@@ -186,7 +200,7 @@ def _explain_by_only_view(
 
 
 def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
-    """Return findings on a clip of one camera whose lens, focal length or picture is not that of the camera file."""
+    """Return findings on a single camera whose lens, focal length or picture differs from the camera file."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
@@ -204,7 +218,7 @@ def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline)
 def _rate_findings(
     clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None, is_known: bool
 ) -> Sequence[Finding]:
-    """Return the finding on the frame rate, if any; only a note if the user knows the rate."""
+    """Return the finding on the frame rate, if there is one; only a note if the user knows the rate (`is_known`)."""
     segment = solution.longest_segment
     if segment is None:
         return ()
@@ -222,7 +236,7 @@ def _rate_findings(
 
 
 def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """Return a motion with frame flags for the given findings."""
+    """Return a motion whose frames have the flags that belong to the given findings (`FLAG_OF`)."""
     flags = [*motion.flags]
     for item in findings:
         name = FLAG_OF.get(item.code)
@@ -235,63 +249,71 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
 # Copied coordinates
 
 SHARE = 0.2
-"""Smallest fraction of identical coordinates that is not chance; hand labels in whole pixels have some."""
+"""Fraction of identical points above which they are not chance; labels in whole pixels have some by chance."""
 FRAMES = 0.05
-"""Largest fraction of repeated frames that is not reported, because cameras sometimes repeat a few frames."""
+"""Fraction of repeated frames above which they are reported, because cameras sometimes repeat a few frames."""
 FEWEST = 4
-"""Smallest number of identical keypoints in a frame; fewer may be chance."""
+"""Minimum number of identical keypoints in a frame that is not chance."""
 STRAIGHT_PX = 0.01
-"""Largest deviation, in pixels, of an interpolated point from the line between its neighbours.
+"""Largest second difference of the positions of linearly interpolated points, pixels.
 
-The fourth differences of points on a cubic are also below this limit.
+The same limit is used for the fourth differences of points that lie on a cubic.
 """
 STRAIGHT = 0.02
-"""Largest deviation of an interpolated point from the line between its neighbours, relative to the point's path."""
+"""Largest second difference of the positions of linearly interpolated points, relative to the step between frames."""
 _CUBIC_FRAMES = 5
-"""Number of successive frames that lie on one cubic if their fourth difference is 0."""
+"""Number of successive frames from which a fourth difference is computed; it is 0 if they lie on a cubic."""
 CURVED_PX = 0.1
-"""Smallest distance, in pixels, from the line between its neighbours at which a point is tested for lying on a cubic.
+"""Smallest second difference of positions at which points are tested for lying on a cubic, pixels.
 
 Points on a straight line also lie on a cubic, but need not have been interpolated.
 """
 LONG = 1.45
-"""Length of a step relative to the steps around it above which the step is long.
+"""Length of a step between frames, relative to the steps around it, above which the step is long.
 
-In 32 real views at most 0.12 of the steps are long, also with half of their points missing, a side hidden, or an animal
+A step across one missing frame is 2 times as long as the steps around it, so the limit is about the geometric mean of 1
+and 2. At twice the value, no such step would be long; at half of it, ordinary steps would be.
+
+In 32 real views, at most 0.12 of the steps are long, also with half of the points missing, a side hidden, or an animal
 that comes into the picture. The fraction is 0.06 to 0.29 (median 0.19) if a quarter of the frames is left out (`python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
 SHORT = 0.5
-"""Length of a step relative to the steps around it below which the step is short."""
+"""Length of a step between frames, relative to the steps around it, below which the step is short."""
 SHARE_LONG = 0.13
-"""Fraction of long steps above which frames were left out, if less than half as many steps are short.
+"""Fraction of long steps above which frames are missing, provided that less than half as many steps are short.
 
-The value is just above the fractions of correct views (see `LONG`).
+The value is just above the fractions in correct views (see `LONG`). At half the value, correct views with half of their
+points missing would be reported (up to 0.12); at twice the value, most clips without a quarter of their frames would
+not be (median 0.19).
 """
 ALONE = 1.3
-"""Smallest ratio of a long step to both its neighbours if a frame was left out.
+"""Minimum ratio of a long step to each of its two neighbours, if the step is long because a frame is missing.
 
-Swinging legs, seen on their own or by a camera that follows, are fast for several frames. The step across a frame that
-was left out is long by itself.
+A step across a missing frame is 2 times as long as its neighbours. Swinging legs, seen alone or by a camera that
+follows them, are fast for several frames, so the ratio is near 1. At half the value, nearly every long step would
+count, and at twice the value no step across a single missing frame.
 """
 SHARE_ALONE = 0.4
-"""Smallest fraction of the long steps whose ratio exceeds `ALONE` if frames were left out.
+"""Minimum fraction of the long steps whose ratio to both neighbours exceeds `ALONE`, if frames are missing.
 
-The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames (`python
-benchmarks/wrong_inputs.py --only input-limits`).
+The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames. At half the value, all of
+them would be reported, and at twice the value only those above 0.8. The fraction is 0.67 in 2 of 28 views of lower legs
+alone, seen by a camera that follows them: this limit does not exclude them (`python benchmarks/wrong_inputs.py --only
+input-limits`).
 """
 AROUND = 7
-"""Number of successive steps of a keypoint whose median is the usual step."""
+"""Number of successive steps of a keypoint over which the median gives the usual step."""
 LEAST_STEP_PX = 5.0
-"""Shortest usual step, in pixels, with which other steps are compared."""
+"""Minimum length of the usual step, pixels, with which a step is compared."""
 LEAST_STEPS = 20
-"""Smallest number of steps from which the ratios are computed."""
+"""Minimum number of steps with enough keypoints that is required to test for missing frames."""
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
-    """Yield findings on points that are copies of others.
+    """Yield findings on points that were copied from other points, frames or files, and on missing frames.
 
-    If the points are `resampled`, they were interpolated between frames, so straight lines are no evidence.
+    If `resampled` is true, the points were interpolated between frames on purpose, so straight lines are no evidence.
     """
     for source in sources:
         keypoints, camera = source.keypoints, source.camera.name
@@ -310,25 +332,28 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
-    """Return a mask of points (..., 2) that are equal in both arrays, and a mask of points present in both."""
+    """Return a mask of the points (..., 2) that are equal in two arrays, and a mask of those that are known in both."""
     in_both = np.asarray(np.isfinite(a + b).all(axis=-1))
     return in_both & np.asarray((a == b).all(axis=-1)), in_both
 
 
 def _exceeds_chance(identical: Bools, is_seen: Bools) -> bool:
-    """Return whether more of the seen points are identical than happens by chance."""
+    """Return whether more of the detected points are identical than chance explains."""
     return bool(identical.sum() > SHARE * is_seen.sum() and identical.sum() >= FEWEST)
 
 
 def repeats_of(values: Array) -> Bools:
-    """Return a mask of frames (T,) in which most points repeat the frame before exactly; values (T, K, 2 or 3)."""
+    """Return a mask (T,) of the frames in which most points have exactly the coordinates of the frame before.
+
+    The coordinates have the shape (T, K, 2) or (T, K, 3).
+    """
     identical, in_both = _identical(values[1:], values[:-1])
     count = identical.sum(axis=1)
     return np.append(False, (count >= FEWEST) & (2 * count > in_both.sum(axis=1)))
 
 
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Yield a finding on frames that repeat the frame before: every second frame (a doubled rate), or some."""
+    """Yield a finding if every frame is repeated, as in a video with a doubled frame rate, or if some frames are."""
     repeats = repeats_of(keypoints.xy_px)
     if repeats.sum() <= FRAMES * len(repeats):
         return
@@ -345,7 +370,7 @@ def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 
 def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
-    """Return a finding on moving points that lie halfway between their neighbours, or on one cubic."""
+    """Return a finding if many moving points lie exactly halfway between their neighbours, or on a cubic."""
     xy_px = keypoints.xy_px
     bend = np.linalg.norm(xy_px[2:] - 2 * xy_px[1:-1] + xy_px[:-2], axis=-1)
     travel = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
@@ -364,11 +389,11 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
 
 
 def step_ratios(tracks: Array) -> Array | None:
-    """Return the lengths (N,) of steps between frames, relative to the steps around them.
+    """Return the length of each of N steps between frames, relative to the steps around it, shape (N,).
 
-    Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself, because visibility changes and paws
-    are faster than the trunk. The ratio of a step is the median over its keypoints. Steps with too few keypoints are
-    left out, and the result is None if fewer than `LEAST_STEPS` remain.
+    `tracks` are the positions of K keypoints in pixels, shape (T, K, 2) or (T, K, 3). Each keypoint is compared with
+    its own steps, because visibility changes and paws are faster than the trunk. The ratio of a step is the median over
+    the keypoints. Steps with too few keypoints are left out. Return None if fewer than `LEAST_STEPS` remain.
     """
     steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)
@@ -383,7 +408,7 @@ def step_ratios(tracks: Array) -> Array | None:
 
 
 def steps_are_missing(ratios: Array) -> bool:
-    """Return whether so many steps are twice as long as the steps around them that frames must be missing."""
+    """Return whether so many steps are about twice as long as the steps around them that frames must be missing."""
     is_long, is_short, is_alone = long_steps(ratios)
     return bool(
         is_long.mean() > SHARE_LONG
@@ -393,9 +418,9 @@ def steps_are_missing(ratios: Array) -> bool:
 
 
 def long_steps(ratios: Array) -> tuple[Bools, Bools, Bools]:
-    """Return masks of the long steps, of the short steps, and of the long steps between two shorter ones.
+    """Return masks (N,) of the long steps and the short steps, and a mask (N - 2,) of long steps between shorter ones.
 
-    The third mask lacks the first and the last step.
+    The third mask does not contain the first and the last step.
     """
     is_long = ratios > LONG
     is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
@@ -420,11 +445,11 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 # Impossible motions
 
 LEAST_S = 0.25
-"""Shortest motion that is tested, in seconds."""
+"""Minimum duration of a motion that is tested, seconds."""
 STILL = 0.95
-"""Smallest fraction of frames in which an animal that stands still is slower than `STILL_M_S`."""
+"""Fraction of the frames in which the speed must be below `STILL_M_S` for an animal that stands still."""
 STILL_M_S = 0.3
-"""Largest speed of an animal that stands still, m/s; one trunk length per second if its trunk is below 0.3 m."""
+"""Largest speed of an animal that stands still, m/s; for a trunk of less than 0.3 m, one trunk length per second."""
 STILL_RAD_S = 0.6
 """Largest median angular speed of the joints of an animal that stands still, rad/s."""
 STILL_TRUNKS = 0.5
@@ -432,54 +457,56 @@ STILL_TRUNKS = 0.5
 BACKWARDS_M_S = 1.0
 """Speed above which no animal runs backwards."""
 BACKWARDS = 0.9
-"""Fraction of frames faster than `BACKWARDS_M_S` backwards, above which the clip is reversed in time."""
+"""Fraction of frames with a backward speed of more than `BACKWARDS_M_S`, above which the clip is reversed in time."""
 SLOWEST = 0.1
-"""Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
+"""Quantile of the speeds of all feet in all frames that is taken as the speed of standing feet."""
 LOWEST = 0.2
-"""Fraction of a foot's frames in which the foot counts as on the ground: those in which it is lowest.
+"""Fraction of the frames, those in which a foot is lowest, in which the foot counts as on the ground.
 
-On a belt or under a camera that pans, feet move in these frames at 0.55 to 1.22 times `FeetSpeeds.slowest_m_s` (42
-clips of cheetahs). If a dog stands, steps or turns on the spot, the factor is -0.13 to 0.27 (11 clips; `python
+On a belt, or if the camera follows or pans, feet move in these frames at 0.55 to 1.22 times `FeetSpeeds.slowest_m_s`
+(42 clips of cheetahs). If a dog stands, steps or turns on the spot, the factor is -0.13 to 0.27 (11 clips; `python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_SHARE = 0.25
-"""Backward speed of standing feet, relative to the body's speed over them, above which they slide.
+"""Backward speed of standing feet, relative to the body's speed over the feet, above which they slide.
 
-The relative speed is 0.08 at most in 32 real views of cheetahs. It is 0.9 to 1.0 on a treadmill, except in a view along
-the animal's path (0.1). Dogs on the spot reach 1.1, but the feet that are lowest then stand still, as `LOWEST` shows
-(`python benchmarks/wrong_inputs.py --only input-limits`).
-"""
-SLIDE_LEGS_S = 0.5
-"""Smallest speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding.
-
-The speed is 9 or more on a treadmill or under a camera that pans, and 1.2 to 2.3 if a dog steps or turns on the spot
-(`python benchmarks/wrong_inputs.py --only input-limits`). Animals may walk slowly on a treadmill.
-"""
-STAYS_SHARE = 0.3
-"""Speed of the body, relative to its speed over the feet, below which it stays where it is, as on a treadmill."""
-SLIDE_M_S = -2.5
-"""Backward speed that standing feet do not reach.
-
-The lowest is -0.65 m/s in 32 real views of running cheetahs, and -1.05 m/s if a dog steps or turns on the spot (`python
+The relative speed is at most 0.08 in 32 real views of cheetahs, and 0.11 to 0.92 (median 0.85) on a treadmill, where
+the smallest value is from a view along the animal's path. Dogs on the spot reach 1.1, but the feet that are lowest then
+stand still (`LOWEST`). At half the value, no correct view of a cheetah would be reported either (`python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
-GLIDE_M_S = 8.0
-"""Forward speed that standing feet do not reach.
+SLIDE_LEGS_S = 0.5
+"""Minimum speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding.
 
-The highest is 3.9 m/s in 32 real views of running cheetahs, and 8.7 m/s under a camera that pans against the animal
+The limit excludes animals that hardly move. It is low, because animals may walk slowly on a treadmill. The speed is 9
+or more on a treadmill or if the camera pans, and 1.2 to 2.3 if a dog steps or turns on the spot, so half or twice the
+limit would change none of these clips (`python benchmarks/wrong_inputs.py --only input-limits`).
+"""
+STAYS_SHARE = 0.3
+"""Speed of the body, relative to its speed over the feet, below which the body stays in place, as on a treadmill."""
+SLIDE_M_S = -2.5
+"""Velocity of standing feet along the trunk below which they slide backwards.
+
+The lowest velocity is -0.65 m/s in 32 real views of running cheetahs, and -1.05 m/s if a dog steps or turns on the spot
 (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
-JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
-"""Costs per 1/90 s, in half squared standard deviations, above which the body's path is not that of an animal.
+GLIDE_M_S = 8.0
+"""Velocity of standing feet along the trunk above which they glide forwards.
 
-The costs are up to 0.53, 0.22 and 0.76 in 32 real views, and 0.69, 0.02 and 0.68 in the rendered film. They are up to
-5.6, 1.2 and 4.7 (medians 3.3, 0.29 and 2.5) if a stabiliser moved the picture (`python benchmarks/wrong_inputs.py
---only input-limits`).
+The highest velocity is 3.9 m/s in 32 real views of running cheetahs, and 8.7 m/s if the camera pans against the
+animal's motion (`python benchmarks/wrong_inputs.py --only input-limits`).
+"""
+JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
+"""Terms of the fit's cost, per 1/90 s, above which the body's path is implausible for an animal.
+
+The unit is half a squared standard deviation. The costs are up to 0.53, 0.22 and 0.76 in 32 real views, and 0.69, 0.02
+and 0.68 in the rendered film. They are up to 5.6, 1.2 and 4.7 (medians 3.3, 0.29 and 2.5) if a stabiliser moved the
+picture (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if no animal moves like this over the ground, or if the animal stands still; at most one."""
+    """Yield at most one finding: no animal moves like this over the ground, or the animal stands still."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
@@ -496,7 +523,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
-        # a motion that was fitted without a prior is not wrong because the animal stands
+        # A motion that was fitted without a prior is not affected by an animal that stands still.
         yield finding("no_strides" if solution.prior == NONE else "animal_still", speed_m_s=float(np.nanmedian(speed)))
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
@@ -507,12 +534,12 @@ def movement(motion: Motion) -> Iterator[Finding]:
         worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
         if costs[worst] > JOLTS[worst]:
             jolts = finding("path_jolts", of=worst, cost=costs[worst])
-            # the limits are those of running cheetahs: other animals turn on the spot, or sidestep
+            # The limits hold for running cheetahs, but other animals may turn on the spot or sidestep.
             yield replace(jolts, severity="note") if solution.prior == NONE else jolts
 
 
 def jolt_costs(motion: Motion) -> dict[str, float]:
-    """Return the costs of the body's path per 1/90 s, by the names of `JOLTS`."""
+    """Return a dictionary of the costs of the body's path per 1/90 s, with the same keys as `JOLTS`."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     frames = REFERENCE_HZ * float(motion.solved.sum()) / motion.fps
@@ -521,24 +548,24 @@ def jolt_costs(motion: Motion) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class FeetSpeeds:
-    """Speeds of the body and of the standing feet over the ground, m/s along the trunk, backwards negative."""
+    """Velocities of the body and of the standing feet over the ground, along the trunk; negative means backwards."""
 
     body_m_s: float
     slowest_m_s: float
-    """Speed below which a foot moves in the fraction `SLOWEST` of all frames; about 0 if standing feet stand still."""
+    """Quantile `SLOWEST` of the feet's velocities over all frames; about 0 if standing feet do not move."""
     slide_m_s: float
-    """Median speed of the standing feet over the ground."""
+    """Median velocity of the standing feet over the ground."""
     leg_m: float
-    """Height of the trunk above the lowest foot, metres."""
+    """Height of the trunk above the lowest foot."""
 
     @property
     def over_feet_m_s(self) -> float:
-        """Return the speed of the body over its standing feet."""
+        """Return the velocity of the body relative to its standing feet, m/s."""
         return self.body_m_s - self.slowest_m_s
 
 
 def feet_speeds(motion: Motion) -> FeetSpeeds | None:
-    """Return the speeds of the body and of its feet over the ground; None without feet."""
+    """Return the velocities of the body and of its feet over the ground; None for a body without feet."""
     forward, feet = _along(motion)
     if not len(feet[0]):
         return None
@@ -553,21 +580,21 @@ def feet_speeds(motion: Motion) -> FeetSpeeds | None:
 
 
 def on_ground_m_s(motion: Motion) -> float:
-    """Return the median speed of the feet along the trunk in the frames in which they are lowest, m/s."""
+    """Return the median velocity of the feet along the trunk in the frames in which they are lowest, m/s."""
     _, feet = _along(motion)
     heights_m = motion.solution.joints_m[:, list(motion.feet), 2]
     return float(np.nanmedian(feet[heights_m <= np.nanquantile(heights_m, LOWEST, axis=0)]))
 
 
 def seem_to_slide(speeds: FeetSpeeds) -> bool:
-    """Return whether standing feet seem to slide, relative to the body or faster than feet do."""
+    """Return whether standing feet seem to slide, given their velocity relative to the body and over the ground."""
     over_feet_m_s = speeds.over_feet_m_s
     is_relative = -speeds.slowest_m_s > SLIDE_SHARE * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * speeds.leg_m
     return is_relative or not SLIDE_M_S < speeds.slowest_m_s < GLIDE_M_S
 
 
 def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
-    """Return the finding on standing feet that move over the ground, or None."""
+    """Return a finding if standing feet move over the ground, otherwise None."""
     if not seem_to_slide(speeds):
         return None
     if abs(on_ground_m_s(motion)) < 0.5 * abs(speeds.slowest_m_s):
@@ -578,7 +605,10 @@ def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
 
 
 def _along(motion: Motion) -> tuple[Array, Array]:
-    """Return speeds of the body (T,) and of the feet (T, F) along the trunk, over the ground; NaN without a pose."""
+    """Return the velocities of the body (T,) and of the feet (T, F) over the ground, along the trunk, m/s.
+
+    They are NaN in frames without a pose.
+    """
     rear, front = motion.forward
     joints_m = motion.solution.joints_m
     trunk = (joints_m[:, front] - joints_m[:, rear])[:, :2]
@@ -591,16 +621,16 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 # Gross outliers
 
 GROSS = "in frames whose detections are gross outliers"
-"""Reason for leaving out the detections of a frame."""
+"""Reason, in words, for which the detections of gross outlier frames were left out."""
 MOST = 0.5
-"""Largest fraction of frames that may be outliers; above it, the fit or another input is wrong."""
+"""Fraction of frames above which they do not count as outliers, because the fit or another input is then wrong."""
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
-    """Return the log-likelihood gain of each frame's keypoints if they lie anywhere in the picture, (T,).
+    """Return the log-likelihood gain, in each frame, of keypoints anywhere in the picture over the fitted pose, (T,).
 
-    The gain is relative to keypoints at their markers (T, J, 3) with noise (T, J), pixels. The gain is NaN without
-    keypoints or a pose.
+    `markers_m` are the fitted markers, shape (T, J, 3), and `noise_px` the standard deviations of the detections, shape
+    (T, J). The gain is NaN in frames without keypoints or without a pose.
     """
     projected, valid = view.project(view.shift_to_exposure(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])
@@ -614,7 +644,7 @@ def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
 def without_gross_outliers(
     sources: Sequence[Source], solution: TrajectorySolution
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources without frames that are gross outliers as a whole, and findings on these frames."""
+    """Return the sources without the detections of frames that are gross outliers, and findings on these frames."""
     kept, findings = [], []
     for source, view, noise_px in zip(sources, solution.views, solution.noise_px, strict=True):
         ratios = outlier_ratios(view, solution.markers_m, noise_px)

@@ -3,11 +3,11 @@
 A hypothesis is a `ClipProblem` with other keypoints or another camera. One second of the clip is solved again under the
 hypothesis and compared with the same second as given. This takes as long as a fit, so callers first look for cheap
 evidence. Errors of a detector persist over frames, and the keypoints of one limb have similar errors. An error that
-persists is therefore common, and an error that jumps is not (`negative_log_density`).
+persists is therefore more likely than an error that jumps (`negative_log_density`).
 
-The hypotheses in this module are: a different picture (keypoints from 0 to 1, turned over, of a smaller video, without
-lens distortion), a picture that zooms, and a different frame rate, at which angles swing as in the prior.
-Left-right swaps are in `swaps`.
+The hypotheses in this module are a different picture (keypoints from 0 to 1, turned over, of a smaller video, without
+lens distortion), a picture that zooms, and a different frame rate, at which the angles swing as fast as in the prior.
+Left-right swaps are in `recon.check.swaps`.
 """
 
 from __future__ import annotations
@@ -36,52 +36,52 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse
 
 _TOLERANCE = 3e-3
-"""Relative decrease of the cost at which a search in this module ends."""
+"""Relative decrease of the cost in an iteration at which a fit in this module ends."""
 _ITERATIONS = 12
-"""Largest number of iterations of a search in this module."""
+"""Maximum number of iterations of a fit in this module."""
 CLEAR = float(np.log(1000.0))
 """Log-likelihood gain above which a hypothesis is examined further."""
 MARGIN = 25.0
-"""Log-likelihood gain above which a swap or a zoom is reported.
+"""Log-likelihood gain above which a left-right swap or a zoom is reported.
 
-This value and `SURE` were chosen on real clips (docs/benchmarks.md, left-right swaps) and allow for errors of the
+This value and `SURE` were chosen on real clips (docs/benchmarks.md, left-right swaps), and allow for errors of the
 model.
 """
 SURE = 30.0
-"""Log-likelihood gain above which evidence is clear.
+"""Log-likelihood gain above which the evidence counts as clear.
 
-This gain is required of a swap over a swap that contradicts it, of a whole clip with all swaps undone over the clip as
-given, and of another frame rate over the given rate.
+The gain of a swap over a contradicting swap, of the whole clip without its swaps over the clip as given, and of another
+frame rate over the given rate must exceed this value.
 """
 OWN_SHARE = 0.4
-"""Weight of a keypoint's log-density, below 1 because the keypoints of one limb have similar errors.
+"""Weight of each keypoint's log-density, below 1 because the keypoints of one limb have similar errors.
 
 The value was chosen on real clips (docs/benchmarks.md).
 """
 TAILS = 3.0
-"""Degrees of freedom of Student's t distribution of the errors."""
+"""Degrees of freedom of Student's t distribution, which the errors of detections are assumed to have."""
 TESTED_S = 1.0
-"""Seconds of a clip that are tested at once."""
+"""Duration of the part of a clip that is solved again for a test, seconds."""
 TRIANGULATED_S = 4.0
-"""Approximate number of seconds that are triangulated at once; enough to estimate the noise of each keypoint."""
+"""Approximate duration of the parts that are triangulated at once, seconds; enough to estimate the keypoints' noise."""
 LOOSE = 2.0
-"""Factor on the noise for a fit in which a keypoint may belong to either side."""
+"""Factor by which the noise is multiplied in a fit in which each keypoint may belong to either side."""
 
 
 def exceeds_margin(ratio: float, surely: bool = False) -> bool:
-    """Return whether a log-likelihood gain exceeds `MARGIN`, or with `surely` exceeds `SURE`."""
+    """Return whether a log-likelihood gain exceeds `MARGIN` or, if `surely` is true, `SURE`."""
     return ratio > (SURE if surely else MARGIN)
 
 
 def single_view(clip: ClipProblem, view: View) -> ClipProblem:
-    """Return the problem of one camera's view alone, with the fast search."""
+    """Return the problem of fitting the view of a single camera, with the fast search."""
     origin_m = np.mean(view.centre_m, axis=0)
     return replace(clip, views=(view,), origin_m=origin_m, options=replace(clip.options, fast=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Solution of a part of a clip: states (n, D) at nominal size about the origin, and their likelihoods."""
+    """Solution of a part of a clip: states (n, D) of an animal of nominal size about the origin, and likelihoods."""
 
     states: Array
     correlated: float
@@ -91,7 +91,7 @@ class Refit:
 
     @classmethod
     def of_states(cls, clip: ClipProblem, states: Array) -> Refit:
-        """Return the refit of given states (n, D); its likelihoods are infinite if a frame has no state."""
+        """Return the refit with given states (n, D); both values are infinite if a frame has no state."""
         if not np.isfinite(states).all():
             return cls(states, np.inf, np.inf)
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
@@ -104,14 +104,14 @@ class Refit:
         )
 
     def gain_over(self, reference: Refit) -> float:
-        """Return the log-likelihood gain over `reference` under the worse of two noise models."""
+        """Return the log-likelihood gain over `reference`, the smaller of the gains under the two noise models."""
         if not np.isfinite(self.independent):
             return -np.inf
         return min(reference.correlated - self.correlated, reference.independent - self.independent)
 
 
 def refit_view(clip: ClipProblem) -> Refit:
-    """Return the motion from one camera's view, solved as a separate clip."""
+    """Solve the clip of a single camera's view, and return the solution with its likelihoods."""
     options = replace(clip.options, fast=False)
     solution = solve_trajectory(
         clip.views, clip.body, clip.prior, clip.fps, options, ground_near_zero=clip.ground_near_zero
@@ -121,7 +121,7 @@ def refit_view(clip: ClipProblem) -> Refit:
 
 
 def _view_negative_log_density(clip: ClipProblem, states: Array) -> float:
-    """Return the negative log-density of one view's keypoints around a motion (T, D)."""
+    """Return the negative log-density of the keypoints of a single view, given the motion's states (T, D)."""
     (view,), markers = clip.views, clip.markers(states)
     (sigma_px,) = clip.noise_px(markers, np.ones((1, markers.shape[1])))
     projected, _ = view.project(view.shift_to_exposure(clip.in_world(markers)))
@@ -129,10 +129,10 @@ def _view_negative_log_density(clip: ClipProblem, states: Array) -> float:
 
 
 def negative_log_density(view: View, projected: Array, sigma_px: Array, correlation_frames: float) -> float:
-    """Return the negative log-density of a view's keypoints around projected markers (T, J, 2), except for a constant.
+    """Return the negative log-density of a view's keypoints, given the projected markers (T, J, 2), up to a constant.
 
-    `sigma_px` (T, J) is the noise. A part of each error is carried over from the frame before, so that correlated
-    neighbouring frames count only once.
+    `sigma_px` are the standard deviations of the detections, shape (T, J). A part of each error is carried over from
+    the frame before, so that frames within `correlation_frames` count only once.
     """
     errors = (projected - view.xy_px) / sigma_px[..., None]
     autocorrelation = (correlation_frames - 1) / (correlation_frames + 1)
@@ -148,24 +148,24 @@ def negative_log_density(view: View, projected: Array, sigma_px: Array, correlat
 
 
 def log_tail(residual: Array) -> Array:
-    """Return the negative log-density (T, J) of errors (T, J, 2) in standard deviations; 0 where a point is missing."""
+    """Return the negative log-density (T, J) of errors (T, J, 2), in standard deviations; 0 for a missing point."""
     return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(residual**2, axis=-1)) / TAILS)
 
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """One view of a clip as given, and the states (T, D) estimated for it, at nominal size about its origin."""
+    """A view of a clip as given, and its estimated states (T, D), of an animal of nominal size about the origin."""
 
     clip: ClipProblem
     states: Array
     other_views: tuple[View, ...] = ()
-    """The clip's other views, which contributed to the states."""
+    """The other views of the clip, which contributed to the states."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
-    """The fits of parts of the clip as given, by first frame and the frame after the last."""
+    """Cached fits of parts of the clip as given; the keys are the first frame and the frame after the last."""
     _settled: dict[tuple[int, int], Estimate] = field(default_factory=dict, init=False, repr=False)
-    """The best fits near the states of parts of the clip, by first frame and the frame after the last."""
+    """Cached results of `settled`; the keys are the first frame of a part and the frame after the last."""
     _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
-    """The triangulated points of parts of the clip, by first frame."""
+    """Cached triangulated points of parts of the clip; the keys are the first frames of the parts."""
 
     @property
     def view(self) -> View:
@@ -173,13 +173,13 @@ class Baseline:
         return self.clip.views[0]
 
     def with_view(self, view: View) -> ClipProblem:
-        """Return the clip's problem with another view instead of its own."""
+        """Return the problem of the baseline's clip with another view instead of its own."""
         return single_view(self.clip, view)
 
     def refit(self, part: slice) -> Refit:
-        """Return the fit of a part of the clip as given.
+        """Return the solution of a part of the clip as given.
 
-        For the whole clip the estimated states are used, unless other cameras contributed to them.
+        For the whole clip, the estimated states are used, unless other cameras contributed to them.
         """
         key = part.start, part.stop
         if key not in self._refits:
@@ -189,10 +189,10 @@ class Baseline:
         return self._refits[key]
 
     def settled(self, rows: slice, noise_px: Array) -> Estimate:
-        """Return the best fit near the states of some rows, with the ground under these states.
+        """Return the best solution near the estimated states of some frames, with the ground under these states.
 
-        The tests of the lens and of the focal length begin with this fit. `noise_px` (T, J) is the noise of the whole
-        fit.
+        The tests of the lens and of the focal length start from this solution. `noise_px` is the fit's standard
+        deviation of each detection, pixels, shape (T, J).
         """
         key = rows.start, rows.stop
         if key not in self._settled:
@@ -203,10 +203,11 @@ class Baseline:
         return self._settled[key]
 
     def points_elsewhere_m(self, rows: slice) -> Array | None:
-        """Return the markers (T, J, 3) in the world, triangulated from the other views; None without two of them.
+        """Return the markers in the world, triangulated from the other views, metres, shape (T, J, 3).
 
-        Only parts of about `TRIANGULATED_S` that contain some of the rows are triangulated, because triangulating the
-        whole of a long clip would take longer than the search for swaps. All other frames are NaN.
+        Return None if there are fewer than two other views. Only the parts of about `TRIANGULATED_S` that contain some
+        of the given frames are triangulated, because triangulating a whole long clip would take longer than the search
+        for swaps. All other frames are NaN.
         """
         if len(self.other_views) < 2:
             return None
@@ -216,7 +217,7 @@ class Baseline:
             if stop <= rows.start or rows.stop <= first:
                 continue
             if first not in self._points_elsewhere_m:
-                start = max(first - 1, 0)  # a delayed view is interpolated from the frame before
+                start = max(first - 1, 0)  # interpolates a delayed view from the frame before
                 views = [view.part(slice(start, stop)) for view in self.other_views]
                 self._points_elsewhere_m[first] = triangulate_views(views).points_m[first - start :]
             points_m[first:stop] = self._points_elsewhere_m[first]
@@ -224,11 +225,11 @@ class Baseline:
 
 
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
-    """Fit a view and its mirrored version together, and return the projected markers (T, J, 2) and their noise (T, J).
+    """Return the projected markers (T, J, 2) and their noise (T, J) of a fit in which a keypoint may be on either side.
 
-    Markers in which the two versions differ, `is_exchanged` (J,), have half of their weight in each version. Both
-    results are in pixels, NaN in frames without states. The motion is that at the times of the pictures, since no other
-    camera is involved.
+    A view and its mirrored version are fitted together. Markers in which the two versions differ (`is_exchanged`, a
+    mask of shape (J,)) have half of their weight in each version. Both results are in pixels, and NaN in frames without
+    states. They hold at the times of the view's own pictures, since no other camera is involved.
     """
     clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
@@ -253,14 +254,17 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
 
 
 def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> Baseline:
-    """Return the baseline of one view of a clip; states (T, D) have the root in the world."""
+    """Return the baseline of the view with index `number` of a clip, given the states (T, D) and the animal's size.
+
+    The root of the states is in the world frame.
+    """
     single = single_view(clip, clip.views[number])
     other_views = tuple(view for i, view in enumerate(clip.views) if i != number)
     return Baseline(single, single.nominal(states, size), other_views)
 
 
 def best_seen(view: View, fps: float) -> slice:
-    """Return the rows of the `TESTED_S` seconds with the most detections, without empty rows at either end."""
+    """Return the slice of the `TESTED_S` seconds with the most detections, without empty frames at either end."""
     counts = view.present.sum(axis=1)
     part = densest_window(counts, round(TESTED_S * fps))
     seen = part.start + np.flatnonzero(counts[part])
@@ -270,30 +274,31 @@ def best_seen(view: View, fps: float) -> slice:
 # The picture
 
 SMALLER = (2, 3, 4)
-"""Factors by which a video may be smaller than the picture that the camera was calibrated for."""
+"""Factors that are tried, by which the video may be smaller than the calibrated camera's picture."""
 UPRIGHT = 0.7
-"""Height of the trunk above the feet, relative to their distance, below which turned pictures are tried.
+"""Height of the trunk above the feet, relative to the distance between them, below which turned pictures are tried.
 
-The height is 0.95 or more in 32 real views of cheetahs, 0.82 or more in simulated views of dogs, and 0.17 or less if
-the picture or the world is turned (`python benchmarks/wrong_inputs.py --only input-limits`).
+The ratio is 0.95 or more in 32 real views of cheetahs, 0.82 or more in simulated views of dogs, and 0.17 or less if the
+picture or the world is turned (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 NEARLY_ALL = 99.0
-"""Percentage of the points that must lie within a part of the picture."""
+"""Percentage of the keypoints that must lie within the picture of a smaller video for this video to be considered."""
 OPPOSITE_SHARE = 0.5
-"""Gain of a turn to the opposite side, relative to the best gain, above which no turn is named.
+"""Gain of a turn to the opposite side, relative to the best gain, above which no turn is reported.
 
-The gain is 0.8 if 70 % of the detections are gross outliers, and below 0 if the picture or the world is turned by 90
-degrees.
+Only one of two opposite turns can make the animal upright. The ratio is 0.8 if 70 % of the detections are gross
+outliers, and below 0 if the picture or the world is turned by 90 degrees, so any limit between 0 and 0.8 has the same
+effect on these clips.
 """
 
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
-"""Codes of findings on poses, or only their rotations, that are given from camera to world."""
+"""Codes of findings on camera files whose poses, or only rotations, are given from camera to world."""
 _Alternative = tuple[str, dict[str, Any], View]
-"""Hypothesis on a view: the finding's code and numbers, and the view under the hypothesis."""
+"""Hypothesis on a view: code and numbers of the finding, and the view if the hypothesis is true."""
 
 
 def unit_square_finding(baseline: Baseline) -> Finding | None:
-    """Return a finding if the keypoints are given as fractions of the picture's width and height."""
+    """Return a finding if the keypoints seem to be fractions of the picture's width and height, otherwise None."""
     view = baseline.view
     points = view.xy_px[view.present]
     if not len(points) or np.percentile(np.abs(points - 0.5), NEARLY_ALL) > 1.0:
@@ -305,7 +310,7 @@ def unit_square_finding(baseline: Baseline) -> Finding | None:
 
 
 def other_picture_finding(baseline: Baseline) -> Finding | None:
-    """Return a finding if a picture other than the camera's makes the keypoints clearly more likely."""
+    """Return a finding if the keypoints are clearly more likely to be from another picture, otherwise None."""
     view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
     alternatives = (
         [*_turned(view), *_smaller(view)] if feet_below_trunk(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
@@ -320,7 +325,7 @@ def other_picture_finding(baseline: Baseline) -> Finding | None:
 
 
 def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], ratios: Sequence[float]) -> Finding | None:
-    """Return the finding of the likeliest alternative, or of a contradiction with several likely causes."""
+    """Return a finding on the likeliest alternative, or on a contradiction that several alternatives explain."""
     best = int(np.argmax(ratios))
     if not ratios[best] > CLEAR:
         return None
@@ -331,7 +336,7 @@ def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], rat
         if _are_opposite(alternative, alternatives[best])
     )
     if max(opposites, default=-np.inf) > OPPOSITE_SHARE * ratios[best]:
-        return None  # the detections show no animal either way
+        return None  # the detections show no animal, upright or turned
     likely = [i for i in range(len(ratios)) if not exceeds_margin(ratios[best] - ratios[i], surely=True)]
     if camera.knows_up and len(likely) > 1:
         rivals = [alternatives[i] for i in sorted(likely, key=lambda i: -ratios[i])]
@@ -344,7 +349,7 @@ def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], rat
 
 
 def _are_opposite(first: _Alternative, second: _Alternative) -> bool:
-    """Return whether two hypotheses turn the animal by 90 degrees to opposite sides."""
+    """Return whether two hypotheses turn the picture or the world by 90 degrees to opposite sides."""
     turns = [numbers.get("degrees", 0) for _, numbers, _ in (first, second)]
     axes = [numbers.get("axis", "z").lstrip("-") for _, numbers, _ in (first, second)]
     is_other = first[1] != second[1]
@@ -392,20 +397,20 @@ def _turned(view: View) -> Iterator[_Alternative]:
 
 
 def _with_transposed_rotation(transform: Array) -> Array:
-    """Return transforms (..., 4, 4) with the same translation and the transposed rotation."""
+    """Return rigid transforms (..., 4, 4) with their rotation transposed and their translation unchanged."""
     transposed = transform.copy()
     transposed[..., :3, :3] = np.swapaxes(transform[..., :3, :3], -1, -2)
     return transposed
 
 
 def _raising(up: Array) -> Array:
-    """Return the rotation, by 90 degrees, that turns a level unit vector (3,) into z."""
+    """Return the rotation by 90 degrees that turns a horizontal unit vector (3,) upwards, to z."""
     level = np.cross(up, [0.0, 0.0, 1.0])
     return np.outer(level, level) + np.outer([0.0, 0.0, 1.0], up) - np.outer(up, [0.0, 0.0, 1.0])
 
 
 def _smaller(view: View) -> Iterator[_Alternative]:
-    """Yield the hypotheses of a smaller video, for the factors at which its picture contains the keypoints."""
+    """Yield a hypothesis for each smaller video (`SMALLER`) whose picture contains nearly all keypoints."""
     points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
     for times in SMALLER:
         if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all():
@@ -413,9 +418,9 @@ def _smaller(view: View) -> Iterator[_Alternative]:
 
 
 def feet_below_trunk(clip: ClipProblem, view: View) -> float:
-    """Return how far the feet are below the trunk's ends, as a fraction of their distance in the picture.
+    """Return the height of the trunk above the feet in the picture, relative to the distance between them.
 
-    The value is 1 for a standing animal and -1 for one that is upside down.
+    The value is 1 for a standing animal, and -1 for an animal that is upside down.
     """
     trunk = [clip.body.markers.index(marker) for marker in clip.body.forward]
     off_px = mean_along(view.xy_px[:, clip.feet], 1) - mean_along(view.xy_px[:, trunk], 1)
@@ -429,7 +434,7 @@ def feet_below_trunk(clip: ClipProblem, view: View) -> float:
 def smaller(camera: Camera, times: float) -> Camera:
     """Return the camera of the same video reduced in size by the factor `times`."""
     scale = np.array([[1.0 / times], [1.0 / times], [1.0]])
-    # pixel coordinates are 0 in the middle of the first pixel
+    # Pixel coordinates are 0 in the middle of the first pixel.
     shift = np.array([[0, 0, 0.5 / times - 0.5], [0, 0, 0.5 / times - 0.5], [0, 0, 0]])
     width, height = camera.image_size_px
     size_px = (max(round(width / times), 1), max(round(height / times), 1))
@@ -439,40 +444,42 @@ def smaller(camera: Camera, times: float) -> Camera:
 # The lens
 
 ZOOM = 0.2
-"""Logarithm of the zoom per second that is tried first, and the smallest that is reported.
+"""Logarithm of the zoom per second that is tried first, and the smallest zoom that is reported.
 
-Smaller zooms also fit better if an animal of other proportions comes nearer. In 30 correct views, the best zoom is
--0.42 to 0.20 (median 0), and 0.06 to 0.57 if the picture zooms by 1.5 in a clip (`python benchmarks/wrong_inputs.py
---only input-limits`). A zoom must also exceed `MARGIN`; `--only zoom` counts the clips in which this happens.
+A smaller zoom may also fit better because an animal of other proportions comes nearer. The best zoom is -0.42 to 0.20
+(median 0) in 30 correct views, and 0.06 to 0.57 (median 0.31) if the picture zooms by 1.5 in a clip. At twice the
+value, most of these zooms would be missed. At half the value, the rendered film (0.09) would not be reported either
+(`python benchmarks/wrong_inputs.py --only input-limits`). The gain of a zoom must also exceed `MARGIN`, so only some of
+these zooms are reported (`--only zoom` counts them).
 """
 LARGEST = 5.0
-"""Largest factor on `ZOOM` that is tried."""
+"""Largest zoom that is tried, as a multiple of `ZOOM`."""
 _LENS_ITERATIONS = 6
-"""Largest number of iterations of a fit with another lens."""
+"""Maximum number of iterations of a fit with another lens or zoom."""
 LASTING = 0.25
-"""Fraction of the frames of both the first and the last third of a second in which a lasting keypoint is detected.
+"""Minimum fraction of the frames, in both the first and the last third of a second, in which a keypoint is detected.
 
-A zoom is tested with these keypoints, and only if all feet are among them: an animal that leaves the picture does not
-grow, and feet that are not seen do not slide.
+A zoom is tested only with such keypoints, and only if all feet are among them. Otherwise an animal that leaves the
+picture would seem to shrink, and the feet would not show whether they slide.
 """
 _Minimum = Callable[[View, Array], Estimate]
-"""Function that fits a view of one second of a clip, starting from states (T, D)."""
+"""Function that fits one second of a view, starting from states (T, D)."""
 
 
 def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution) -> float:
-    """Return the log-likelihood gain of a whole fit over another of the same detections, each with its own noise."""
+    """Return the log-likelihood gain of one fit of a whole clip over another fit, each with its own estimated noise."""
     original_cost, alternative_cost = (sum(solution.cost_by_term.values()) for solution in (original, alternative))
     weight = np.array([np.where(view.present, view.confidence, 0.0) for view in original.views])
-    # twice, for the two coordinates of each detection
+    # The factor is 2 because each detection has two coordinates.
     log_noise = 2.0 * np.nansum(weight * np.log(original.noise_px / alternative.noise_px))
     return original_cost - alternative_cost + float(log_noise)
 
 
 def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
-    """Yield at most one finding on the lens, from the second with the most detections.
+    """Yield a finding if the keypoints were already undistorted, or if the picture zooms; at most one of them.
 
-    The finding is about keypoints that were already undistorted, or about a picture that zooms. `noise_px` (T, J) is
-    the noise of the fit.
+    The second with the most detections is tested. `noise_px` is the fit's standard deviation of each detection, pixels,
+    shape (T, J).
     """
     stretch = best_seen(baseline.view, baseline.clip.fps)
     clip, states, (view,) = baseline.clip.part(stretch), baseline.states[stretch], baseline.clip.part(stretch).views
@@ -499,7 +506,10 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
 
 
 def _without_lens(clip: ClipProblem, flat: Camera) -> float:
-    """Return the log-likelihood gain of a camera without lens distortion, in the part with the most detections."""
+    """Return the log-likelihood gain of the camera `flat`, which has no lens distortion, over the given camera.
+
+    The gain is that of the part of the clip with the most detections.
+    """
     clip = clip.part(densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps)))
     bent, straight = (
         solve_trajectory(views, clip.body, clip.prior, clip.fps, replace(clip.options, fast=False))
@@ -528,18 +538,18 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
 
 
 def zoom_of(nearer: float, farther: float) -> float:
-    """Return the logarithm of the zoom per second at which a parabola through three gains is largest.
+    """Return the logarithm of the most likely zoom per second, the maximum of a parabola through three gains.
 
-    `nearer` and `farther` are the log-likelihood gains of the zooms `ZOOM` and -`ZOOM`; the gain of no zoom is 0.
+    `nearer` and `farther` are the log-likelihood gains of the zooms `ZOOM` and -`ZOOM`. The gain without a zoom is 0.
     """
     slope, bend = 0.5 * (nearer - farther), nearer + farther
     return ZOOM * float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
 
 
 def with_calibration_at_either_end(item: Finding) -> Finding:
-    """Return a finding on a zoom, with the effect on positions of a calibration at the start or the end of the clip.
+    """Return a finding on a zoom with the effect on positions if the calibration holds at either end of the clip.
 
-    The fit assumes that the focal length is as calibrated in the middle of the second that was tested.
+    The test assumes that the calibrated focal length holds in the middle of the second that was tested.
     """
     numbers = item.numbers
     zoom, distance_m, effect_m = (numbers.get(name) for name in ("zoom", "distance_m", "position_effect_m"))
@@ -552,40 +562,40 @@ def with_calibration_at_either_end(item: Finding) -> Finding:
 # The frame rate
 
 RATE_STEP = 2**0.5
-"""Factor between two frame rates that are tried; a parabola through three of them gives the rate in between."""
+"""Ratio of successive frame rates that are tried; the best rate between them is found with a parabola."""
 RATE_STEPS = 8
-"""Largest number of steps upwards or downwards: a factor of 16."""
+"""Maximum number of steps upwards or downwards, which correspond to a factor of 16."""
 NEARLY = 1.02
-"""Largest ratio of two frame rates that count as the same."""
+"""Largest ratio of two frame rates that count as equal."""
 ANOTHER = 1.3
-"""Smallest factor between the swing of angles in the clip and in the prior that suggests another frame rate.
+"""Smallest ratio between the rates of angles in the clip and in the prior, or its inverse, that suggests another rate.
 
-Animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a rendered clip),
-with a standard deviation of a tenth.
+Animals of the same gait move their angles up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a
+rendered clip), with a standard deviation of a tenth.
 """
 SPEEDS = 1.25
-"""Largest factor by which an animal, at its true frame rate, is faster or slower than all animals of the prior.
+"""Factor by which the animal, at the other frame rate, may be faster or slower than all animals of the prior.
 
-An animal that stands or turns therefore does not count as slow motion.
+The other rate is not reported beyond this factor, so that an animal that stands or turns does not count as slow motion.
 """
 FAR = 1.5
-"""Factor from which a different frame rate is an error, because even with correct poses the speeds are wrong.
+"""Ratio of frame rates from which a different rate is an error, because speeds are wrong even if poses are right.
 
-Below it, a different rate is at most a warning unless poses or positions change as well. Animals that turn swing their
-legs 1.45 times slower than animals that run straight ahead.
+Below this ratio, a different rate is at most a warning, unless poses or positions change as well. The limit is above
+1.45, because animals that turn swing their legs 1.45 times more slowly than animals that run straight ahead.
 """
 RATE_S = 5.0
-"""Seconds of a clip in which the frame rate and the lens distortion are tested."""
+"""Duration of the part of a clip in which the frame rate and the lens distortion are tested, seconds."""
 _RATE_TOLERANCE = 1e-3
-"""Relative decrease of the cost at which the fit at a frame rate ends."""
+"""Relative decrease of the cost in an iteration at which the fit with another frame rate ends."""
 _RATE_ITERATIONS = 10
-"""Largest number of iterations of the fit at a frame rate."""
+"""Maximum number of iterations of the fit with another frame rate."""
 
 
 def frame_rate_finding(
     clip: ClipProblem, states: Array, stated_hz: float | None, by_motion: bool = True
 ) -> Finding | None:
-    """Return a finding on the frame rate if a file states another one, or if the angles suggest another one.
+    """Return a finding if a file states another frame rate, or if the angles suggest another one, otherwise None.
 
     Angles suggest another rate if they swing faster or more slowly than in the motions of the prior.
 
@@ -594,9 +604,9 @@ def frame_rate_finding(
     clip
         A solved part of the clip.
     states
-        States (T, D) at nominal size about the origin, without gaps.
+        States (T, D) of an animal of nominal size about the origin, without gaps.
     stated_hz
-        Frame rate stated in a file, or None.
+        Frame rate that a keypoint file states, or None.
     by_motion
         Whether the angles may also lead to a finding; otherwise only `stated_hz` does.
     """
@@ -612,7 +622,7 @@ def frame_rate_finding(
     as_stated, rescaled = (_at_rate(clip, states, by) for by in (1.0, factor))
     misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (as_stated, rescaled))
     gain = _rate_cost(*as_stated, clip.correlation_frames) - _rate_cost(*rescaled, clip.correlation_frames)
-    # at that rate, the motion is unlike the motions of the prior, and no less so than at the given rate
+    # The motion is unlike the motions of the prior at the other rate as well, and no less so than at the given rate.
     is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None
@@ -627,7 +637,10 @@ def frame_rate_finding(
 
 
 def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
-    """Return the mean difference, m, of two motions in the pose about its mean point, and in the mean point."""
+    """Return the mean differences between two motions, m, in the pose and in the position (`EFFECTS`).
+
+    The pose is the markers relative to their mean, and the position is this mean.
+    """
     apart_m = clip.markers(states) - clip.markers(other_states)
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))
@@ -635,11 +648,11 @@ def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str
 
 
 def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
-    """Return the factor on the frame rate at which angles swing as the prior expects, and its log-likelihood gain.
+    """Return the factor on the frame rate at which angles swing as in the prior, and its log-likelihood gain.
 
-    Rates in steps of `RATE_STEP` are tried in the direction of lower cost, on a few frames; the minimum is that of the
-    parabola through the last three. The factor is 1 if the given rate is the best, or if the best rate is the last that
-    was tried.
+    Rates in steps of `RATE_STEP` are tried on a few frames, in the direction of lower cost. The best rate is the
+    minimum of a parabola through the last three. The factor is 1 if the given rate is the best, or if the best rate is
+    the last one that was tried.
     """
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, thin_states, correlation_frames = clip.thinned(step), states[::step], clip.correlation_frames
@@ -660,13 +673,13 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
 
 
 def _has_usual_speed(prior: MotionPrior, speed_m_s: float) -> bool:
-    """Return whether the motions of the prior include that speed."""
+    """Return whether the speed is within `SPEEDS` of the speeds of the motions to which the prior was fitted."""
     speeds_m_s = [segment.speed_m_s for segment in prior.segments]
     return not speeds_m_s or min(speeds_m_s) / SPEEDS < speed_m_s < max(speeds_m_s) * SPEEDS
 
 
 def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: float = 1.0) -> float:
-    """Return the cost of keypoints and motion, without the poses, which are equally likely at any rate."""
+    """Return the cost of the keypoints and the motion without that of the poses, which does not depend on the rate."""
     costs = problem.costs(estimate.states)
     return costs["reprojection"] / correlation_frames + costs[MOTION]
 
@@ -674,10 +687,10 @@ def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: fl
 def _at_rate(
     clip: ClipProblem, states: Array, factor: float, correlation_frames: float = 1.0
 ) -> tuple[LeastSquares, Estimate]:
-    """Return the problem at `factor` times the given frame rate, and its solution near the states (T, D).
+    """Return the problem with `factor` times the given frame rate, and its solution near the states (T, D).
 
-    `correlation_frames` is the number of frames whose errors count once. The noise is the expected one, because the
-    noise of a fit depends on the rate.
+    `correlation_frames` is the number of successive frames whose errors count only once. The expected noise is used,
+    because the noise that a fit estimates depends on the frame rate.
     """
     noise_px = clip.noise_px(
         clip.markers(states), np.full((len(clip.views), len(clip.body.markers)), correlation_frames)

@@ -1,8 +1,8 @@
-"""Estimate one more unknown of a fit by one Gauss-Newton step from its solution.
+"""Estimate an additional unknown of a fit by a single Gauss-Newton step from the fit's solution.
 
-A hypothesis about an input is often a number that the fit assumed to be known, such as the stretch of the picture or
-the drift of a camera's clock. One step, with the poses and all other unknowns free, estimates this number and its
-standard deviation, at the cost of one step of the fit.
+Many faults of an input are described by a number that the fit assumes to be known, such as the stretch of the picture
+or the drift of a camera's clock. A single step, with the poses and all other unknowns free, estimates this number and
+its standard deviation.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ _FREE = 10.0
 
 @dataclass(frozen=True)
 class Detections:
-    """Detections of one camera in N frames, with the values that a derivative needs."""
+    """Detections of J keypoints by one camera in N frames, from which the derivatives of an unknown are computed."""
 
     frames: Array
-    """(N,): rows of the frames in the clip."""
+    """Indices of the frames in the clip, shape (N,)."""
     centre_px: Array
-    """(2,): the principal point."""
+    """Principal point of the camera, shape (2,)."""
     projected_px: Array
-    """(N, J, 2): the projected markers."""
+    """Markers projected into the picture, shape (N, J, 2)."""
     by_frame_px: Array
-    """(N, J, 2): derivatives with respect to the time offset, in pixels per frame."""
+    """Derivatives of the projected markers with respect to the time offset, pixels per frame, shape (N, J, 2)."""
 
 
 ByUnknown = Callable[[Detections], Array]
-"""Function that returns the derivatives (N, J, 2) of a camera's projected markers with respect to an unknown."""
+"""Function that returns the derivatives of a camera's projected markers with respect to an unknown, (N, J, 2)."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """Estimate of an unknown and its standard deviation."""
+    """Estimate of an additional unknown, with its standard deviation."""
 
     value: float
     sigma: float
@@ -56,7 +56,7 @@ class _ExtendedReprojection(Reprojection):
     by_unknown: ByUnknown | None = None
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
-        """Return the rows of `Reprojection` with the derivatives with respect to the unknown."""
+        """Return the rows of `Reprojection`, extended by the derivatives with respect to the additional unknowns."""
         rows = super()._rows_of(span, scene, errors)
         if self.by_unknown is None:
             return rows
@@ -81,26 +81,28 @@ def one_steps(
     fixed: Sequence[str] = (),
     every: int = 1,
 ) -> dict[int, Step]:
-    """Estimate unknowns of single cameras in the longest segment of a clip, each with the other unknowns at 0.
+    """Return the estimate of an additional unknown for each of some cameras, from the longest segment of a clip.
+
+    In each estimate, the additional unknowns of the other cameras are 0.
 
     Parameters
     ----------
     clip
-        The problem of the whole clip, which states the prior's weight and whether the ground is near z = 0.
+        The problem of the whole clip, with the weight of the prior and the ground that the solution assumes.
     solution
         Solution of the problem, from which the step starts.
     unknowns
-        The derivatives with respect to each unknown, by the number of the camera whose detections depend on it.
+        Derivatives with respect to each unknown, with the index of the camera whose detections depend on it as the key.
     fixed
-        Names of shared unknowns that are assumed to be known.
+        Names of the fit's shared unknowns that are not free in the step.
     every
-        Distance between the frames that are used. Above 1, the estimate is less exact, and the functions in
-        `unknowns` get a clip at a frame rate that is lower by this factor.
+        Use only every n-th frame, which makes the estimate less exact. The functions in `unknowns` then get a clip with
+        a frame rate that is lower by this factor.
 
     Returns
     -------
     dict[int, Step]
-        The estimate for each camera; empty if no segment has a pose in every frame.
+        The estimate for each camera index; empty if no segment has a pose in every frame.
     """
     segment = solution.longest_segment
     if segment is None:

@@ -1,9 +1,10 @@
-"""Test whether another camera of the camera file, rather than the given one, filmed a clip.
+"""Test whether another camera in the camera file, rather than the given one, filmed a clip.
 
-The camera is chosen by name. A wrong choice need not make the fit worse, because the animal looks similar to every
-camera, but the animal's position and direction in the world are then wrong by metres and tens of degrees. The cameras
-of a file differ a little in height, tilt, roll and lens, so gravity, the ground and the gait show which of them filmed
-the clip. One second is solved again with each of the other cameras, from the solution moved in front of that camera.
+The user chooses the camera by name. A wrong choice need not make the fit worse, because the animal looks similar from
+every camera, but the animal's position and direction in the world are then wrong by metres and tens of degrees. The
+cameras in a file differ a little in height, tilt, roll and lens, so gravity, the ground and the gait show which of them
+filmed the clip. One second is solved again with each of the other cameras. Each fit starts from the solution, moved in
+front of the other camera.
 """
 
 from __future__ import annotations
@@ -24,19 +25,19 @@ from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT, YAW
 
 GAIN = 3.0
-"""Log-likelihood gain above which another camera is reported; errors within the correlation time count once.
+"""Log-likelihood gain above which another camera is reported; errors within the correlation time count only once.
 
-The gain is 0.5 at most in 32 correct views, 2.0 if the views show less of the animal or the ground rises by 3 %, and
-2.2 in a simulated run on such ground. The gain is higher than this limit in 70 of 136 fits with another camera of the
-file (`benchmarks/wrong_inputs.py --only which-camera`).
+The gain is at most 0.5 in 32 correct views, 2.0 if the views show less of the animal or the ground rises by 3 %, and
+2.2 in a simulated run on such ground. The gain exceeds this limit in 70 of 136 fits with another camera in the file
+(`python benchmarks/wrong_inputs.py --only which-camera`).
 """
 
 
 def other_camera_finding(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> Iterator[Finding]:
-    """Yield a finding if other cameras of the file explain a view better than its own.
+    """Yield a finding if other cameras in the camera file explain a view better than the given camera.
 
-    The finding names the cameras that explain the view about as well as the best of them. `noise_px` (T, J) is the
-    noise of the fit.
+    The finding names the cameras that explain the view about as well as the best one. `noise_px` is the fit's standard
+    deviation of each detection, pixels, shape (T, J).
     """
     gains = gains_of(baseline, noise_px, cameras)
     best = max(gains.values(), default=-math.inf)
@@ -47,10 +48,11 @@ def other_camera_finding(baseline: Baseline, noise_px: Array, cameras: Sequence[
 
 
 def gains_of(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> dict[str, float]:
-    """Return the log-likelihood gain of each of the other cameras over a view's own camera, by name.
+    """Return a dictionary of the log-likelihood gain of each other camera over the view's own camera.
 
-    The result is empty if the camera moves, or if the second of the clip with the most detections has fewer than three
-    frames or a frame without a pose. `noise_px` (T, J) is the noise of the fit.
+    The keys are the cameras' names. The dictionary is empty if the camera moves, or if the second of the clip with the
+    most detections has fewer than three frames or a frame without a pose. `noise_px` is the fit's standard deviation of
+    each detection, pixels, shape (T, J).
     """
     rows = best_seen(baseline.view, baseline.clip.fps)
     states = baseline.states[rows]
@@ -67,7 +69,7 @@ def gains_of(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> 
 
 
 def _turned(states: Array, turn: Array) -> Array:
-    """Return states (T, D), relative to a camera's centre, turned about it by a rotation but still upright."""
+    """Return states (T, D) after a rotation about the origin, the camera's centre, with the animal still upright."""
     turned = states.copy()
     turned[:, ROOT] = states[:, ROOT] @ turn.T
     turned[:, YAW] += math.atan2(turn[1, 0], turn[0, 0])

@@ -1,7 +1,7 @@
 """Check 3D poses: bone lengths, unit, upward axis, gravity in flight, feet on the ground, range of joints.
 
-Points are in metres with z up, as stated in the file or usual for its format. Bones are derived from the points: they
-are the tree of pairs whose distances vary least.
+Points are in metres with z up, as the file states or as is usual for its format. Bones are derived from the points, as
+the tree of pairs whose distances vary least.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from recon.check.track_checks import mean_of_known
 from recon.clip import frame_ranges
 
 LENGTH_SHARE = 0.1
-"""Smallest change of a length that counts, as a fraction of the length."""
+"""Smallest change of a bone's length that counts as a fault, as a fraction of the length."""
 LENGTH_SPREADS = 5.0
-"""Smallest change of a length that counts, in units of the length's usual deviation."""
+"""Smallest change of a bone's length that counts as a fault, in units of the length's usual deviation."""
 DRIFT_SHARE = 0.08
-"""Smallest common change of all lengths that counts, as a fraction of the lengths."""
+"""Smallest change of all lengths together that counts as a fault, as a fraction of the lengths."""
 DRIFT_FRAMES = 5
-"""Number of frames whose median smooths the common change of all lengths."""
+"""Number of frames of the running median that smooths the common change of all lengths."""
 NEAR = 0.02
-"""Weight of a pair's length relative to its variation in the search for bones.
+"""Weight of the distance of two points, relative to its variation, in the search for bones.
 
-This weight connects close points, but not feet that stand side by side.
+With this value, close points are connected, but not feet that stand side by side.
 """
 LEAST_KNOWN = 0.3
-"""Fraction of frames in which a pair must be known to count as a bone."""
+"""Minimum fraction of the frames in which both points of a pair must be known for the pair to count as a bone."""
 EXTENT_M = (0.04, 5.0)
-"""Range of possible animal sizes from nose to tail: from a mouse to more than a horse."""
+"""Range of possible lengths of an animal, from a mouse to more than a horse."""
 GRAVITY_M_S2 = 9.81
 IN_AIR = 0.1
-"""Height of a foot above its lowest position, relative to leg length, above which it is in the air."""
+"""Height of a foot above its lowest position, relative to the leg length, above which the foot is in the air."""
 FLIGHT_FRAMES = 5
-"""Smallest number of frames of a flight from which its acceleration is measured."""
+"""Minimum number of frames in a flight whose acceleration is measured."""
 SIGMAS = 2.0
-"""Largest deviation of the acceleration, in standard deviations, that is consistent with gravity."""
+"""Largest deviation of a flight's acceleration, in standard deviations, that is consistent with gravity."""
 RATIO = 1.5
-"""Factor by which the acceleration may differ from gravity, in addition to its uncertainty, without a finding."""
+"""Factor by which a flight's acceleration may differ from gravity without a finding, beyond its uncertainty."""
 OWN_MOTION = 0.02
-"""Assumed motion of the trunk relative to the centre of mass in a flight, in leg lengths."""
+"""Assumed standard deviation of the trunk's motion relative to the centre of mass in a flight, in leg lengths."""
 RANGE_DEG: Mapping[str, tuple[float, float]] = {
     "elbow": (-20.0, 165.0),
     "stifle": (-20.0, 170.0),
@@ -55,9 +55,9 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
 }
 """Range of flexion, 0 for a straight joint, of joints that bend to one side only, in mammals from mice to horses."""
 BEYOND_DEG = 15.0
-"""Smallest angle beyond a joint's range of flexion that counts, in degrees."""
+"""Smallest angle beyond a joint's range of flexion that counts as a fault, degrees."""
 BEYOND_FRAMES = 2
-"""Smallest number of frames beyond the range; a single one may be an outlier."""
+"""Minimum number of frames beyond the range of flexion for a fault, because a single frame may be an outlier."""
 
 
 def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
@@ -75,7 +75,7 @@ def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
-    """Return the pairs of points that bones seem to connect: the tree of pairs whose distances vary least."""
+    """Return the pairs of points that are probably connected by bones, a tree of pairs whose distances vary least."""
     values, K = points.positions, len(points.names)
     spread = np.zeros((K, K))
     for i in range(K - 1):
@@ -94,7 +94,7 @@ def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
 
 
 def _lengths(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield measures of the length that changes most, and of the drift of all lengths together."""
+    """Yield a measure of the bone whose length changes most, and of the drift of all lengths together."""
     pairs = rigid_pairs(points)
     if len(pairs) < 2:
         return
@@ -127,7 +127,7 @@ def _running_median(values: Array) -> Array:
 
 
 def _unit(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the decimal logarithm of the factor between the animal's size and the possible range."""
+    """Yield a measure of the unit: the decimal logarithm of the ratio of the animal's size to the possible sizes."""
     ratios = [
         float(np.nanmedian(np.linalg.norm(points.positions[:, a] - points.positions[:, b], axis=1))) / expected_m
         for (a, b), expected_m in points.roles.bones_m.items()
@@ -147,7 +147,7 @@ def _unit(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _unit_for(times: float) -> str:
-    """Return the unit in which the numbers would be `times` as large as in metres."""
+    """Return the name of the unit in which numbers are `times` as large as in metres."""
     candidates = {"mm": 1000.0, "cm": 100.0, "m, divided by 100": 0.01, "m, divided by 1000": 0.001}
     return min(candidates, key=lambda unit: abs(np.log10(max(times, 1e-12) / candidates[unit])))
 
@@ -156,7 +156,7 @@ def _unit_for(times: float) -> str:
 
 
 def _upward(points: AuditedPoints) -> Array | None:
-    """Return the mean direction from the feet to the trunk over all frames, as a unit vector (3,), or None."""
+    """Return the mean direction from the feet to the trunk over all frames, as a unit vector (3,); None if unknown."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return None
@@ -170,7 +170,7 @@ def _upward(points: AuditedPoints) -> Array | None:
 
 
 def _up(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield one minus the cosine of the angle between the vertical and the direction from feet to trunk."""
+    """Yield a measure of the upward axis: 1 minus the cosine of the angle between z and the line from feet to trunk."""
     up = _upward(points)
     if up is None:
         return
@@ -182,7 +182,7 @@ def _up(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the fraction of frames and pairs whose left point is on the animal's right."""
+    """Yield a measure of exchanged sides: the fraction of left points, over all frames, on the animal's right."""
     left_of = _left(points)
     if left_of is None:
         return
@@ -195,7 +195,7 @@ def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _left(points: AuditedPoints) -> Array | None:
-    """Return the animal's left (T, 3), from its trunk and the direction from feet to trunk, or None if unknown."""
+    """Return unit vectors to the animal's left, shape (T, 3), or None if the trunk or the feet are unknown."""
     up = _upward(points)
     if up is None or points.roles.trunk is None:
         return None
@@ -208,7 +208,7 @@ def _left(points: AuditedPoints) -> Array | None:
 
 
 def leg_length_m(points: AuditedPoints) -> float:
-    """Return the usual height of the trunk above the lowest foot, m, or NaN if unknown."""
+    """Return the median height of the trunk above the lowest foot, m; NaN if unknown."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return np.nan
@@ -219,7 +219,7 @@ def leg_length_m(points: AuditedPoints) -> float:
 
 
 def _gravity(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the ratio of the vertical acceleration in flight to gravity, in powers of `RATIO`."""
+    """Yield a measure of gravity: the ratio of the acceleration in flights to gravity, as a power of `RATIO`."""
     leg_m = leg_length_m(points)
     if points.fps is None or not leg_m > 0 or len(points.roles.feet) < 4:
         return
@@ -262,7 +262,10 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _ground_m(z_m: Array) -> Array:
-    """Return the height of the ground (T,), which may slope evenly, below feet at heights (T, F)."""
+    """Return the height of the ground in each frame, shape (T,), given the heights of the feet, (T, F), metres.
+
+    The height of the ground changes linearly over the frames, as on an even slope.
+    """
     rows = np.arange(len(z_m), dtype=float)
     lowest_m = np.where(np.isfinite(z_m), z_m, np.inf).min(axis=1)
     is_used = np.isfinite(lowest_m)
@@ -277,7 +280,7 @@ def _ground_m(z_m: Array) -> Array:
 
 
 def _slide(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the speed at which standing feet slide along the trunk, relative to the limit."""
+    """Yield a measure of sliding feet: the velocity of standing feet along the trunk, relative to its limit."""
     leg_m, trunk, feet = leg_length_m(points), points.roles.trunk, list(points.roles.feet)
     if points.fps is None or trunk is None or not leg_m > 0 or len(points.frames) < 2 * FLIGHT_FRAMES:
         return
@@ -310,7 +313,7 @@ def _slide(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _ranges(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the largest angle by which a joint bends beyond its range, in multiples of `BEYOND_DEG`."""
+    """Yield a measure of the joints' ranges: the largest angle beyond a range of flexion, relative to `BEYOND_DEG`."""
     left = _left(points)
     if left is None:
         return
@@ -340,7 +343,10 @@ def _ranges(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def flexion_about(proximal: Array, distal: Array, left: Array) -> Array:
-    """Return the angle (T,) from one link (T, 3) to the next about an axis to the left, rad."""
+    """Return the angle from the proximal to the distal link about the axis to the left, rad, shape (T,).
+
+    The links and the axis have the shape (T, 3).
+    """
     sine = np.sum(np.cross(proximal, distal) * left, axis=1)
     across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
     return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)

@@ -1,4 +1,4 @@
-"""Decide whether the camera poses that a fit refined are used, and report them."""
+"""Decide whether the camera poses that a fit has refined are used, and report the changes."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from recon.fit import constants
 from recon.fit.result import Finding, TrajectorySolution
 
 UNCHANGED_FACTOR = 1.1
-"""Growth of a camera's median reprojection error up to which refined poses count as no worse for that camera.
+"""Ratio of a camera's median reprojection errors after and before refinement, up to which it fits no worse.
 
-The errors of some cameras may grow a little if those of another camera decrease.
+The errors of some cameras may increase a little while those of another camera decrease.
 """
 BETTER_FACTOR = 1.02
-"""Ratio of a camera's error before the refinement to the error after it, above which the camera has improved."""
+"""Ratio of a camera's median reprojection errors before and after refinement, above which the camera fits better."""
 OUTLIER_FACTOR = 5.0
-"""Ratio of a camera's error to the median over the cameras, above which the camera is an outlier as a whole."""
+"""Ratio of a camera's reprojection error to the median over all cameras, above which the whole camera is an outlier."""
 MAX_ROTATION_FACTOR = 4.0
-"""Ratio of a rotation to the expected one, above which a camera has left the pose in the file."""
+"""Ratio of a camera's rotation to the expected error of calibrations, above which its refined pose is not plausible."""
 
 
 def why_not_refined(
@@ -28,12 +28,21 @@ def why_not_refined(
     *,
     may_fit_worse: bool = False,
 ) -> tuple[Finding, ...]:
-    """Return the reasons to keep the calibrated cameras, or () if the refined poses are to be used.
+    """Return findings on why the calibrated camera poses are kept, or () if the refined poses are to be used.
 
-    A camera that leaves its pose may become an outlier as a whole, which lowers a robust cost. If no camera fits
-    better, the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a
-    wrong size of the animal can hide them. If `may_fit_worse` is true, the fixed cameras may fit better for another
-    reason, and then only a camera that becomes an outlier as a whole counts.
+    Refined poses can be wrong, because a robust cost also decreases if all detections of a camera become outliers. If
+    no camera fits better, the refined poses are only less certain.
+
+    Parameters
+    ----------
+    refined, fixed
+        Solutions with refined and with calibrated poses.
+    better_below_rad
+        Rotation above which refined poses are used even if no camera fits better, because a wrong size of the animal
+        can hide the improvement.
+    may_fit_worse
+        Whether the calibrated poses may fit better for another reason. If so, a camera that fits worse with the refined
+        poses is a reason against them only if the whole camera becomes an outlier.
     """
     fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
     names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
@@ -66,10 +75,10 @@ def pair_is_turned(refined: TrajectorySolution) -> bool:
 
 
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
-    """Return the finding on two cameras whose poses were refined without a request by the user.
+    """Return the finding on two cameras whose poses were refined although the user did not request this.
 
-    The finding names the camera that was turned more, and is a warning if one of the cameras is more likely turned or
-    moved than well calibrated.
+    The finding names the camera that was turned more. It is a warning if a camera is probably turned or moved
+    (`is_misplaced`), otherwise a note.
     """
     turns_rad, shifts_m = np.linalg.norm(refined.extrinsic_correction.reshape(-1, 2, 3), axis=-1).T
     most_turned = int(np.argmax(turns_rad))
@@ -84,9 +93,9 @@ def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
 
 
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:
-    """Return the median distance between detections and reprojected markers, (V,), pixels.
+    """Return the median distance between detections and reprojected markers for each camera, pixels, shape (V,).
 
-    The distance is infinite if most detections have no pose, and 1 without detections.
+    The distance is infinite if most detections are in frames without a pose, and 1 without detections.
     """
     medians = []
     for view in solution.views:

@@ -1,8 +1,8 @@
-"""Check a motion without another fit: `RULES` for both methods, `TRAJECTORY_RULES` for the trajectory method.
+"""Check the result of a fit by rules that do not need another fit.
 
-A rule is a function that takes a motion and yields its findings. Rules apply to a motion that has a pose in some frame;
-`no_pose` applies to all other motions. Checks that fit the clip again are in `recon.check.inputs`, and those that
-compare cameras in `recon.check.agreement`.
+A rule is a function that takes a motion and yields findings. `RULES` apply to both methods, `TRAJECTORY_RULES` only to
+the trajectory method. They need a pose in some frame; `no_pose` applies to motions without any pose. Checks that fit
+the clip again are in `recon.check.inputs`, and checks that compare cameras in `recon.check.agreement`.
 """
 
 from __future__ import annotations
@@ -31,62 +31,64 @@ from recon.fit.solution import ALTERNATIVE_M
 Rule = Callable[[Motion], Iterator[Finding]]
 
 MANY_OUTLIERS = 0.2
-"""Fraction of outliers above which they are reported; correct views have up to 15 % (32 real views)."""
+"""Fraction of the detections that are outliers, above which they are reported; up to 15 % in 32 correct real views."""
 EXPLAINED_SIGMAS = 1.9
-"""Median deviation of detections, in standard deviations, above which the fit does not explain them.
+"""Median distance of detections from the pose, in standard deviations, above which the fit does not explain them.
 
-Correct views have 1.0 to 1.4.
+The median is 1.0 to 1.4 in correct views.
 """
 EXPLAINED_DETECTORS = 3.0
-"""Median deviation of detections, in units of the detectors' usual errors, above which the fit does not explain them.
+"""Median distance of detections from the pose, in units of a detector's usual error, beyond which they are unexplained.
 
-A fit's own noise estimate can hide a misfit. Correct views have 0.5 to 1.4, also with half of the points or a side
-missing; frames in random order have 5 to 9. The limit is about twice the largest.
+This limit is needed because the noise that a fit estimates can hide a misfit. The median is 0.5 to 1.4 in correct
+views, also with half of the points or a side missing, and 5 to 9 for frames in random order. The limit is about twice
+the largest value in correct views.
 """
 UNEXPLAINED_SHARE = 0.1
-"""Fraction of outliers above which a motion that the prior does not contain cannot be an animal's.
+"""Fraction of outliers above which a motion unlike the prior's is reported as wrong, not only as another gait.
 
-A gait that the prior does not contain has misfits of up to 5, but hardly more outliers (running dogs, with a prior of
-walking dogs).
+A gait that the prior does not contain has misfits of up to 5, but hardly more outliers (running dogs, with a prior
+fitted to walking dogs).
 """
 AMBIGUOUS_SHARE = 0.1
-"""Fraction of frames with a second solution above which it is reported."""
+"""Fraction of frames with a second solution above which the second solution is reported."""
 KEYPOINT_SHARE = 1 / 3
-"""Fraction of a keypoint's detections that are outliers, above which the keypoint is reported."""
+"""Minimum fraction of a keypoint's detections that must be outliers for the keypoint to be reported."""
 KEYPOINT_LEAST = 10
-"""Number of a keypoint's detections that are outliers, above which the keypoint is reported."""
+"""Minimum number of a keypoint's detections that must be outliers for the keypoint to be reported."""
 OUT_OF_STEP_SIGMAS = 3.0
-"""Difference between the time offsets of two cameras, in expected standard deviations, above which it is reported."""
+"""Difference between two cameras' time offsets, in expected standard deviations, above which it is reported."""
 FARTHEST = 100.0
-"""Distance between cameras, in animal sizes, above which the calibration must be in another unit."""
+"""Distance between cameras, in lengths of the animal, above which the calibration is probably in another unit."""
 FEW_FRAMES = 12
-"""Number of frames below which a clip shows little more than a single frame."""
+"""Number of frames with a pose below which a clip shows too little of the motion, which is reported."""
 SIZE_SIGMAS = 2.5
-"""Deviation of the size, in standard deviations, above which it is reported."""
+"""Deviation of the animal's size from the expected size, in standard deviations, above which it is reported."""
 SIZE_SIGMAS_MOST = 4.0
-"""Largest deviation of a grown animal's size, in standard deviations of the expected size."""
+"""Largest possible deviation of a grown animal's size from the expected size, in standard deviations."""
 LOG_SIZE_MOST = math.log(2.0)
-"""Largest deviation of the logarithm of a grown animal's size, for any standard deviation."""
+"""Largest possible deviation of the logarithm of a grown animal's size, whatever the standard deviation is."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""Largest factor between a ratio of heights and the units per metre, up to which that unit is suggested.
+"""Largest ratio, either way, of a quotient of heights to a unit's number per metre at which the unit is suggested.
 
-The camera's height above the feet is as uncertain as the animal's size.
+The quotient is that of the camera's heights above the origin and above the feet. The latter is as uncertain as the
+animal's size.
 """
 UNEXPLAINED = ("fit_explains_little", "motion_unexplained")
-"""Codes of fits that do not explain the detections."""
+"""Codes of findings that a fit does not explain the detections."""
 FROM_MOTION = (*MOVES, "path_jolts")
-"""Codes of causes that are inferred from the fitted motion.
+"""Codes of findings whose cause is inferred from the fitted motion.
 
-A motion that does not explain the detections is no evidence of a cause: frames in the wrong order look like a
-treadmill.
+A motion that does not explain the detections is no evidence of a cause. For example, frames in the wrong order can look
+like a treadmill.
 """
 SUBJECT_SIGMAS = 3.0
-"""Deviation of an animal's lengths from its species, in standard deviations of size, above which it is reported."""
+"""Deviation of a subject's lengths from its species, in standard deviations of the size, above which it is reported."""
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
-    """Return all findings of a motion, its own and those of the rules, in the order of a summary.
+    """Return all findings on a motion, its own and those of the rules, in the order in which summaries list them.
 
     Findings with codes of `FROM_MOTION` are left out if the fit does not explain the detections.
     """
@@ -115,7 +117,7 @@ def many_outliers(motion: Motion) -> Iterator[Finding]:
 
 
 def detections_not_explained(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the median detection is far from the pose; a few distant outliers do not count."""
+    """Yield a finding if the median distance of the detections from the pose is large."""
     sigmas = _median_deviation(motion, [picture.sigma_px for picture in motion.pictures])
     detectors = _median_deviation(motion, _detector_noise_px(motion))
     if sigmas >= EXPLAINED_SIGMAS or detectors >= EXPLAINED_DETECTORS:
@@ -123,9 +125,9 @@ def detections_not_explained(motion: Motion) -> Iterator[Finding]:
 
 
 def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
-    """Return the median distance of the detections from the pose, in the standard deviations (T, J) of each camera.
+    """Return the median distance of the detections from the pose, in standard deviations; 0 without detections.
 
-    The distance is 0 without detections.
+    `sigmas_px` are the standard deviations of the detections of each camera, pixels, shape (T, J).
     """
     deviations = np.concatenate(
         [
@@ -137,7 +139,7 @@ def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
 
 
 def _detector_noise_px(motion: Motion) -> list[Array]:
-    """Return the usual errors of detectors, pixels, (T, J) for each camera, infinite if unknown."""
+    """Return the usual errors of a detector for each camera, pixels, shape (T, J); infinite if unknown."""
     solution, T, J = motion.solution, len(motion.frames), len(motion.body.markers)
     noise_px = np.full((len(solution.views), T, J), np.inf)
     if isinstance(solution, TrajectorySolution):
@@ -152,7 +154,7 @@ def _detector_noise_px(motion: Motion) -> list[Array]:
 
 
 def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on keypoints with many outliers."""
+    """Yield a finding on the keypoints of which many detections are outliers."""
     counted = [source.cleaning.keypoints for source in motion.sources]
     used = np.array([sum(by_name[name]["used"] for by_name in counted if name in by_name) for name in motion.names])
     outlier_counts = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
@@ -163,14 +165,14 @@ def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
 
 
 def camera_taken_level(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if nothing determines the upward direction."""
+    """Yield a finding if nothing determines the upward direction, so that the camera is assumed to be level."""
     if not motion.knows_up and motion.camera.tilt_rad == 0 and motion.settings.get("up") is None:
         option = "--set up" if motion.camera.has_extrinsics else "--tilt-deg"
         yield finding("camera_taken_level", camera=motion.camera.name, option=option)
 
 
 def missing_as_constant(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on cameras whose missing points are stored as a constant."""
+    """Yield a finding on each camera in whose file missing points are stored as a constant position."""
     for source in motion.sources:
         if source.cleaning.constant_px is not None:
             x, y = source.cleaning.constant_px
@@ -179,7 +181,7 @@ def missing_as_constant(motion: Motion) -> Iterator[Finding]:
 
 
 def likelihoods_low(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on each camera that has low likelihoods for more than a third of its points."""
+    """Yield a finding on each camera if more than a third of its points have low likelihoods."""
     for source in motion.sources:
         unlikely, total = _unlikely(source), source.cleaning.total("used") + source.cleaning.total("rejected")
         if unlikely > MANY_FRAMES * total:
@@ -188,7 +190,7 @@ def likelihoods_low(motion: Motion) -> Iterator[Finding]:
 
 
 def many_left_out(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if more than a third of the detections are outliers or were left out, for any reasons."""
+    """Yield a finding if more than a third of the detections are outliers or were left out."""
     if [*likelihoods_low(motion), *many_outliers(motion)]:
         return
     used, rejected = (sum(source.cleaning.total(name) for source in motion.sources) for name in ("used", "rejected"))
@@ -208,7 +210,7 @@ def _unlikely(source: Source) -> int:
 
 
 def no_pose(motion: Motion) -> Iterator[Finding]:
-    """Yield the reason why no frame has a pose."""
+    """Yield a finding that states why no frame has a pose."""
     centres = np.array([view.centre_m[0] for view in motion.solution.views if view.is_still])
     distance_m = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     times = distance_m / _span(motion.body)
@@ -222,7 +224,7 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 
 
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the measured lengths differ from the skeleton's by more than the species varies."""
+    """Yield a finding if a subject's lengths differ from the skeleton's by more than animals of a species differ."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return
@@ -233,13 +235,13 @@ def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
 
 
 def _span(body: Body) -> float:
-    """Return the root mean square of the markers' distances from their mean, with all angles at 0."""
+    """Return the root mean square distance of the markers from their mean, m, with all angles at 0."""
     points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
 
 def too_fast(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the motion is faster than any animal."""
+    """Yield a finding if the animal moves faster than any animal runs."""
     speed = mean_speed_m_s(motion.states, motion.fps)
     if speed > FASTEST_M_S:
         yield finding("too_fast", speed_m_s=speed)
@@ -266,11 +268,11 @@ def frames_flagged(motion: Motion) -> Iterator[Finding]:
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if two cameras' time offsets differ by more than expected.
+    """Yield a finding if the time offsets of two cameras differ by more than expected.
 
-    A time offset is expected to be a fraction of a frame, so a larger offset is underestimated. Offsets that the
-    pictures hardly determine come out small, because estimates vary by the expected variance minus the posterior
-    variance. Two cameras also count as out of step if a wrong clock is the likeliest explanation of their errors.
+    The fit expects time offsets to be fractions of a frame, so it underestimates larger offsets. The variance of the
+    estimates is the expected variance minus the posterior variance, so offsets that the pictures hardly determine come
+    out small. Two cameras also count as out of step if a wrong clock is the likeliest explanation of their errors.
     """
     if len(motion.sources) < 2:
         return
@@ -279,7 +281,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     ends = [int(np.argmin(delays)), int(np.argmax(delays))]
     apart_frames = delays[ends[1]] - delays[ends[0]]
     expected, remaining = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
-    # a delay common to all cameras is not visible
+    # A delay that is common to all cameras cannot be seen.
     explained = np.sum(expected - remaining) * len(delays) / (len(delays) - 1)
     variance = explained if 0.0 < explained < 2.0 * expected else 2.0 * expected
     likely_late = [test for test in solution.second_cameras if test.late > max(test.misplaced, 0.0)]
@@ -292,7 +294,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on the segment that the prior fits least, unless another frame rate explains the misfit."""
+    """Yield a finding on the segment with the largest prior misfit, unless another frame rate explains the misfit."""
     solution = _solution(motion)
     is_rate_explained = any(item.code in ("frame_rate", "frame_rate_stated") for item in motion.findings)
     if any(segment.unlike_prior for segment in solution.segments) and not is_rate_explained:
@@ -307,7 +309,7 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
 
 
 def ground_above_camera(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on each segment whose ground lies above the first camera."""
+    """Yield a finding on each segment of the clip in which the ground lies above the first camera."""
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
         if ground is None or below is None:
@@ -320,10 +322,10 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on the first segment whose feet do not stand near z = 0.
+    """Yield a finding on the first segment of the clip in which the feet do not stand near z = 0.
 
-    If the camera is too high by about the number of centimetres, millimetres or inches in a metre, the camera file is
-    in that unit. If a unit was given, and the camera is too low by its number in a metre, the file is in metres.
+    If the camera is too high by a factor of about 100, 1000 or 39, the camera file is in centimetres, millimetres or
+    inches. If a unit was given, and the camera is too low by that unit's factor, the file is in metres.
     """
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
@@ -333,7 +335,8 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             distance_m = math.hypot(camera_m[0], camera_m[1])
             given_per_m = UNITS_PER_M[motion.settings.get("camera_unit") or "m"]
             for unit, per_m in UNITS_PER_M.items() if given_per_m == 1.0 else [("metres", 1 / given_per_m)]:
-                in_metres = 1.0 < distance_m < min(50.0, 0.5 * per_m)  # in that unit, the camera would be at the origin
+                # With a plausible distance in metres, the other unit would put the camera at the origin.
+                in_metres = 1.0 < distance_m < min(50.0, 0.5 * per_m)
                 if per_m != 1.0 and not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
                     yield finding("camera_unit", unit=unit, times=float(times))
                     return
@@ -342,7 +345,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
 
 
 def solution_unusual(motion: Motion) -> Iterator[Finding]:
-    """Yield findings on a search that did not converge, and on an animal of unexpected size."""
+    """Yield a finding if the fit did not converge, and a finding if the animal has an unexpected size."""
     solution = _solution(motion)
     if solution.status != "converged":
         yield finding("not_converged")
@@ -353,9 +356,9 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on two cameras if one is probably turned or moved, even if their rays still meet.
+    """Yield a finding if one of two cameras is probably turned or moved, even if their rays still meet.
 
-    The animal then has different sizes in the two pictures, or an unexpected size.
+    In this case, the animal has different sizes in the two pictures, or an unexpected size.
     """
     largest_gain = max(
         (test.misplaced for test in _solution(motion).second_cameras if test.misplaced >= test.late), default=0.0
@@ -367,7 +370,7 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
 
 
 def _has_rough_lengths(motion: Motion) -> bool:
-    """Return whether the lengths are those of a generic skeleton such as `quadruped`, whose size is very uncertain."""
+    """Return whether the lengths are those of a generic skeleton, such as `quadruped`, for no particular species."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is not None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return False
@@ -378,7 +381,7 @@ def _has_rough_lengths(motion: Motion) -> bool:
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if another solution explains many frames nearly as well."""
+    """Yield a finding if a second solution explains many frames nearly as well."""
     is_ambiguous = np.array(["ambiguous depth" in flags for flags in motion.flags])
     rows = is_ambiguous & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
     if rows.sum() > AMBIGUOUS_SHARE * len(rows):
@@ -412,7 +415,7 @@ RULES: tuple[Rule, ...] = (
 
 
 def _outliers(motion: Motion) -> tuple[int, float]:
-    """Return the number of detections that the pose does not explain, and their fraction of all detections."""
+    """Return the number of detections that are outliers, and their fraction of the detections used in the fit."""
     count = sum(int(picture.outliers.sum()) for picture in motion.pictures)
     detections = sum(int(picture.present.sum()) for picture in motion.pictures)
     return count, count / max(detections, 1)

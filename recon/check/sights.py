@@ -1,11 +1,11 @@
 """Compare the rays of cameras that see the same keypoints, without a body and without a fit.
 
-If cameras see the same keypoint in the same frame, their rays should meet. The points where the rays of several cameras
-meet are computed robustly and with their covariance (`meeting_points`), and compared with the directions in which
-another camera saw them (`squared_errors`). An error in standard deviations accounts for the noise of both. The median
-error, divided by the median that pure noise has, is the camera's error ratio: about 1 if the cameras agree
-(`error_ratio`). Two cameras alone have no third camera to triangulate with, so they are compared with each other by
-the epipolar planes of their rays (`error_ratio_of_pair`).
+If cameras see the same keypoint in the same frame, their rays should meet. The points at which the rays of several
+cameras meet are computed robustly and with their covariance (`meeting_points`), and compared with the directions in
+which another camera saw them (`squared_errors`). The errors are in standard deviations, which include the noise of the
+points and of the directions. The median error of a camera, divided by the median of pure noise, is its error ratio,
+which is about 1 if the cameras agree (`error_ratio`). Two cameras have no third camera to be compared with, so they are
+compared with each other by the epipolar planes of their rays (`error_ratio_of_pair`).
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ from recon.base.arrays import Array, Index
 from recon.clip import View
 
 MIN_POINTS = 30
-"""Smallest number of points, over all frames, from which an error ratio is computed."""
+"""Minimum number of points, over all frames, required to compute an error ratio."""
 WIDE_OFFSET_S = 0.5
-"""Largest time offset, in seconds, that is tried for a camera that does not agree."""
+"""Largest time offset that is tried for a camera that does not agree, seconds."""
 NARROW_OFFSET = 3
-"""Largest time offset, in frames, that is tried for a camera that agrees."""
+"""Largest time offset that is tried for a camera that agrees, frames."""
 _ROBUST = 3.0
-"""Number of standard deviations at which the robust weight of a residual is 0.5."""
+"""Residual at which its robust weight is 0.5, in standard deviations."""
 _POINT_ROUNDS = 3
-"""Number of rounds of reweighting, in which outliers lose their weight in a point."""
+"""Number of iterations of robust reweighting in the triangulation of points."""
 _MEDIAN_OF_LINE = 0.4549
 """Median of the squared length of a normal error in one dimension, in units of its variance."""
 _MEDIAN_OF_POINT = 1.3863
 """Median of the squared length of a normal error in two dimensions, in units of its variance along an axis."""
 _PARALLEL = 1e-4
-"""Smallest ratio of the precision of a point along its rays to that across them."""
+"""Minimum ratio of a point's precision along its rays to the precision across them; otherwise the rays are parallel."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Directions in which one camera saw J keypoints in T frames, as unit vectors in the world frame."""
+    """Directions in which a camera saw J keypoints in T frames."""
 
     rays: Array
-    """Directions, shape (T, J, 3); NaN if missing."""
+    """Unit vectors along the directions in the world frame, shape (T, J, 3); NaN where missing."""
     centre_m: Array
-    """Centre of the camera, shape (T, 3)."""
+    """Centre of the camera in the world frame, shape (T, 3)."""
     rotation: Array
-    """Rotation R_camera_world, shape (T, 3, 3)."""
+    """Rotation from the world to the camera frame, shape (T, 3, 3)."""
     focal_px: float
     noise_rad: Array
-    """Noise of a detection as an angle, shape (T, 1)."""
+    """Standard deviation of a detection as an angle, shape (T, 1)."""
 
     def later(self, frames: float) -> Sight:
-        """Return the directions for pictures that were taken some frames later."""
+        """Return the directions if the camera's pictures were taken later by a number of frames."""
         rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
@@ -64,16 +64,13 @@ class Sight:
 
 
 Points = tuple[Array, Array]
-"""Positions (T, J, 3) and their covariances (T, J, 3, 3); NaN if fewer than two rays meet."""
+"""Positions of triangulated points (T, J, 3), metres, and covariances (T, J, 3, 3); NaN with fewer than two rays."""
 PointsOf = Callable[[tuple[Sight, ...]], Points]
-"""Form of `meeting_points` that keeps its last results.
-
-Several comparisons need the points of the same cameras.
-"""
+"""Version of `meeting_points` with a cache, because several comparisons need the points of the same cameras."""
 
 
 def _shifted(values: Array, frames: float) -> Array:
-    """Return values (T, ...) shifted by a number of rows, with linear interpolation, and NaN beyond the ends."""
+    """Return values (T, ...) shifted by a number of frames, with linear interpolation, and NaN beyond the ends."""
     whole, T = int(np.floor(frames)), len(values)
     rows = np.arange(T) - np.array([[whole], [whole + 1]])
     inside = ((rows >= 0) & (rows < T)).reshape(2, T, *[1] * (values.ndim - 1))
@@ -85,7 +82,8 @@ def _shifted(values: Array, frames: float) -> Array:
 def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[Sight]:
     """Return the directions in which each view saw its keypoints, at the times of the first camera's frames.
 
-    `sigma_px` is the noise of a detection in pixels, `keypoint_sigma_m` that of a keypoint's position on the body.
+    `sigma_px` is the standard deviation of a detection, pixels, and `keypoint_sigma_m` that of a keypoint's position on
+    the body, m.
     """
     T = len(views[0].xy_px)
     sights = []
@@ -99,12 +97,12 @@ def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -
 
 
 def triangulated_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
-    """Return the points (T, J, 3) at which the rays of several views meet; NaN if fewer than two rays do."""
+    """Return the points at which the rays of several views meet, m, shape (T, J, 3); NaN with fewer than two rays."""
     return meeting_points(sights_of(views, sigma_px, keypoint_sigma_m))[0]
 
 
 def _with_keypoint_noise(sight: Sight, position_m: Array, keypoint_sigma_m: float) -> Sight:
-    """Return the directions with added noise of the keypoints' positions on the body, at a typical distance."""
+    """Return the directions with the noise of the keypoints' positions on the body added, at their median distance."""
     distance = np.linalg.norm(position_m - sight.centre_m[:, None], axis=-1)
     if np.isnan(distance).all():
         return sight
@@ -115,7 +113,7 @@ def _with_keypoint_noise(sight: Sight, position_m: Array, keypoint_sigma_m: floa
 
 
 def meeting_points(sights: Sequence[Sight]) -> Points:
-    """Return the points nearest to the rays of two or more cameras, with outliers down-weighted."""
+    """Return the points nearest to the rays of two or more cameras; outliers have less weight."""
     rays = np.array([sight.rays for sight in sights])
     centres = np.array([sight.centre_m for sight in sights])[:, :, None]
     noise = np.array([sight.noise_rad for sight in sights])
@@ -141,7 +139,7 @@ def meeting_points(sights: Sequence[Sight]) -> Points:
 
 
 def squared_errors(sight: Sight, points: Points) -> tuple[Array, Array]:
-    """Return unit vectors (T, J, 3) towards the points, and squared errors (T, J) of the rays in units of variance."""
+    """Return unit vectors from a camera to points (T, J, 3), and squared errors of its rays (T, J), in variances."""
     position_m, covariance_m2 = points
     offset_m = position_m - sight.centre_m[:, None]
     distance = np.linalg.norm(offset_m, axis=-1, keepdims=True)
@@ -158,7 +156,7 @@ def squared_errors(sight: Sight, points: Points) -> tuple[Array, Array]:
 
 
 def _across(rays: Array) -> tuple[Array, Array]:
-    """Return two unit vectors that are orthogonal to each ray and to each other."""
+    """Return two unit vectors for each ray that are orthogonal to the ray and to each other."""
     helper = np.where(np.abs(rays[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     x = np.cross(helper, rays)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
@@ -166,16 +164,16 @@ def _across(rays: Array) -> tuple[Array, Array]:
 
 
 def error_ratio(sight: Sight, points: Points) -> float:
-    """Return the error ratio of a camera compared with points from others; NaN for fewer than `MIN_POINTS` points."""
+    """Return the error ratio of a camera, given points from other cameras; NaN for fewer than `MIN_POINTS` points."""
     _, squared = squared_errors(sight, points)
     known_squares = squared[~np.isnan(squared)]
     return float(np.sqrt(np.median(known_squares) / _MEDIAN_OF_POINT)) if len(known_squares) >= MIN_POINTS else np.nan
 
 
 def error_ratio_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
-    """Return the error ratio of two cameras, the median angle between rays of a and planes of b, and the point count.
+    """Return the error ratio of two cameras, the median angle between rays and epipolar planes, rad, and their number.
 
-    Each plane contains both centres and one of b's rays.
+    A ray of a is compared with the plane through both cameras' centres and the corresponding ray of b.
     """
     line = b.centre_m - a.centre_m
     plane_of_b, plane_of_a = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
@@ -190,7 +188,10 @@ def error_ratio_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
 
 
 def error_ratios(sights: Sequence[Sight], agreeing: Sequence[int], points_of: PointsOf) -> Array:
-    """Return the error ratio of each agreeing camera compared with the other agreeing ones, (V,); NaN for the rest."""
+    """Return the error ratio of each camera in the group `agreeing`, compared with the others in the group, shape (V,).
+
+    The error ratio is NaN for cameras that are not in the group.
+    """
     ratios = np.full(len(sights), np.nan)
     for v in agreeing:
         partners = tuple(sights[o] for o in agreeing if o != v)
@@ -203,7 +204,7 @@ def error_ratios(sights: Sequence[Sight], agreeing: Sequence[int], points_of: Po
 
 
 def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
-    """Return the directions after the rotation that brings the rays nearest to the points, and the angle, rad."""
+    """Return the directions after the rotation of the camera that fits the points best, and its angle, rad."""
     towards, _ = squared_errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     is_known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
@@ -221,7 +222,10 @@ def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
 
 
 def best_shifted(sight: Sight, points: Points, fps: float, wide: bool) -> tuple[Sight, float]:
-    """Return the directions with the time offset that fits best, and the offset in frames."""
+    """Return the directions with the time offset that fits the points best, and the offset in frames.
+
+    Offsets up to `WIDE_OFFSET_S` are tried if `wide` is true, otherwise offsets up to `NARROW_OFFSET`.
+    """
     reach = min(max(round(WIDE_OFFSET_S * fps), NARROW_OFFSET) if wide else NARROW_OFFSET, len(sight.rays) // 2)
     ratios = {float(frames): error_ratio(sight.later(frames), points) for frames in range(-reach, reach + 1)}
     if not np.isfinite([*ratios.values()]).any():
@@ -236,22 +240,22 @@ def best_shifted(sight: Sight, points: Points, fps: float, wide: bool) -> tuple[
 
 
 def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[float, float]:
-    """Estimate the drift of a camera's clock over the clip from rays alone, in frames, and its standard deviation.
+    """Return the drift of a camera's clock over the clip, estimated from rays alone, and the sigma, both in frames.
 
     The drift that best moves the camera's rays into the epipolar planes of the other cameras' rays is estimated
     together with a time offset and a constant angle. The animal's lengths, which are wrong in a rough skeleton, are not
-    used. The values are NaN for fewer than `MIN_POINTS` points.
+    used. Both values are NaN for fewer than `MIN_POINTS` points.
 
     Parameters
     ----------
     views
         Views of the same T frames.
-    markers_m : (T, J, 3)
-        Markers of a fit in the world frame, metres. Only the velocities of their projections are used.
+    markers_m
+        Markers of a fit in the world frame, metres, shape (T, J, 3). Only the velocities of their projections are used.
     v
         Index of the camera.
     """
-    sights = sights_of(views, sigma_px=1.0, keypoint_sigma_m=0.0)  # the spread of the errors replaces this noise
+    sights = sights_of(views, sigma_px=1.0, keypoint_sigma_m=0.0)  # the noise is estimated from the errors instead
     sight, T = sights[v], len(markers_m)
     towards = markers_m - sight.centre_m[:, None]
     speed = np.gradient(towards / np.linalg.norm(towards, axis=-1, keepdims=True), axis=0)

@@ -1,7 +1,7 @@
-"""Test whether the picture's pixels are square: a video stretched along x changes the animal's proportions.
+"""Test whether the video is stretched along x, which changes the animal's proportions.
 
-The stretch is a factor exp(s) on the camera's focal length along x. An animal's upright and level lengths are known
-well enough to detect the usual stretches.
+The stretch is a factor exp(s) on the camera's focal length along x. The vertical and horizontal lengths of an animal
+are known well enough to detect the usual stretches.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
 
 USUAL = 0.05
-"""Mean of the estimated logarithms of the stretch in pictures that are not stretched."""
+"""Mean of the estimated logarithm of the stretch in videos that are not stretched."""
 SPREAD = 0.04
-"""Standard deviation of the estimates in unstretched pictures, apart from the errors of the detections."""
+"""Standard deviation of the estimated logarithm in videos that are not stretched, without errors of the detections."""
 SIGMA_SHARE = 0.5
-"""Factor on the posterior's standard deviation, which is twice the spread of the estimates."""
+"""Factor on the stated standard deviation, which is twice the standard deviation of the estimates in tests."""
 LIMITS = -1.6, 3.3
-"""Deviations, in standard deviations, beyond which a picture counts as compressed or stretched along x.
+"""Deviations of the estimate, in standard deviations, beyond which a video is compressed or stretched along x.
 
 The deviations are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x is scaled by 0.75, and 2.1 to 4.7
-(median 3.7) if x is scaled by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
+(median 3.7) if x is scaled by 1.33 (`python benchmarks/wrong_inputs.py --only limits`).
 """
 SEEN = 0.25
-"""Fraction of the frames in which each foot must be detected, because the animal's height is unknown without legs."""
+"""Minimum fraction of the frames in which each foot is detected, because the height is unknown without legs."""
 
 
 def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
-    """Return the logarithm of the stretch of the picture in a clip of one camera, or None if the stretch is unknown."""
+    """Return the estimated logarithm of the stretch in a clip of one camera, or None if it cannot be estimated."""
     return one_steps(clip, solution, {0: _by_stretch}, fixed=(focal_scale(0),)).get(0)
 
 
 def deviation(stretch: Step) -> float:
-    """Return the deviation of a stretch from that of an unstretched picture, in standard deviations."""
+    """Return the deviation of an estimate from the mean in videos that are not stretched, in standard deviations."""
     return (stretch.value - USUAL) / math.hypot(SPREAD, SIGMA_SHARE * stretch.sigma)
 
 
 def stretch_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding | None:
-    """Return a finding if the picture is stretched along x or y."""
+    """Return a finding if the video is stretched along x or y, otherwise None."""
     segment = solution.longest_segment
     if segment is None or (clip.views[0].present[segment.rows][:, clip.feet].mean(axis=0) < SEEN).any():
         return None

@@ -1,4 +1,4 @@
-"""Undo left-right swaps in a clip, and decide whether the clip becomes more likely without them."""
+"""Correct left-right swaps in a clip, and decide whether the clip becomes more likely."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from recon.fit.result import Finding, TrajectorySolution
 
 
 def swap_improves(mended: TrajectorySolution, original: TrajectorySolution) -> bool:
-    """Return whether the fit with the swaps undone is clearly more likely as a whole."""
+    """Return whether the clip is clearly more likely after correcting the swaps, given the fits after and before."""
     return likelihood.exceeds_margin(likelihood.whole_fit_gain(mended, original), surely=True)
 
 
 def downgrade_swap(swap: Finding) -> Finding:
-    """Return a swap as a possible swap, because undoing it does not make the whole clip more likely."""
+    """Return a finding on a swap as a possible swap, if the whole clip is not more likely after correcting the swap."""
     if swap.code != "left_right_swap":
         return swap
     return finding("left_right_swap_possible", swap.frames, swap.camera, **swap.numbers)
@@ -30,7 +30,7 @@ def downgrade_swap(swap: Finding) -> Finding:
 def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources with the detected swaps undone, and the findings with these swaps marked as undone."""
+    """Return the sources with the detected swaps corrected, and the findings with these swaps marked as corrected."""
     mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
     for i, swap in enumerate(findings):
         if swap.code != "left_right_swap" or swap.frames is None:
@@ -44,7 +44,7 @@ def without_swaps(
         )
         mended[number] = replace(mended[number], keypoints=replace(keypoints, **exchanged_back))
         is_most_of_clip = swap.numbers["part"] == PARTS["all"] and 2 * (rows.stop - rows.start) > len(keypoints.frames)
-        # a mirrored video looks like a swapped clip
+        # A swap of most of a clip may also be a mirrored video.
         code = "clip_swapped_back" if is_most_of_clip else "left_right_swap_mended"
         marked[i] = finding(code, swap.frames, swap.camera, **swap.numbers)
     return tuple(mended), tuple(marked)

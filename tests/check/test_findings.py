@@ -32,7 +32,7 @@ SENTENCES = {
     "points_interpolated": ("spine moves on a straight line at an even speed in frame 10", {"points": ("spine",)}),
     "points_jump": ("3 of 900 positions jump away", {"points": ("spine",), "count": 3, "points_total": 900}),
     "sides_swap": ("Left and right of the hind legs look swapped in frame 10", {"part": "the hind legs"}),
-    "sides_exchanged": ("In 95 % of the comparisons the left points", {"share": 0.95}),
+    "sides_exchanged": ("95 % of the left points, over all frames, are on the animal's right", {"share": 0.95}),
     "unit_unlikely": ("would be 1.2e+03 m long: the numbers look like mm", {"extent_m": 1200.0, "unit": "mm"}),
     "up_unlikely": ("along y, not along z", {"axis": "y"}),
     "lengths_drift": ("change together by 20 %", {"share": 0.2}),
@@ -76,7 +76,7 @@ SENTENCES = {
         {"factor": 0.67, "sigmas": 1.23},
     ),
     "picture_zooms": ("better if the picture zooms in: distance", {"way": "in"}),
-    "path_jolts": ("as no animal does (judged by its heading)", {"of": "heading", "cost": 1.2}),
+    "path_jolts": ("implausible for an animal (its heading)", {"of": "heading", "cost": 1.2}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
     "camera_unit": (
         "is 100 times as high above the world's origin as above the animal's feet",
@@ -216,7 +216,7 @@ SENTENCES = {
     ),
     "reference_elsewhere": ("about (1.00, 2.00, 3.00) m from the reference", {"x_m": 1.0, "y_m": 2.0, "z_m": 3.0}),
     "flight_against_gravity": ("upwards by 3.1 ± 1.2 m/s², where free", {"up_m_s2": 3.1, "sigma_m_s2": 1.2}),
-    "camera_agreement": ("cameras agree up to 1.6 times", {"max_level": 1.6, **AGAINST}),
+    "camera_agreement": ("Cameras agree up to 1.6 times", {"max_level": 1.6, **AGAINST}),
 }
 
 
