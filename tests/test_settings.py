@@ -376,7 +376,7 @@ def test_help_of_fit_has_what_is_decided_for_every_clip():
 def test_the_help_of_an_option_is_the_settings():
     helps = {parameter.name: parameter.help for parameter in commands()["fit"].params}  # type: ignore[attr-defined]
     assert all(helps[name].startswith(it.option.help) for name, it in SETTINGS.items() if it.option.common)
-    assert helps["camera_unit"].endswith("often mm. (default: m)")
+    assert helps["camera_unit"].endswith("for Anipose. (default: m)")
 
 
 def test_every_setting_is_listed():

@@ -44,12 +44,12 @@ At a lower rate a whole stride fits between two frames, and nothing connects the
 animal's acceleration between frames.
 """
 FEW_OF_SKELETON = 0.25
-"""Smallest fraction of the skeleton's keypoints that a file must have for its names to count as the skeleton's."""
+"""Minimum fraction of the skeleton's keypoints that a file must have for its names to count as the skeleton's."""
 FEW_OF_FILE = 0.5
-"""Smallest fraction of a file's keypoints that must be in the skeleton for its names to count as the skeleton's.
+"""Minimum fraction of a file's keypoints that must be in the skeleton for its names to count as the skeleton's.
 
-A file is refused only if it is below this fraction and below `FEW_OF_SKELETON`: a file may have many further points, or
-only a few points of a large skeleton.
+A file is refused only if it is below `FEW_OF_SKELETON` too, because a file may have many further points, or only a few
+points of a large skeleton.
 """
 KNOWN_FOR_UNIT = 0.5
 """Minimum fraction of markers that two cameras have to see for a frame to count in the check of the unit."""

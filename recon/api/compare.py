@@ -74,7 +74,7 @@ class CompareSettings(Settings):
     """Settings of `recon compare`."""
 
     folders: Annotated[OneOrMore[Path], Option(argument="DIR")] = ()
-    """Results folders, or folders of batches; with --plan also the folder of an earlier comparison, or none."""
+    """Results folders, or folders of batches. With --plan, also the folder of an earlier comparison, or none."""
     out: Path | None = None
     """Folder for the tables, the figure and the page. Required, except with --plan."""
     table: Path | None = None

@@ -98,14 +98,14 @@ class FitSettings(Settings):
     OpenDroneMap cameras.json, DANNCE mat, Anipose, Caliscope, Pose2Sim or recon toml; or one such file per camera.
     """
     camera_name: OneOrMore[str] | None = None
-    """Name of the camera in the file, such as cam2 or 2; once per keypoint file. (default: the camera whose name the
+    """Name of the camera in the file, such as cam2 or 2, once per keypoint file. (default: the camera whose name the
     keypoint file's name contains)
     """
     camera_unit: Unit = "m"
-    """Unit of the cameras' positions in the file; Anipose's is often mm."""
+    """Unit of the cameras' positions in the file, which is often mm for Anipose."""
     camera_track: Annotated[OneOrMore[File] | None, _TRAJECTORY] = None
     """Pose of a moving camera in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's reconstruction.json or
-    shots.geojson; the file name must contain the camera's name. (default: cameras stand still)
+    shots.geojson. The file name must contain the camera's name. (default: cameras stand still)
     """
     fps: Annotated[Positive | None, Option(FPS)] = None
     skeleton: NameOrFile | None = None
@@ -123,42 +123,43 @@ class FitSettings(Settings):
     ] = None
     """Size of the video in pixels, such as 1920x1080, if the camera file lacks it."""
     up: Annotated[str | None, _RARE] = None
-    """Upward axis of the calibration's world, such as z or -y; or a direction, such as 0,-0.9,0.4; or first-camera if
-    the first camera is level. (default: what the file says, or the ground that the feet stand on)
+    """Upward axis of the calibration's world, such as z or -y, or a direction, such as 0,-0.9,0.4, or first-camera if
+    the first camera is level. (default: as stated in the file, or upwards from the ground on which the feet stand)
     """
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
     """Angle in degrees by which the camera looks down, such as 5, if there are no extrinsics. (default: level)"""
     height_m: Annotated[Annotated[Number, Field(ge=1e-3, le=10)] | None, _TRAJECTORY] = None
     """Height of the animal at the withers, in metres, such as 1.6. (default: the skeleton's)"""
     belt_speed_m_s: Annotated[Positive | None, _RARE_TRAJECTORY] = None
-    """Speed of a treadmill's belt in m/s, such as 1.4; the animal's motion is then reported relative to the belt."""
+    """Speed of a treadmill's belt in m/s, such as 1.4, relative to which the animal's motion is reported."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[
         FrameRange | None, Option(expected="frame numbers A:B with A < B, from A to B - 1, such as 100:160")
     ] = None
-    """Use only these frame numbers, A:B from A up to but not including B, such as 100:160."""
+    """Use only the frames A:B, from number A up to but not including B, such as 100:160."""
     corrections: File | None = None
-    """Detections that were corrected by hand: corrections.csv, with the columns frame, keypoint, now_x_px, now_y_px and
-    camera."""
+    """File of detections that were corrected by hand, such as corrections.csv, with the columns frame, keypoint,
+    now_x_px, now_y_px and camera.
+    """
     fix_swaps: Annotated[bool, _TRAJECTORY] = False
     """Undo left-right swaps where they are found."""
     offset_s: Annotated[OneOrMore[Number] | None, _RARE_TRAJECTORY] = None
-    """Time in seconds by which each camera began later than the first, such as 0.025; once per keypoint file."""
+    """Time in seconds by which each camera began later than the first, such as 0.025, once per keypoint file."""
     fps_known: Annotated[bool, _RARE_TRAJECTORY] = False
-    """Trust the frame rate: if the animal's motion contradicts it, the intervals widen but no warning is given."""
+    """Trust the frame rate. If the animal's motion contradicts it, the intervals widen, but no warning is given."""
     cameras_known: Annotated[bool, _RARE_TRAJECTORY] = False
     """Trust the cameras' poses. (default: of two cameras, one that was probably turned or moved is refined, and errors
     of a tenth of a degree and 1 cm, or rarely of several degrees and decimetres, count in the uncertainty)
     """
     find_offsets: Annotated[bool, _RARE_TRAJECTORY] = False
-    """Find from the animal's motion when each camera began; the search starts at offset-s."""
+    """Find from the animal's motion when each camera began. The search starts at offset-s."""
     refine_cameras: Annotated[bool, _RARE_TRAJECTORY] = False
     """Refine the poses of all cameras but the first during the fit, assuming errors of 2 degrees and 5 cm (2 % of the
     camera's distance, if that is less), and write them to cameras.toml.
     """
     focal_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
-    """Relative uncertainty of the focal lengths, such as 0.1. With one camera, it makes the position less certain; with
+    """Relative uncertainty of the focal lengths, such as 0.1. With one camera, the position becomes less certain. With
     several, the focal lengths are estimated and written to cameras.toml. (default: with one camera, 0.02 if a file
     gives the focal length and 0.1 if a field of view does; with several cameras, exact)
     """
@@ -167,13 +168,13 @@ class FitSettings(Settings):
     several cameras, both are estimated in the fit)
     """
     camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
-    """Frame rates of the cameras if they differ, once per keypoint file; the result has the first camera's rate."""
+    """Frame rates of the cameras if they differ, once per keypoint file. The result has the first camera's rate."""
     playback: Annotated[bool | Literal["auto"], Option(expected="auto, true or false", common=False)] = "auto"
-    """Write the playback, motion.rrd. auto: for clips of at most 2000 frames; the playback of a longer one takes more
-    than a third of its results' space, and is rarely watched to its end. recon view makes a missing playback.
+    """Write the playback, motion.rrd: true, false, or auto for clips of at most 2000 frames. The playback of a longer
+    clip takes more than a third of the space of its results. recon view makes a missing playback.
     """
     method: Annotated[Method, _RARE] = "trajectory"
-    """trajectory: the whole animal over the whole clip; frame: one side of the animal, frame by frame."""
+    """Method of the fit: trajectory for the whole animal over the whole clip, frame for one side, frame by frame."""
     detector: Annotated[NameOrFile | None, _RARE_TRAJECTORY] = None
     """Offsets of the detector's keypoints from the markers: a built-in name, such as acinoset, a TOML file, or none.
     (default: as stated by the file of the subject or skeleton, or by the scorer in the keypoint file)
@@ -181,9 +182,9 @@ class FitSettings(Settings):
     likelihood_min: Annotated[Number, Field(ge=0, le=1), Option(expected="a number from 0 to 1", common=False)] = 0.5
     """Leave out points with a likelihood below this, 0 to 1."""
     side: Annotated[Literal["auto", "left", "right"], _RARE] = "auto"
-    """Side to fit of a one-sided skeleton."""
+    """Side of the animal to fit with a skeleton of one side."""
     ground: Annotated[Literal["auto", "none"], _RARE_TRAJECTORY] = "auto"
-    """auto: standing feet do not move and are on one plane; none: no such assumption."""
+    """Assumption about the ground: auto if standing feet do not move and are on one plane, none without assumption."""
     size: Annotated[Annotated[Number, Field(ge=1e-3, le=1e3)] | None, _RARE_TRAJECTORY] = None
     """Size of the animal relative to the skeleton, such as 0.1."""
     size_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
@@ -191,13 +192,13 @@ class FitSettings(Settings):
     fast: Annotated[bool, _RARE_TRAJECTORY] = False
     """Save time by starting from fewer directions."""
     form: Annotated[Literal["deadband", "printed"], _FRAME] = "deadband"
-    """Penalties on ranges and rates: deadband, only beyond the limit; or printed, two-sided as in the publication."""
+    """Penalties on ranges and rates: deadband for only beyond the limit, printed for two-sided as published."""
     reprojection: Annotated[Literal["robust", "printed"], _FRAME] = "robust"
-    """Reprojection errors: robust and weighted, or as in the publication."""
+    """Cost of reprojection errors: robust for robust and weighted, printed for the cost as published."""
     angle_prior: Annotated[Literal["gaussian", "none"], _FRAME] = "gaussian"
-    """Priors on angles and heading: gaussian or none."""
+    """Priors of angles and heading: gaussian or none."""
     camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
-    """Rotation between the camera and the body: free, or fixed to that of the first frame."""
+    """Rotation between the camera and the body: free in every frame, or fixed at its value in the first frame."""
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
     """Path of the reference joint: as smooth as an animal moves, or free in every frame."""
     path_sigma_m: Annotated[Positive, _FRAME] = 0.5

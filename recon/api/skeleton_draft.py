@@ -104,26 +104,26 @@ class SkeletonDraftSettings(Settings):
     """Settings of `recon skeleton from-keypoints`."""
 
     keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
-    """Keypoint file, or DeepLabCut project; with --camera, one file per camera."""
+    """Keypoint file, or DeepLabCut project. With --camera, one file per camera."""
     out: Path
     """Skeleton file to write, such as my-animal.toml."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     camera: OneOrMore[File] | None = None
-    """Calibration of several cameras; the draft is then made from distances that stay constant. (default: from
+    """Calibration of several cameras, with which the draft is made from distances that stay constant. (default: from
     names)
     """
     fps: Positive | None = None
     """With --camera: frame rate in Hz. (default: as stated in the file)"""
     up: str | None = None
-    """With --camera: upward axis of the calibration's world, such as z or -y; or first-camera if the first camera is
+    """With --camera: upward axis of the calibration's world, such as z or -y, or first-camera if the first camera is
     level. (default: as stated in the file)
     """
     camera_name: OneOrMore[str] | None = None
-    """With --camera: name of the camera in the file, such as cam2 or 2; once per keypoint file. (default: the camera
+    """With --camera: name of the camera in the file, such as cam2 or 2, once per keypoint file. (default: the camera
     whose name the keypoint file's name contains)
     """
     camera_unit: Unit = "m"
-    """With --camera: unit of the cameras' positions in the file; Anipose's is often mm."""
+    """With --camera: unit of the cameras' positions in the file, which is often mm for Anipose."""
     overwrite: bool = False
     """Replace the file."""
 

@@ -62,8 +62,8 @@ class _BatchSettings(Settings):
     config: Annotated[Path | None, Option(panel=_COMMON)] = None
     """config.toml of an earlier fit. Options given here override it."""
     cameras_by: Annotated[str, Option(metavar="auto|none|PATTERN", panel=_COMMON)] = "auto"
-    """How to join the files of one clip from several cameras. auto: by file names that differ only in the camera's
-    name; none: every file is a clip; or a regular expression for the camera's name, such as '-cam([A-Z])'.
+    """How to join the files of one clip from several cameras: auto by file names that differ only in the camera's
+    name, none to make every file a clip, or a regular expression for the camera's name, such as '-cam([A-Z])'.
     """
     recursive: Annotated[bool, Option(panel=_COMMON)] = False
     """Read subfolders too."""

@@ -5,9 +5,9 @@ The function's keyword parameters define the command's options, help and complet
     def view(settings: ViewSettings, progress: Progress) -> Answer:
 
 `settings` is an instance of the annotated class. `options` holds the given settings of another class, such as those of
-every fit in a batch, as a dictionary by name (annotated with `OptionsOf`). `console` is the console to print to, and
-`progress` updates the progress bar. The function's docstring is the help text. Its answer is printed according to
---json and --quiet.
+every fit in a batch, as a dictionary keyed by name (annotated with `OptionsOf`). `console` is the console to print to,
+and `progress` updates the progress bar. The function's docstring is the help text. The answer that the function returns
+is printed according to --json and --quiet.
 """
 
 from __future__ import annotations

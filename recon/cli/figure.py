@@ -30,7 +30,7 @@ class FigureSettings(Settings):
     folder: Annotated[Path, Option(argument="DIR")]
     """Results folder, such as results/clip."""
     names: Annotated[tuple[str, ...], Option(argument="NAME")] = ()
-    """Figures, such as joint_flexion; several are stacked and lettered. (default: list them)"""
+    """Figures, such as joint_flexion, which are stacked and lettered if there are several. (default: list them)"""
     out: Path | None = None
     """File to write, such as fig1.pdf: PDF, SVG or PNG (600 dpi). The caption is written next to it, such as
     fig1.txt.

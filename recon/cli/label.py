@@ -37,7 +37,7 @@ class LabelSettings(Settings):
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, such as run.mp4."""
     out: Path
-    """Folder for the labels; in a DeepLabCut project, its scorer and bodyparts are used."""
+    """Folder for the labels. The scorer and bodyparts of a DeepLabCut project are used."""
     skeleton: NameOrFile | None = None
     """The skeleton whose markers are labelled, such as cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
     names: str | None = None
@@ -45,8 +45,8 @@ class LabelSettings(Settings):
     frames: Count = 40
     """Number of frames, chosen so that they differ."""
     result: Path | None = None
-    """Result of recon fit of this video, such as results/clip: choose the frames whose labels would lower its
-    expected error most.
+    """Result of recon fit of this video, such as results/clip, from which the frames are chosen whose labels would
+    lower the expected error most.
     """
     camera_name: str | None = None
     """Name of the video's camera in the result, such as cam2, if there are several."""

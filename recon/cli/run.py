@@ -76,11 +76,11 @@ class _RunSettings(Settings):
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, such as run.mp4, or a folder of videos."""
     out: Path
-    """Folder for all results; with a folder of videos, one subfolder per video."""
+    """Folder for all results, with one subfolder per video for a folder of videos."""
     model: Annotated[Path | None, Option(metavar="DIR")] = None
     """Folder of a trained network, such as models/run."""
     keypoints: Path | None = None
-    """Keypoint file to use instead of a network; with a folder of videos, the folder of their keypoint files."""
+    """Keypoint file to use instead of a network, or the folder of the keypoint files of a folder of videos."""
     corrections: Path | None = None
     """Detections that were corrected by hand, for one video. (default: corrections.csv in --out, if there is one)"""
     camera_motion: Literal["turns", "zooms"] | None = None
@@ -93,7 +93,8 @@ class _RunSettings(Settings):
     config: Path | None = None
     """config.toml of an earlier fit. Options given here override it."""
     overwrite: bool = False
-    """Replace files that recon fit, analyse and others made in DIR; never your own files, or files changed by hand."""
+    """Replace files that recon fit, analyse and others made in DIR, but never your own files, or files changed by hand.
+    """
 
     def problems(self) -> Iterator[Problem]:
         """Yield problems with the source of the keypoints, with corrections, and with the stage of --from."""
