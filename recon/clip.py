@@ -473,7 +473,7 @@ class View(Brief):
 
     @cached_property
     def centre_m(self) -> Array:
-        """Return the camera's centre of projection in the world, (T, 3), or (1, 3) for a still camera, metres."""
+        """Return the camera's centre of projection in the world in each frame, (T, 3), metres."""
         return np.broadcast_to(inverse(self.T_camera_world)[..., :3, 3], (len(self.xy_px), 3))
 
     @property
