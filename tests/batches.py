@@ -1,4 +1,4 @@
-"""Plan and run batches in tests: inputs, and the tables that batches write."""
+"""Plan and run batches in tests, and read the tables that batches write."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def refuses(inputs: list[object], *expected: Refusal, common: dict[str, Any] = Q
 
 
 def table(out: Path) -> dict[str, dict[str, str]]:
-    """Return summary.csv by clip; every clip occurs once."""
+    """Return the rows of a batch's summary.csv by clip, and check that every clip occurs once."""
     with (out / "summary.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     by_clip = {row["clip"]: row for row in rows}

@@ -1,4 +1,4 @@
-"""Run `recon ARGS` in tests, and check the problems that commands and functions are refused for."""
+"""Run `recon ARGS` in tests, and check the problems for which commands and functions are refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Ended(NamedTuple):
 
 
 def run(*args: object) -> Ended:
-    """Run `recon ARGS` in this process: `main()` with its handling of errors."""
+    """Run `recon ARGS` in this process, by `main()` with its handling of errors."""
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", ["recon", *map(str, args)])
@@ -43,12 +43,14 @@ def run(*args: object) -> Ended:
 
 
 Refusal = tuple[object, ...]
-"""What an input is refused for, as a `Problem` has it: the file (or only its name) or option, the field, what stands in
-`found` and what stands in `expected`. The last two are words or numbers, several of them as a list, or left out."""
+"""Expected parts of a `Problem`: the file (or only its name) or option, the field, and words of `found` and `expected`.
+
+The words of `found` and `expected` are a text, a number or a list of them, and may be left out.
+"""
 
 
 def refused(args: Sequence[object], *expected: Refusal) -> tuple[Problem, ...]:
-    """Check that `recon ARGS` prints only one error for each problem, and that these are its problems."""
+    """Check that `recon ARGS` fails with exactly the expected problems, one line of error for each."""
     problems: list[Problem] = []
     app = cli.app
 
@@ -70,14 +72,14 @@ def refused(args: Sequence[object], *expected: Refusal) -> tuple[Problem, ...]:
 
 @contextmanager
 def refusal(*expected: Refusal) -> Iterator[None]:
-    """Check that the block raises `InputError` with these problems."""
+    """Check that the block raises `InputError` with exactly the expected problems."""
     with pytest.raises(InputError) as caught:
         yield
     compare(caught.value.problems, expected)
 
 
 def compare(problems: Sequence[Problem], expected: Sequence[Refusal]) -> None:
-    """Compare problems in any order."""
+    """Compare problems with the expected ones, in any order."""
     said = [[_is_about(problem, one) for one in expected] for problem in problems]
     if len(problems) != len(expected) or not all(map(any, said)) or not all(map(any, zip(*said, strict=True))):
         told = "\n".join(map(repr, problems))
@@ -93,13 +95,13 @@ def _is_about(problem: Problem, expected: Refusal) -> bool:
 
 
 def says(text: str, *values: object) -> bool:
-    """Return whether a line contains all of these as whole words: 3 is not contained in 13, nor in 3.5."""
+    """Return whether a text contains all values as whole words; 13 and 3.5 do not contain 3."""
     begins, ends = r"(?:(?<![\w.])|(?!\w))", r"(?:(?!\w|\.\d)|(?<!\w))"
     return all(re.search(f"{begins}{re.escape(str(value))}{ends}", text) for value in values)
 
 
 def run_process(*args: object, before: str = "") -> Ended:
-    """Run `recon ARGS` in its own process, after some lines of Python."""
+    """Run `recon ARGS` in another process, after the lines of Python in `before`."""
     command = [
         sys.executable,
         "-W",
@@ -121,7 +123,7 @@ def copy_results(results: Path, to: Path) -> Path:
 
 
 def run_tasks_here(work: Work, tasks: Sequence[tuple[str, Any]], tell: Callable[[Event], None], **_: Any) -> None:
-    """Run the tasks of `run_tasks` in this process, for tests that need no other."""
+    """Replace `run_tasks` in tests that need no other process: run the tasks in this process."""
     for name, task in tasks:
         tell(Event("progress", name, stage=STARTING))
         tell(Event("ended", name, outcome=outcome_of(work, task, silent)))

@@ -1,4 +1,4 @@
-"""Make the files that the pages of docs/ name from the samples."""
+"""Make the files that the pages of docs/ name, from the samples."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def pose() -> Pose3D:
 
 
 def _first(count: int) -> Callable[[Path], None]:
-    """Return a function that writes the first `count` frames of the sample, for pages that need no more."""
+    """Return a function that writes the first `count` frames of the sample to a path."""
 
     def make(path: Path) -> None:
         lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
@@ -102,7 +102,7 @@ def _filmed_twice(folder: Path, name: str) -> None:
 
 
 def _in_mm(path: Path) -> None:
-    """Write the truth of the sample in millimetres, as another program triangulates it."""
+    """Write the true joints of the sample in millimetres, like the triangulated points of another program."""
     write_csv(replace(pose(), xyz_m=1000 * pose().xyz_m), path)
     _, *rest = path.read_text(encoding="utf-8").splitlines(keepends=True)
     names = len(rest[0].split(",")) - 1
@@ -124,7 +124,7 @@ def _mmpose(path: Path) -> None:
 
 
 def _two_animals(path: Path) -> None:
-    """Write a file of two animals as DeepLabCut does, with a level of individuals in the header."""
+    """Write DeepLabCut's file of two animals, with a level of individuals in the header."""
     import pandas as pd
 
     columns, values = [], []
@@ -209,9 +209,9 @@ def cat_file(path: Path) -> None:
 
 
 def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
-    """Return 400 frames of the cat of writing-a-skeleton.md.
+    """Return the body of the cat of writing-a-skeleton.md, and 400 frames of its motion.
 
-    All angles move in slow waves while the cat trots past at 3 m/s.
+    All angles follow slow waves while the cat trots past at 3 m/s.
     """
     file = folder / "my-cat.toml"
     if not file.exists():
@@ -225,7 +225,7 @@ def _cat(folder: Path, seed: int = 0) -> tuple[Body, Pose3D]:
 
 
 def _cat_clip(path: Path) -> None:
-    """Write the cat as the samples' camera sees it from a smaller distance."""
+    """Write the keypoints of the cat, as seen by the samples' camera from a smaller distance."""
     _, truth = _cat(path.parent, seed=1)
     camera = read_camera(SAMPLES / "camera.toml")
     near = truth.xyz_m[70:130] + camera.centre_world + camera.rotation[2] * 6 - [0, 0, 0.3]
@@ -259,7 +259,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "data/samples/noisy.csv": sample("noisy.csv"),
     "data/samples/camera.toml": sample("camera.toml"),
 }
-"""Makers of the files that a page may name without making them."""
+"""Functions that make the files which a page may name without making them, by file name."""
 
 OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
     "batch.md": {
@@ -284,4 +284,4 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "clip.csv": _cat_clip,
     },
 }
-"""Makers of files whose name has another meaning on this page."""
+"""Functions that make files whose name has another meaning on a page, by page and file name."""

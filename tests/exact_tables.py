@@ -1,4 +1,4 @@
-"""Read CSV to the last digit, which pandas does by default from version 3 on."""
+"""Read CSV files to the last digit, which is pandas' default only from version 3 on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulate a run of `cheetah-24` before simulated cameras, which many tests fit."""
+"""Simulate a run of `cheetah-24` in front of cameras, which many tests fit."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ POSES = (AHEAD, ASIDE, level_pose([4.0, 1.0, 1.0], 0.75 * np.pi), level_pose([9.
 
 
 def run(T: int = 40, heading_rad: float = 0.4, speed_m_s: float = 9.0) -> np.ndarray:
-    """Return joints (T, J, 3), camera frame, m: two strides per half second.
+    """Return the joints (T, J, 3), m, of a run with three strides a second, in the camera's frame.
 
-    The angles move along the two widest directions of the prior's covariance.
+    The angles vary along the two widest directions of the prior's covariance.
     """
     values, vectors = np.linalg.eigh(PRIOR.covariance)
     t = np.arange(T) / FPS
@@ -74,12 +74,12 @@ def errors_m(solution: TrajectorySolution, truth: np.ndarray) -> np.ndarray:
 
 
 def truth_m() -> np.ndarray:
-    """Return joints (T, J, 3), m, of a run, in the level frame of a camera at the origin."""
+    """Return the joints (T, J, 3), m, of the run, in the level frame of a camera at the origin."""
     return run() @ LEVEL.T
 
 
 def view_of(points_m: np.ndarray, T_camera_world: np.ndarray, sigma_px: float = 2.0, seed: int = 0) -> View:
-    """Return the view of points by the run's camera in a pose."""
+    """Return the view of points (T, J, 3), m, by the run's camera at a pose, with `sigma_px` of noise."""
     return make_view(CAMERA, points_m, T_camera_world, sigma_px, seed)
 
 
@@ -100,13 +100,13 @@ def settings(folder: Path, *numbers: int, **more: object) -> FitSettings:
 
 
 def run_views(n: int = 4) -> list[View]:
-    """Return the views of the run, at most as noisy as expected."""
+    """Return n views of the run, at most as noisy as a fit expects."""
     views = [view_of(truth_m(), T, sigma_px=2.0, seed=i) for i, T in enumerate(POSES[:n])]
     return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
 
 
 def late(view: View, frames: int) -> View:
-    """Return a view whose pictures were taken that much later than their numbers state."""
+    """Return a view whose pictures were taken `frames` later than their numbers state."""
     xy_px = np.full_like(view.xy_px, np.nan)
     if frames > 0:
         xy_px[:-frames] = view.xy_px[frames:]

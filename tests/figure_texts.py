@@ -1,4 +1,4 @@
-"""Find the texts and lines of a figure, and those that its edges or the edges of its axes cut off."""
+"""Find the texts of a figure, and texts or lines that the edges of the figure or its axes cut off."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from recon.show.plots import style
 
 
 def drawn_texts(figure: Figure) -> Iterator[Text]:
-    """Return the texts that a reader sees; for axes only those within their limits."""
+    """Yield the visible texts of a figure; of tick labels, only those within the limits of their axes."""
     hidden: set[Artist] = set()
     for axes in [*figure.axes, *(child for parent in figure.axes for child in parent.child_axes)]:
         for axis in (axes.xaxis, axes.yaxis):
@@ -45,7 +45,7 @@ def cut_off(figure: Figure) -> list[str]:
 
 
 def beyond_axes(figure: Figure) -> list[str]:
-    """Return the labels of lines and markers whose data reach beyond their axes, which hide that part."""
+    """Return the labels of lines and markers whose data reach beyond their axes and are partly hidden."""
     labels = []
     for axes in figure.axes:
         for line in axes.lines:

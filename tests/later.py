@@ -10,7 +10,7 @@ import pytest
 
 
 class Later:
-    """A module that is imported when one of its names is first used."""
+    """Stand-in for a module that is imported when one of its names is first used."""
 
     def __init__(self, name: str) -> None:
         self._name = name

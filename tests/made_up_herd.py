@@ -1,4 +1,4 @@
-"""Make results of an experiment: copies of one result, with the numbers of a herd instead of an analysis."""
+"""Make the results of an experiment from copies of one result, with made-up numbers instead of an analysis."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ SPEEDS = dict(zip(CLIPS, (4.0, 4.2, 4.4, 4.5, 3.7, 4.0, 4.6, 4.9), strict=True))
 
 
 def make_herd(folder: Path, results: Path) -> None:
-    """Copy the motion of a result under the names of all clips."""
+    """Copy the motion of one result into a folder for each clip of the herd."""
     for clip in CLIPS:
         (folder / clip).mkdir(parents=True)
         shutil.copy(results / "motion.npz", folder / clip)
 
 
 def use_made_up_numbers(patch: pytest.MonkeyPatch) -> None:
-    """Let `recon compare` use the numbers of a made-up herd, in the order of the clips, and analyse nothing."""
+    """Let `recon compare` use made-up numbers, in the order of the clips, instead of analysing them."""
     order: list[Motion] = []
 
     def analysed(motion: Motion) -> str:

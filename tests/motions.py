@@ -9,6 +9,6 @@ from recon.fit.motion import Motion
 
 
 def with_first(motion: Motion, **changes: Any) -> Motion:
-    """Return a motion whose first source has these fields replaced."""
+    """Return a motion with fields of its first source replaced."""
     first, *others = motion.sources
     return replace(motion, sources=(replace(first, **changes), *others))

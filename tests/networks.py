@@ -11,9 +11,9 @@ EVALUATIONS = 3
 
 
 def narrow_networks(patch: pytest.MonkeyPatch) -> None:
-    """Make networks narrow but as deep as those of users, evaluated three times per run, and repeatable.
+    """Make new networks narrow, but as deep as usual, evaluated three times per run, and repeatable.
 
-    Their points are noise, so fits do not test whether another picture explains them better.
+    The networks' points are noise, so fits do not test whether another picture explains them better.
     """
     from recon.keypoint_net import network, train
 
@@ -28,7 +28,7 @@ NAMES = ("nose", "left_paw", "right_paw")
 
 
 def write_labels(path: Path, images: list[str], xy: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
-    """Write DeepLabCut's label file: one index column, and empty cells for NaN."""
+    """Write labels as DeepLabCut's label file, with one index column and empty cells for NaN."""
     lines = [
         "scorer," + ",".join(["me"] * 2 * len(names)),
         "bodyparts," + ",".join(n for n in names for _ in range(2)),

@@ -1,4 +1,4 @@
-"""Write a URDF file of the built-in robot a1: the same legs joint by joint, with feet on fixed joints."""
+"""Write a URDF file with the legs of the built-in robot a1, joint by joint, and feet on fixed joints."""
 
 HEAD = '<?xml version="1.0"?>\n<robot name="a1">\n<link name="base"/>\n<link name="trunk"/>\n' + (
     '<joint name="floating_base" type="fixed"><parent link="base"/><child link="trunk"/></joint>\n'

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Return the folder of real recordings: RECON_SHARED_DATA, or ../shared/data; skip without it."""
+    """Return the folder of real recordings, RECON_SHARED_DATA or ../shared/data; skip the test without it."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     path = Path(os.environ.get("RECON_SHARED_DATA", default))
     if not path.is_dir():
@@ -62,10 +62,10 @@ SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
-    """Return a folder that all processes of the tests share, which is read only.
+    """Return a function that makes a folder once for all processes of the tests.
 
-    `made_once(name, make)` is its path, and `make(path)` writes it. If two processes need it at the same time, both
-    make it, and one copy is deleted.
+    `made_once(name, make)` returns the path, and `make(path)` writes the folder, which tests must not change. If two
+    processes need the folder at the same time, both make it, and one copy is deleted.
     """
     own = tmp_path_factory.getbasetemp()
     shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
@@ -73,7 +73,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
     def once(name: str, make: Callable[[Path], object]) -> Path:
         path = shared / f"shared-{name}"
         if not path.exists():
-            # At the same depth, so that relative paths hold.
+            # This folder has the depth of the final one, so that relative paths stay valid.
             making = shared / f"{os.environ.get('PYTEST_XDIST_WORKER', 'made')}-{name}"
             make(making)
             with suppress(OSError):  # another process was faster
@@ -92,7 +92,7 @@ def whole_results(made_once) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def commands_made_once() -> Iterator[None]:
-    """Make each command of its function once: it takes 20 ms, and tests call commands a thousand times."""
+    """Make typer's command of each function only once, because it takes 20 ms and tests call commands often."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("recon.cli.app.make_command", cache(make_command))
         yield
@@ -105,38 +105,38 @@ def fitted_demo(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def optimiser() -> None:
-    """Import the optimiser for tests that train, because torch imports half of itself for the first optimiser."""
+    """Import torch's optimiser for tests that train, because torch imports much more for the first optimiser."""
     torch = pytest.importorskip("torch")
     torch.optim.AdamW([torch.zeros(1, requires_grad=True)])
 
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out drawing in tests of commands and pages that do not look at their figures."""
+    """Leave out drawing in tests that do not check figures."""
     leave_out_drawing(monkeypatch)
 
 
 @pytest.fixture
 def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the playback in tests that do not look at it."""
+    """Leave out the playback in tests that do not check it."""
     leave_out_playback(monkeypatch)
 
 
 @pytest.fixture
 def remembered_analyses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Remember analyses in tests of commands that analyse the same results."""
+    """Cache analyses in tests of commands that analyse the same results."""
     remember_analyses(monkeypatch)
 
 
 @pytest.fixture
 def frames_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Solve equal problems of the frame method once, for tests of what is done with their results."""
+    """Solve equal problems of the frame method once, in tests that only use the solutions."""
     solve_frames_once(monkeypatch)
 
 
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run batches in this process, for tests of what is done rather than of how processes share it."""
+    """Run batches in this process, in tests that do not check other processes."""
     for module in ("recon.api.batch", "recon.cli.look"):
         monkeypatch.setattr(f"{module}.run_tasks", run_tasks_here)
 
@@ -148,9 +148,10 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
-    """Return what a command about `results/clip` prints for `whole_results`, and the folder that it ran in.
+    """Return a function that runs a command about `results/clip` on `whole_results`, once for all tests.
 
-    `of_results(command)` runs each command once for all tests, with empty figures. The folder must not be written to.
+    `of_results(command)` returns what the command printed and the folder in which it ran, with empty figures. Tests
+    must not write to the folder.
     """
 
     def once(command: str) -> tuple[str, Path]:
@@ -204,7 +205,7 @@ def whole_analysis(whole_results: Path) -> ClipAnalysis:
 
 @pytest.fixture(scope="session")
 def retargeted(whole_results: Path) -> Callable[[str], Retargeting]:
-    """Return the motion of `whole_results` on a robot, `retargeted(robot)`, which each process solves once."""
+    """Return a function that retargets the motion of `whole_results` to a named robot, once in each process."""
     from recon.robotics.quadruped import load_robot
     from recon.robotics.retarget import reference_of, retarget
 
@@ -213,11 +214,11 @@ def retargeted(whole_results: Path) -> Callable[[str], Retargeting]:
 
 @pytest.fixture(scope="session")
 def small_motion() -> Motion:
-    """Return six frames (10 to 15) of a mean pose in front of a pinhole camera.
+    """Return a motion of six frames (10 to 15), in which a mean pose glides past a pinhole camera.
 
-    The animal glides to the right at 9 m/s and 30 fps, 9 m away. Pixels are exact, except the `neck_base` of frame 14,
-    which is 300 px off. Frame 13 has no data, frame 15 only six points. `nose` is in the file but not in the skeleton;
-    `spine` is rejected as unlikely in frame 11.
+    The animal moves to the right at 9 m/s and 30 fps, 9 m away. Pixels are exact, except the `neck_base` of frame 14,
+    which is 300 px off. Frame 13 has no data, and frame 15 only six points. `nose` is in the file but not in the
+    skeleton. `spine` is rejected as unlikely in frame 11.
     """
     chain = load_chain("cheetah-8u")
     camera = Camera.from_hfov(64.0, (1920, 1080))
@@ -358,8 +359,8 @@ def world_trajectory(small_trajectory: Motion) -> Motion:
 def two_cameras(world_trajectory: Motion) -> Motion:
     """Return `world_trajectory`, also seen by a second camera.
 
-    `cam2` is at (10, -8, 2.5) m and looks along y, with its right along x. It did not see frames 10 and 11, and puts
-    the `tail_base` of frame 15 200 px off.
+    `cam2` is at (10, -8, 2.5) m and looks along y, with its right along x. It did not see frames 10 and 11. Its
+    `tail_base` of frame 15 is 200 px off.
     """
     motion = world_trajectory
     rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -392,7 +393,10 @@ def two_cameras(world_trajectory: Motion) -> Motion:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Write the run of `example_run` as run_cam1.csv, run_cam2.csv (without its first ten frames) and scene.json."""
+    """Return a folder with the run of `example_run` as run_cam1.csv, run_cam2.csv and scene.json.
+
+    run_cam2.csv lacks the first ten frames.
+    """
     from example_run import AHEAD, ASIDE, FISHEYE, keypoints_of, truth_m
 
     out, cameras = tmp_path_factory.mktemp("two"), []
@@ -409,7 +413,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def clips(tmp_path) -> Path:
-    """Write a folder with three clips of the frame method."""
+    """Return a folder with three clips for the frame method."""
     folder = tmp_path / "clips"
     folder.mkdir()
     for name in ("a", "b", "c"):

@@ -1,4 +1,4 @@
-"""Leave out slow parts of the commands that tests run, if another test covers these parts."""
+"""Leave out slow parts of commands in tests, if another test covers these parts."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 SMALL_DPI = 50
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
 EMPTY_FILES = {"png": b64decode(PIXEL), "svg": b'<svg xmlns="http://www.w3.org/2000/svg"></svg>', "pdf": b"%PDF-1.4"}
-"""Contents of a picture of one pixel, by file type."""
+"""Contents of an empty picture, by file type."""
 
 
 def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let `recon demo` take its fit from `whole_results` and make no page; the test of `recon demo` does both."""
+    """Let `recon demo` take its fit from `whole_results` and make no page; its own test does both."""
 
     def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
@@ -48,7 +48,7 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
-    """Make every figure and its file, but draw nothing into it; figures of an analysis are not even made.
+    """Write an empty file for every figure, and make no figures of an analysis at all.
 
     Each figure is drawn in full in `tests/show`, `test_clip_analysis.py`, `test_solver_analysis.py` or the test of its
     command.
@@ -60,7 +60,7 @@ def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:
-    """Draw figures at a lower resolution, without layout and without fitting letters to pixels."""
+    """Draw figures at a lower resolution, without layout and without hinting of fonts."""
     leave_out_layout(patch)
     patch.setattr(style, "PNG_DPI", SMALL_DPI)
     with NamedTemporaryFile("w", suffix=".mplstyle", encoding="utf-8", delete=False) as sheet:
@@ -85,12 +85,12 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
 
 
 def shorten_cost_study(patch: pytest.MonkeyPatch) -> None:
-    """Let `recon ik --costs` follow its path for two turns instead of ten."""
+    """Let `recon ik --costs` follow its path for two periods instead of ten."""
     patch.setattr(ik_clip, "cost_outcome", partial(ik_clip.cost_outcome, turns=2))
 
 
 def remember_analyses(patch: pytest.MonkeyPatch) -> None:
-    """Let `recon analyse`, `compare` and `figure` analyse each motion once per process, in any folder."""
+    """Let `recon analyse`, `compare` and `figure` analyse each motion only once in a process, in any folder."""
     for module in ("recon.api.analyse", "recon.api.compare", "recon.cli.figure"):
         patch.setattr(f"{module}.analyse", _remembered_analysis)
 
@@ -106,7 +106,7 @@ _ANALYSES: dict[tuple[object, ...], gait_clip.ClipAnalysis] = {}
 
 
 def solve_frames_once(patch: pytest.MonkeyPatch) -> None:
-    """Let the frame method solve equal problems once per process; each fit gets a copy of the solution."""
+    """Let the frame method solve equal problems only once in a process, and give each fit a copy of the solution."""
     solve = frame_clip.solve_frames
 
     def remembered(*problem: Any) -> Any:

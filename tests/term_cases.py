@@ -1,4 +1,4 @@
-"""Return a term of every kind with states to evaluate it at, and the dense form of a banded matrix."""
+"""Make a term of every kind, states at which to evaluate it, and the dense form of a banded matrix."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FEET = np.array([BODY.markers.index(foot) for foot in BODY.feet])
 
 
 def some_states(seed: int = 0) -> np.ndarray:
-    """Return states of a body that runs past the camera, with every angle away from its mean."""
+    """Return states (T, D) of a body that runs past the camera, with every angle away from its mean."""
     rng = np.random.default_rng(seed)
     states = np.zeros((T, BODY.n_state))
     states[:, 4:] = PRIOR.mean + 0.2 * rng.normal(size=(T, BODY.n_state - 4))
@@ -54,7 +54,7 @@ def pixels(states: np.ndarray) -> np.ndarray:
 
 
 def detections(states: np.ndarray) -> np.ndarray:
-    """Return detections that are off by some 10 px, one of them grossly, and one missing."""
+    """Return detections (T, J, 2) with errors of about 10 px, one gross error, and one missing detection."""
     xy_px = pixels(states)
     xy_px = xy_px + 10 * np.random.default_rng(1).normal(size=xy_px.shape)
     xy_px[1, 3] += 200.0
@@ -102,7 +102,7 @@ def gradient(term, states: np.ndarray) -> np.ndarray:
 
 
 def to_dense(blocks: np.ndarray) -> np.ndarray:
-    """Return the dense matrix (TD, TD) with both triangles filled."""
+    """Return the dense matrix (TD, TD) of banded blocks, with both triangles filled."""
     T, n_blocks, D, _ = blocks.shape
     dense = np.zeros((T, D, T, D))
     for t in range(T):

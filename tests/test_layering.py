@@ -1,11 +1,11 @@
 """Test that rooms import in one direction only, and import only packages of the base install.
 
-`LAYERS` is the order of the rooms, which are packages directly under `recon`. A room imports only from rooms before it
-and from its own package, at the top of a module, in a function, and for types. Each of the `WINGS` can be removed: a
-wing imports rooms and itself but no other wing, and no room imports a wing, except in the few functions of `UPWARD`
-(benchmarks/house.py). `TOPS` import all rooms, and no room imports `TOPS`. `recon/__init__.pyi` is the public API: it
-may name all of them, and none imports it. Every import names the module that defines a name, never the `__init__` of a
-room or of the package.
+`LAYERS` is the order of the rooms, which are packages directly under `recon`. A room imports only from itself and from
+rooms before it; this also holds for imports in functions and for types. Each of the `WINGS` can be removed, because a
+wing imports only rooms and itself, and no room imports a wing, except in the few functions of `UPWARD`
+(benchmarks/house.py). `TOPS` import all rooms, and no room imports `TOPS`. `recon/__init__.pyi`, the public API, may
+name all rooms, and no room imports the API. Every import names the module that defines a name, never the `__init__` of
+a room or of the package.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ LAYERS = (
 )
 WINGS = ("robotics", "keypoint_net", "thesis")
 TOPS = ("cli", "testing")
-"""Rooms that import all rooms and wings and that none imports: the command line, and simulations for tests."""
+"""Rooms that may import all rooms and wings, and that no room imports: the command line, and simulations for tests."""
 
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}
-"""Distributions whose modules have another name."""
+"""Names of modules by distribution, for distributions whose modules have another name."""
 
 
 @cache
@@ -61,7 +61,7 @@ def house() -> SimpleNamespace:
 
 
 def parsed(source: str) -> ast.Module:
-    """Return the syntax tree of a file, which is parsed once."""
+    """Return the syntax tree of a source text, which is cached."""
     return loaded_house().parsed(source)
 
 
@@ -85,7 +85,7 @@ def module_name(path: Path) -> str:
 def violations(
     module: str, source: str, base: set[str], is_upward: Callable[[str, str], bool] = lambda module, target: False
 ) -> list[str]:
-    """Return what is wrong with the imports of one module, in words; `module` is as `module_name` gives it."""
+    """Return a text for each import of a module that breaks a rule; `module` is a name of `module_name`."""
     tree = parsed(source)
     found = []
     layer = room(tuple(module.split(".")))
@@ -119,7 +119,7 @@ def violations(
 
 
 def imported_names(module: str, source: str) -> Iterator[tuple[int, str, str]]:
-    """Return line, module and name of every name that is imported from a module of the package."""
+    """Yield line, module and name of every name that is imported from a module of the package."""
     for node in nodes_that_import(source):
         if isinstance(node, ast.ImportFrom):
             package = module.split(".")[: -node.level] if node.level else []
@@ -164,10 +164,10 @@ def room(parts: tuple[str, ...]) -> str:
 
 
 def all_imports(module: str, source: str) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """Return line and dotted name (as parts) of every import, also inside functions and by `import_module`.
+    """Yield line and dotted name, as parts, of every import, also inside functions and by `import_module`.
 
-    `from recon import x` is recon.x if that is a module, and otherwise the public API, recon. `__version__` and similar
-    names are not API.
+    `from recon import x` counts as recon.x if this is a module, and otherwise as the public API, recon. `__version__`
+    and similar names do not belong to the API.
     """
     for node in nodes_that_import(source):
         if isinstance(node, ast.Import):
@@ -196,7 +196,7 @@ def called_name(call: ast.Call) -> str | None:
 
 
 def imports_on_import(node: ast.AST) -> Iterator[tuple[int, str]]:
-    """Return line and first part of the name of every absolute import that runs when the module is imported."""
+    """Yield line and first part of the name of every absolute import that runs when the module is imported."""
     if isinstance(node, ast.Import):
         yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
     elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
@@ -216,7 +216,7 @@ def test_imports(house):
     ] == []
 
 
-def test_there_is_something_to_check():
+def test_layers_contain_modules():
     assert (PACKAGE / "geometry" / "camera.py").is_file()
     assert {"numpy", "cv2", "rerun", "tomli_w", "json", "recon"} <= base_imports()
 
@@ -265,7 +265,7 @@ def test_catches_an_import_from_where_a_name_is_not_defined(source):
 
 
 @pytest.mark.parametrize("module", ["recon.helpers", "recon.misc.__init__", "recon.misc.deep"])
-def test_catches_a_module_without_a_place(module):
+def test_catches_a_module_outside_all_rooms(module):
     assert violations(module, "", base_imports()) == [f"{module} is not named in LAYERS"]
 
 
@@ -311,7 +311,7 @@ def test_catches_an_optional_import_at_the_top(module, source):
         ("recon.show.view", "import json\nimport numpy as np\nimport rerun.blueprint as rrb\nimport cv2"),
     ],
 )
-def test_lets_good_imports_pass(module, source):
+def test_allowed_imports_pass(module, source):
     assert violations(module, source, base_imports()) == []
 
 
@@ -323,7 +323,7 @@ def test_no_files_import_each_other(house):
     assert house.circles(house.imports()) == []
 
 
-def test_finds_circles(house):
+def test_finds_circular_imports(house):
     graph = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set(), "e": {"f"}, "f": {"e"}, "g": {"g2"}, "g2": {"a"}}
     assert house.circles(graph) == [["a", "b", "c"], ["e", "f"]]
     assert house.circles({"a": {"b"}, "b": set()}) == []

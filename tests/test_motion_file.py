@@ -26,7 +26,7 @@ FILES = Path(__file__).parent / "files"
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:
-    """Return where two trees of dataclasses differ, even in the last bit."""
+    """Return the paths of fields in which two trees of dataclasses differ, even in the last bit."""
     if type(a) is not type(b) and not (isinstance(a, tuple | list) and isinstance(b, tuple | list)):
         return [f"{where}: {type(a)} {type(b)}"]
     if isinstance(a, np.ndarray):
@@ -46,7 +46,7 @@ def differences(a: Any, b: Any, where: str = "") -> list[str]:
 
 
 @pytest.mark.parametrize("fixture", ["small_motion", "small_trajectory", "world_trajectory"])
-def test_same_motion(fixture: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_loaded_motion_is_the_same(fixture: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     motion = request.getfixturevalue(fixture)
     motion = replace(motion, settings={"fps": 30, "frames": None, "keypoints": ["a.csv"]}, timing_s={"solve_s": 0.1})
     motion.save(tmp_path / "new")
@@ -55,7 +55,7 @@ def test_same_motion(fixture: str, request: pytest.FixtureRequest, tmp_path: Pat
     assert not differences(motion, loaded)
 
 
-def test_same_file_again(small_trajectory: Motion, tmp_path: Path) -> None:
+def test_saving_again_gives_the_same_file(small_trajectory: Motion, tmp_path: Path) -> None:
     first, second = (small_trajectory.save(tmp_path / name).read_bytes() for name in ("a", "b"))
     third = Motion.load(tmp_path / "a").save(tmp_path / "c").read_bytes()
     assert first == second == third
@@ -70,13 +70,13 @@ def saved(small_trajectory: Motion, tmp_path: Path) -> Path:
 
 
 def refuses(path: Path, *expected: tuple[object, ...]) -> None:
-    """Check that a file is refused for the expected problems, given as for `refusal` but without the file."""
+    """Check that a motion file is refused for the expected problems, given as in `refusal`, but without the file."""
     with refusal(*((path, *one) for one in expected)):
         Motion.load(path.parent)
 
 
 def rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, Any]], None]) -> None:
-    """Rewrite a motion with other arrays or another text."""
+    """Rewrite a motion file after `change` has changed its arrays and its record."""
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
     record = json.loads(arrays.pop("record").tobytes())
@@ -85,7 +85,7 @@ def rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, Any
 
 
 def as_version_3(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
-    """Rewrite a motion as schema version 3 did, with every array unpacked under the name of its first field."""
+    """Change arrays and record to schema version 3, with every array unpacked under the name of its first field."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -101,7 +101,7 @@ def as_version_3(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
 
 
 def cut_states(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
-    """Leave out the state of the first frame."""
+    """Drop the state of the first frame, so that shapes disagree."""
     as_version_3(arrays, record)
     arrays["solution.states"] = arrays["solution.states"][1:]
 
@@ -122,14 +122,14 @@ def test_damaged_bytes(saved: Path) -> None:
             Motion.load(saved.parent)
 
 
-def test_bomb(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_archive_bomb_is_refused(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("recon.base.documents.MAX_UNPACKED", 1 << 24)
     with zipfile.ZipFile(saved, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("bomb.npy", "w") as member:
         member.write(bytes(1 << 25))
     refuses(saved, ("content", "32 MB"))
 
 
-def test_header_that_lies(saved: Path) -> None:
+def test_false_header_is_refused(saved: Path) -> None:
     made = io.BytesIO()
     np.lib.format.write_array_header_1_0(made, {"descr": "<f8", "fortran_order": False, "shape": (1 << 40,)})
     with zipfile.ZipFile(saved, "a") as archive:
@@ -137,7 +137,7 @@ def test_header_that_lies(saved: Path) -> None:
     refuses(saved, ("content", ["float64", "(1099511627776,)"]))
 
 
-def test_pickles(saved: Path) -> None:
+def test_pickles_are_refused(saved: Path) -> None:
     def change(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
         arrays["solution.states"] = np.array([print], dtype=object)
 
@@ -174,7 +174,7 @@ def test_pickles(saved: Path) -> None:
         (lambda a, r: r["value"].update(sources=[]), ("content", "out of range")),
     ],
 )
-def test_other_content(saved: Path, change: Callable[..., Any], expected: tuple[object, ...]) -> None:
+def test_wrong_content_is_refused(saved: Path, change: Callable[..., Any], expected: tuple[object, ...]) -> None:
     rewritten(saved, change)
     refuses(saved, expected)
 
@@ -204,7 +204,7 @@ def test_files_name_classes_by_tags(fixture: str, request: pytest.FixtureRequest
     ],
 )
 def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
-    """Motions of schema version 2 are read, although they name classes by modules that no longer exist."""
+    """The files name classes by modules that no longer exist."""
     motion = Motion.load(FILES / "motions-version-2" / method)
     assert motion.solution.method == method
     assert motion.solution.size == pytest.approx(size, abs=1e-12)
@@ -214,7 +214,7 @@ def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: li
 
 
 def test_motions_of_schema_version_3(small_trajectory: Motion, tmp_path: Path) -> None:
-    """Motions of schema version 3, with every array unpacked, are read."""
+    """The files have every array unpacked."""
     path = small_trajectory.save(tmp_path)
     rewritten(path, as_version_3)
     with np.load(path) as arrays:
@@ -222,7 +222,7 @@ def test_motions_of_schema_version_3(small_trajectory: Motion, tmp_path: Path) -
     assert not differences(small_trajectory, Motion.load(tmp_path))
 
 
-def test_no_motion(tmp_path: Path, small_trajectory: Motion) -> None:
+def test_folder_without_a_motion_is_refused(tmp_path: Path, small_trajectory: Motion) -> None:
     with refusal(("none", "folder", "no such folder")):
         Motion.load(tmp_path / "none")
     with refusal((tmp_path, "folder", f"no {MOTION}", "recon fit")):
@@ -266,7 +266,7 @@ class _Tree:
     what: str | float | None
 
 
-def test_any_dataclass(tmp_path: Path) -> None:
+def test_dataclass_is_restored(tmp_path: Path) -> None:
     big = np.asfortranarray(np.arange(600, dtype=np.float32).reshape(20, 30))
     leaves = (
         _Leaf(big, slice(1, None), Path("a/b")),
@@ -292,9 +292,10 @@ class _Arrays:
 
 
 def test_arrays_are_stored_small(tmp_path: Path) -> None:
-    """Arrays are stored small and are restored bit for bit.
+    """Only a triangle of symmetric matrices is stored, equal arrays once, and values in single precision if no bit is
+    lost.
 
-    Symmetric matrices and equal arrays are stored once, and single precision is used if no bit is lost.
+    All arrays are restored bit for bit.
     """
     random = np.random.default_rng(0)
     doubles = random.normal(size=(50, 4))

@@ -1,4 +1,4 @@
-"""Test settings: what the command line and config.toml accept, and the messages about mistakes."""
+"""Test the settings that the command line and config.toml accept, and the messages about wrong settings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"
 
 
 def of_method(method: str) -> list[str]:
-    """Return the names of the settings that only this method reads."""
+    """Return the names of the settings that only the given method reads."""
     return [name for name, setting in SETTINGS.items() if setting.option.method == method]
 
 
@@ -41,7 +41,7 @@ def test_the_help_of_a_setting_is_about_that_setting():
 
 
 def refuses(given: dict, *expected: tuple[object, ...], config: Path | None = None) -> None:
-    """Check that a setting is refused for the expected problems, whose file is its option or the config."""
+    """Check that settings are refused for the expected problems, whose file is the option or the config."""
     with refusal(*((config or SETTINGS[str(one[0])].on_command_line, *one) for one in expected)):
         read_settings(config, given)
 
@@ -56,7 +56,7 @@ def saved(folder: Path, **given) -> Path:
     return write_config(folder, FitSettings(**{**GIVEN, **given}).to_toml())
 
 
-def test_what_is_not_given_has_its_default():
+def test_settings_not_given_have_their_defaults():
     settings = read_settings(None, {**GIVEN, "side": None, "likelihood_min": None})
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
@@ -65,7 +65,7 @@ def test_what_is_not_given_has_its_default():
     assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
 
 
-def test_default_skeleton_is_the_methods():
+def test_each_method_has_its_default_skeleton():
     assert FitSettings(**GIVEN, method="frame").skeleton_name == "cheetah-8u"
     assert FitSettings(**GIVEN, method="frame", skeleton="mine").skeleton_name == "mine"
 
@@ -119,7 +119,7 @@ def test_config_reads_back_as_it_was(tmp_path, given):
 
 
 def test_paths_in_a_config_are_relative_to_it(tmp_path, monkeypatch):
-    """Paths in a config are relative to its folder; names of built-in files stay."""
+    """Names of built-in files stay as they are."""
     (tmp_path / "cats").mkdir()
     config = write_config(
         tmp_path / "cats",
@@ -209,7 +209,7 @@ def test_field_of_view_lies_between_0_and_180(degrees, expected):
 
 
 @pytest.mark.parametrize("given", ["64+-6", "64 ± 6", "64.0+/-6"])
-def test_a_field_of_view_has_its_uncertainty_beside_it(given):
+def test_field_of_view_has_an_uncertainty(given):
     settings = FitSettings(keypoints=(Path("c.csv"),), fps=30.0, hfov_deg=given, image_size_px="1920x1080")
     assert settings.hfov_deg == 64.0
     focal = [1 / np.tan(np.radians(degrees) / 2) for degrees in (63.9, 64.1)]
@@ -217,7 +217,7 @@ def test_a_field_of_view_has_its_uncertainty_beside_it(given):
     refuses(ROUGH | {"hfov_deg": "264+-6"}, ("hfov_deg", "'264+-6'", "less than 180"))
 
 
-def test_how_well_a_focal_length_is_known_follows_how_the_camera_was_given(tmp_path):
+def test_uncertainty_of_the_focal_length_depends_on_the_camera(tmp_path):
     clip = {"keypoints": (Path("c.csv"),), "fps": 30.0}
     calibrated = FitSettings(**clip, camera=tmp_path / "camera.toml").trajectory_options()
     stated = FitSettings(**clip, hfov_deg=64.0, image_size_px="1920x1080").trajectory_options()
@@ -232,7 +232,7 @@ def test_every_wrong_setting_is_named_at_once():
     refuses(given, *missing, *((name, value if name == "fps" else repr(value)) for name, value in given.items()))
 
 
-def test_no_message_is_in_the_language_of_the_validator():
+def test_messages_do_not_repeat_pydantic():
     with pytest.raises(InputError) as caught:
         read_settings(None, dict.fromkeys(SETTINGS, object()))
     found = caught.value.problems
@@ -289,7 +289,7 @@ def test_config_and_report_hold_no_setting_of_the_other_method(method, other):
     assert set(settings.plain()) == set(SETTINGS) - set(of_method(other))
 
 
-def test_another_method_replaces_the_settings_of_the_one_in_the_config(tmp_path):
+def test_another_method_drops_the_settings_of_the_method_in_the_config(tmp_path):
     config = saved(tmp_path, fast=True, subject="jules", sigma_px=2.0)
     settings = read_settings(config, {"method": "frame"})
     assert settings == FitSettings(**GIVEN, method="frame", sigma_px=2.0)
@@ -310,7 +310,7 @@ def test_command_line_overrules_config(tmp_path):
     assert settings.camera == (Path("/data/camera.toml"),)
 
 
-def test_another_camera_replaces_the_one_of_the_config(tmp_path):
+def test_another_camera_replaces_the_camera_of_the_config(tmp_path):
     config = saved(tmp_path, camera_name="cam2", image_size_px=(1920, 1080), tilt_deg=5)
     other = read_settings(config, {"camera": Path("/other.json")})
     assert (other.camera, other.camera_name, other.image_size_px) == ((Path("/other.json"),), None, None)
@@ -365,7 +365,7 @@ def options_in_help(name: str) -> dict[str, str]:
     return {parameter.opts[0]: parameter.help for parameter in commands()[name].params}  # type: ignore[attr-defined]
 
 
-def test_help_of_fit_has_what_is_decided_for_every_clip():
+def test_help_of_fit_lists_the_common_settings():
     options = {f"--{name}" for name in ("out", "config", "overwrite", "set", "json", "quiet")}
     common = {"keypoints" if it.option.argument else it.on_command_line for it in SETTINGS.values() if it.option.common}
     assert {*options_in_help("fit")} == options | common
@@ -373,7 +373,7 @@ def test_help_of_fit_has_what_is_decided_for_every_clip():
     assert common - {"keypoints", "--corrections"} <= {*options_in_help("batch")}
 
 
-def test_the_help_of_an_option_is_the_settings():
+def test_help_of_an_option_is_the_help_of_its_setting():
     helps = {parameter.name: parameter.help for parameter in commands()["fit"].params}  # type: ignore[attr-defined]
     assert all(helps[name].startswith(it.option.help) for name, it in SETTINGS.items() if it.option.common)
     assert helps["camera_unit"].endswith("for Anipose. (default: m)")
@@ -387,7 +387,7 @@ def test_every_setting_is_listed():
 
 
 def test_settings_without_an_option_are_in_the_docs():
-    """Settings without an option are in the docs by name; `recon settings` prints help and defaults."""
+    """`recon settings` prints the help and default of every setting."""
     text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"`([a-z-]+)`", text.partition("## Settings without an option")[2]))
     for info in SETTINGS.values():
@@ -407,11 +407,11 @@ def test_settings_without_an_option_are_in_the_docs():
         (("--set", "sigmapx=2"), ("--set", "sigmapx", "unknown", "perhaps sigma_px")),
     ],
 )
-def test_settings_that_are_no_options(words, expected):
+def test_settings_without_an_option(words, expected):
     refused(["fit", "a.csv", "--camera", "c.toml", "--out", "x", *words], expected)
 
 
-def test_a_setting_that_is_no_option_is_checked():
+def test_setting_without_an_option_is_checked():
     problems = ("a.csv", "file", "no such file"), ("--set sigma-px", "sigma_px", "'0'", "greater than 0")
     height = "--height-m", "height_m", "'1e300'", "less than or equal to 10"  # larger heights overflow
     given = ["fit", "a.csv", "--camera", "c.toml", "--out", "x", "--set", "sigma-px=0", "--height-m", "1e300"]
@@ -427,13 +427,13 @@ def test_a_setting_of_several_values_is_set_several_times(tmp_path):
     )
 
 
-def test_every_command_says_what_it_does():
+def test_every_command_has_a_help():
     for name, command in commands().items():
         assert command.help, name
 
 
 def test_help_is_printed_whole():
-    """Help is printed whole, also text that looks like markup, such as recon[plots]."""
+    """Text that looks like markup, such as recon[plots], is printed as well."""
     for path, command in commands().items():
         texts = [command.help, *(parameter.help for parameter in command.params if hasattr(parameter, "help"))]
         for text in filter(None, texts):
@@ -462,7 +462,7 @@ def test_options_that_are_numbers(arguments):
 
 
 def test_each_camera_may_have_its_own_file(tmp_path):
-    """Each camera may have its own file; cameras without a unique name are named by their files."""
+    """Cameras without a unique name are named by their files."""
     given = (Path(__file__).parents[1] / "data" / "samples" / "camera.toml").read_text()
     for name in ("left", "right"):
         (tmp_path / f"{name}.toml").write_text(given)
@@ -516,7 +516,7 @@ def test_every_help_has_an_example_in_a_paragraph_of_its_own():
 
 @pytest.mark.parametrize("value", ["auto", True, False])
 def test_a_playback_is_written_for_short_clips_always_or_never(tmp_path, value):
-    """`playback` can be set by option, in config.toml and in Python: automatic, always or never."""
+    """`playback` is set by option, in config.toml and in Python."""
     text = str(value).lower()
     assert read_settings(None, {**GIVEN, "playback": text}) == FitSettings(**GIVEN, playback=value)
     assert read_settings(saved(tmp_path, playback=value), {}).playback is value

@@ -11,7 +11,7 @@ from command_line import run
 from recon.base.outputs import RECORD
 
 FOREIGN = 40
-"""Number of a user's files in the place where a command wants to write."""
+"""Minimum number of a user's files that `put_foreign` writes."""
 REFUSED = "did not write, or that was changed since"
 
 
@@ -25,7 +25,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def put_foreign(folder: Path, names: Iterable[str]) -> None:
-    """Write a user's files: 40 files with other content and similar names."""
+    """Write files of a user under the given names, and under similar names up to `FOREIGN` files."""
     names = [*names]
     names += [f"{number}_{names[0]}" for number in range(FOREIGN - len(names))]
     for name in names:
@@ -34,9 +34,9 @@ def put_foreign(folder: Path, names: Iterable[str]) -> None:
 
 
 def require_untouched(arguments: Sequence[object], folder: Path, names: Sequence[str]) -> None:
-    """Check that a command that writes these names refuses, and that all files stay, even if one name is taken.
+    """Check that a command that writes files of given names is refused, and that all files stay.
 
-    Without `--overwrite`, only the first of the names is tried alone.
+    A single existing file is enough. Without `--overwrite`, only the first of the names is tested alone.
     """
     put_foreign(folder, names)
     _require_refused(arguments, folder)

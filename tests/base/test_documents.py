@@ -1,4 +1,4 @@
-"""Test that JSON and TOML on which Python's parsers crash, and paths that are no regular files, are refused."""
+"""Test that JSON and TOML on which Python's parsers crash, and paths that are not regular files, are refused."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def test_byte_order_mark(tmp_path):
     assert read_toml(tmp_path / "a.toml") == read_json(tmp_path / "a.json", "a table") == {"a": 1}
 
 
-def test_no_file(tmp_path):
+def test_missing_file_is_refused(tmp_path):
     for name, said in (("none", "no such file"), (".", "a folder"), ("a\0b", "no such file|cannot be opened")):
         with pytest.raises(InputError, match=said):
             read_content(tmp_path / name, "a table")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
-def test_a_pipe_is_not_waited_for(tmp_path):
+def test_pipe_is_refused_without_waiting(tmp_path):
     path = tmp_path / "pipe.toml"
     os.mkfifo(path)
     for read in (

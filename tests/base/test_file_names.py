@@ -1,4 +1,4 @@
-"""Test file names that are not UTF-8, streams that are closed or ASCII, and folders without write permission."""
+"""Test file names that are not UTF-8, closed or ASCII streams, and folders without write permission."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ for command in " ".join(sys.argv[1:]).split(" then "):
     except SystemExit as ended:
         print("ended with", ended.code or 0, file=sys.stderr)
 """
-"""Code that runs several commands in one process, because a process takes long to start."""
+"""Python code that runs several commands in one process, because a process takes long to start."""
 
 
 def process(*args: object, shell: str = "") -> subprocess.CompletedProcess:
@@ -66,7 +66,7 @@ def test_a_name_is_written_and_read_again(tmp_path):
     assert existing_path(str(tmp_path / r"caf\xe9")) == str(tmp_path / r"caf\xe9")
 
 
-def test_a_name_of_bytes_and_of_texts_like_their_codes_is_read_again(tmp_path):
+def test_name_with_bytes_and_text_like_codes_is_found_again(tmp_path):
     path = tmp_path / (LATIN_1 + r"\xe9\xff")
     try:
         path.touch()
@@ -104,8 +104,8 @@ def test_a_batch_goes_on_with_a_name_that_is_not_utf_8(latin_1, tmp_path):
     assert {clip["action"] for clip in json.loads(again.out)["clips"]} == {"done"}
 
 
-def test_a_clip_s_folder_has_a_name_that_file_systems_take(tmp_path):
-    """A clip's folder has a name that file systems accept, even if names are long or have escaped bytes."""
+def test_folder_of_a_clip_has_a_valid_name(tmp_path):
+    """File systems accept the name, even if names of files are long or have escaped bytes."""
     names = [os.fsdecode(b"\xe9" * 240 + b"-%d.csv" % number) for number in range(2)] + ["ä" * 120 + ".csv"]
     try:
         for name in names:
@@ -118,8 +118,8 @@ def test_a_clip_s_folder_has_a_name_that_file_systems_take(tmp_path):
         (tmp_path / clip.name).mkdir()
 
 
-def test_a_video_with_such_a_name_is_refused(tmp_path):
-    """A video with a name that is not UTF-8 is refused, because OpenCV crashes on it."""
+def test_video_whose_name_is_not_utf_8_is_refused(tmp_path):
+    """OpenCV would crash on the name."""
     from recon.io.video import probe
 
     path = tmp_path / f"{LATIN_1}.mp4"
@@ -128,7 +128,7 @@ def test_a_video_with_such_a_name_is_refused(tmp_path):
         probe(path)
 
 
-def test_a_robot_with_such_a_name_is_refused(tmp_path):
+def test_robot_whose_name_is_not_utf_8_is_refused(tmp_path):
     pytest.importorskip("mujoco")
     from recon.robotics.models import read_model
 
@@ -147,7 +147,7 @@ def test_a_manifest_with_a_null_byte_is_refused(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 @pytest.mark.slow
 def test_standard_output_may_be_closed(tmp_path):
-    """Standard output may be closed; `test_interrupts.py` tests an output that cannot be written to."""
+    """`test_interrupts.py` tests an output that cannot be written to."""
     clip = tmp_path / "Läufer.csv"
     shutil.copy(SAMPLES / "whole.csv", clip)
     closed = process("convert", clip, tmp_path / "closed.csv", "--to", "long", "--quiet", shell=">&-")
@@ -156,7 +156,7 @@ def test_standard_output_may_be_closed(tmp_path):
     assert (header, len(rows)) == ("frame,bodypart,x,y,likelihood", 60 * 24)
 
 
-def test_standard_output_may_be_of_ascii(tmp_path):
+def test_standard_output_may_be_ascii(tmp_path):
     no = ("convert", tmp_path / "Löwe.csv", tmp_path / "no.csv")
     commands = [*map(str, ("skeleton", "list", "--json", "then", *no, "then", "fit", "--help"))]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}

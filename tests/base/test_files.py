@@ -21,7 +21,7 @@ from recon.base.outputs import RECORD, Output
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the text of every file by its path, except recon's record."""
+    """Return the text of every file in a folder except recon's record, by the file's path."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != RECORD)
     return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
@@ -42,7 +42,7 @@ def test_files_appear_together_when_the_block_ends(tmp_path):
     assert sorted(path.name for path in out.iterdir()) == ["one.csv", "two.csv"]
 
 
-def test_namesakes_are_replaced_and_others_stay(tmp_path):
+def test_files_of_the_same_name_are_replaced_and_others_stay(tmp_path):
     (tmp_path / "one.csv").write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "videos").mkdir()
@@ -59,7 +59,7 @@ def test_exception_leaves_nothing_behind(tmp_path, exception):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_exception_leaves_what_was_there(tmp_path):
+def test_exception_leaves_earlier_files(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "one.csv").write_text("old")
@@ -69,7 +69,7 @@ def test_exception_leaves_what_was_there(tmp_path):
     assert (out / "one.csv").read_text() == "old"
 
 
-def test_empty_folder_that_was_there_before_stays_after_an_exception(tmp_path):
+def test_earlier_empty_folder_stays_after_an_exception(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     with pytest.raises(RuntimeError):
@@ -116,7 +116,7 @@ def test_kill_leaves_only_a_hidden_folder_which_the_next_run_removes(tmp_path):
 # Writing several files at once
 
 
-def test_two_at_a_time_leave_each_other_alone(tmp_path):
+def test_two_writers_do_not_disturb_each_other(tmp_path):
     with staged_folder(tmp_path) as first:
         (first / "one.csv").write_text("1")
         with staged_folder(tmp_path) as second:
@@ -139,7 +139,7 @@ with staged_file(sys.argv[1]) as path:
 
 
 def test_processes_do_not_remove_each_others_work(tmp_path):
-    """Processes that overlap in time do not remove each other's work."""
+    """The processes overlap in time."""
     paths = [tmp_path / f"{k}.csv" for k in range(3)]
     processes = []
     for path in paths:
@@ -154,7 +154,7 @@ def test_processes_do_not_remove_each_others_work(tmp_path):
     assert contents(tmp_path) == {f"{k}.csv": "done" for k in range(3)}
 
 
-def test_only_one_writes_results_at_a_time(tmp_path):
+def test_only_one_process_writes_results(tmp_path):
     out = tmp_path / "out"
     with sole_writer(out):
         with refusal((out, "folder", f"another process ({os.getpid()})")), sole_writer(out):
@@ -164,7 +164,7 @@ def test_only_one_writes_results_at_a_time(tmp_path):
     with sole_writer(out):
         (out / "one.csv").write_text("1")
     assert contents(tmp_path) == {"out/one.csv": "1"}
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]  # nothing was written to the other one
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]  # nothing was written to the second folder
 
 
 def test_the_folder_of_a_writer_that_died_is_free(tmp_path):
@@ -224,7 +224,7 @@ def test_results_come_with_a_manifest_and_replace_earlier_ones(tmp_path):
     assert {*contents(tmp_path)} == {"a.csv", "c.csv", "manifest.json", "notes.txt"}
 
 
-def test_a_folder_in_the_place_of_a_file_is_seen_before_anything_is_replaced(tmp_path):
+def test_folder_with_the_name_of_a_file_is_refused_before_any_change(tmp_path):
     write_results(tmp_path, a="1", c="1")
     before = contents(tmp_path)
     (tmp_path / "b.csv").mkdir()
@@ -245,7 +245,7 @@ def write_two(out: Path) -> None:
 
 
 def steps_of_replacing(out: Path, monkeypatch: pytest.MonkeyPatch, at_step) -> None:
-    """Replace results, and call at_step(number) before every move of a file."""
+    """Replace results in `out`, and call `at_step(number)` before every move of a file."""
     write_results(out, a="1", b="1")
     count = itertools.count()
 
@@ -263,7 +263,7 @@ def steps_of_replacing(out: Path, monkeypatch: pytest.MonkeyPatch, at_step) -> N
 
 
 @pytest.mark.parametrize("exception", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_what_fails_on_the_way_leaves_the_earlier_results(tmp_path, monkeypatch, exception):
+def test_failure_while_replacing_leaves_earlier_results(tmp_path, monkeypatch, exception):
     failing = 0
 
     def fail(number):
@@ -281,13 +281,13 @@ def test_what_fails_on_the_way_leaves_the_earlier_results(tmp_path, monkeypatch,
         is_new = failing not in raised or failing == 8
         assert texts == ({"a.csv": "2", "b.csv": "2", "c.csv": "2"} if is_new else {"a.csv": "1", "b.csv": "1"})
         assert read_manifest(out).changed() == []
-    # Moves: the record, three old files, four new files, the record. It is no error if the disk has no links, or if it
-    # is full after all files have arrived.
+    # The moves are the record, three old files, four new files, the record. It is no error if the disk has no links, or
+    # if it is full after all files have arrived.
     assert raised == ([0, 1, 2, 3] if isinstance(exception, OSError) else [*range(9)])
 
 
-def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, monkeypatch):
-    """A kill before any move leaves nothing that could be taken for complete results."""
+def test_kill_while_replacing_leaves_no_apparent_results(tmp_path, monkeypatch):
+    """The process is killed before each of the moves in turn."""
     out, taken = tmp_path / "out", []
 
     def look(number):
@@ -307,8 +307,8 @@ def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, mo
 
 
 @pytest.mark.parametrize("stage", [staged_file, lambda path: staged_folder(path.parent)], ids=["file", "folder"])
-def test_an_error_names_what_was_to_be_written(tmp_path, stage):
-    """An error names the file or the folder that was to be written, not a hidden folder that no longer exists."""
+def test_error_names_the_file_to_be_written(tmp_path, stage):
+    """The message does not name the hidden staging folder, which no longer exists."""
     for error in (OSError(28, "No space left on device"), FileNotFoundError(2, "no such file", "elsewhere")):
         with pytest.raises(OSError, match=error.strerror) as caught, stage(tmp_path / "a.csv"):
             raise error

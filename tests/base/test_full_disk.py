@@ -1,7 +1,7 @@
 """Test that a full disk ends in one line that names the file, and leaves no partial files, with any library.
 
-`tests/fuzz/full_disk.py` tests every command. Here no file may grow beyond a size, which a system reports in another
-way.
+`tests/fuzz/full_disk.py` tests every command on a full disk. Here the size of files is limited, which the system
+reports with another error.
 """
 
 from __future__ import annotations
@@ -94,9 +94,9 @@ def test_results(limit: int, small_trajectory: Motion, tmp_path: Path) -> None:
 @pytest.mark.parametrize("lacking", [50_000, 300, 1])
 @pytest.mark.parametrize("suffix", ["mp4", "avi"])
 def test_a_video(suffix: str, lacking: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """A full disk while a video is written is reported.
+    """A full disk is reported, although OpenCV continues to write and prints its own message.
 
-    OpenCV continues to write and prints its own message. All frames of an AVI without its end can be decoded.
+    All frames of an AVI without its end can be decoded.
     """
     film(tmp_path / f"a.{suffix}")
     size = (tmp_path / f"a.{suffix}").stat().st_size
@@ -108,7 +108,7 @@ def test_a_video(suffix: str, lacking: int, tmp_path: Path, capfd: pytest.Captur
     assert capfd.readouterr().err == ""
 
 
-def test_a_command_says_one_line(tmp_path: Path) -> None:
+def test_command_prints_one_line(tmp_path: Path) -> None:
     source, out = tmp_path / "source.npz", tmp_path / "clip.trc"
     put(next(f for f in FORMATS if f.name == "npz"), "3D", source)
     with files_up_to(1000):

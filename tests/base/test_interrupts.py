@@ -16,7 +16,7 @@ from recon.base.interrupts import MESSAGE
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 FIT = ("fit", "clip.csv", "--camera", "camera.toml", "--fps", "60", "--out", "results")
 
-# A stand-in for the pipeline that waits at a known line. tests/fuzz/ctrl_c.py interrupts real fits.
+# This script stands in for a command, and waits at a known line. tests/fuzz/ctrl_c.py interrupts real fits.
 START = """
 import atexit, hashlib, os, signal, sys, time, types
 from recon.base import interrupts
@@ -101,7 +101,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     ],
 )
 def test_the_command_cleans_up(moment):
-    """The command cleans up, even if a library turns the interrupt into another exception, or drops it."""
+    """A library may turn the interrupt into another exception, or drop it."""
     assert recon_in(f"def work():\n    {WORK[moment]}") == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
 
 
@@ -109,8 +109,8 @@ def test_the_command_cleans_up(moment):
 @pytest.mark.parametrize(
     "module", ["typer", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rich.markup", "recon.cli.app"))]
 )
-def test_within_an_import(module):
-    """An interrupt during an import prints no exceptions of libraries."""
+def test_interrupt_during_an_import(module):
+    """No exception of a library is printed."""
     code = f"""
 class Finder:
     @staticmethod
@@ -123,7 +123,7 @@ sys.meta_path.insert(0, Finder)
 
 
 @posix
-def test_a_library_that_does_not_come_back():
+def test_library_that_does_not_return():
     code = f"""
 interrupts.STUCK_S = 0.1
 import threading
@@ -142,7 +142,7 @@ def work():
         f"interrupts.CLEAN_UP_S = 0.1; {IN_A_LIBRARY}",
     ],
 )
-def test_cleaning_up_takes_no_longer_than_the_user_waits(again):
+def test_second_interrupt_ends_the_clean_up(again):
     code = f"""
 def work():
     try:
@@ -154,8 +154,8 @@ def work():
 
 
 @posix
-def test_after_the_command():
-    """After the command, the line appears once, and functions registered for the exit are not awaited."""
+def test_interrupt_after_the_command():
+    """The line appears once, and the process does not wait for functions registered for the exit."""
     code = """
 def work():
     atexit.register(lambda: (ctrl_c(), time.sleep(60)))
@@ -168,8 +168,8 @@ def work():
 
 
 @posix
-def test_while_python_ends():
-    """While Python ends, nothing is left to stop, so the exit code is that of the command."""
+def test_interrupt_while_python_ends():
+    """Nothing is left to stop, so the exit code is the command's own."""
     code = """
 class Last:
     def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):
@@ -182,14 +182,14 @@ def work():
 
 
 @posix
-def test_a_request_to_end_is_answered_as_ctrl_c_is():
+def test_sigterm_ends_like_ctrl_c():
     code = "def work():\n    os.kill(os.getpid(), signal.SIGTERM); time.sleep(60)"
     assert recon_in(code) == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
     assert recon_in(f"{code}\nsignal.signal(signal.SIGINT, signal.SIG_IGN)").out == "cleaned up\n"
 
 
 @posix
-def test_where_it_is_ignored_it_stays_so():
+def test_ignored_interrupt_stays_ignored():
     code = "def work():\n    ctrl_c(); print('done'); sys.exit(3)\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
     assert recon_in(code) == Ended(3, "done\ncleaned up\n", "")
 
@@ -203,7 +203,7 @@ def test_where_it_is_ignored_it_stays_so():
     ],
 )
 def test_the_process_ends_with_its_own_code(end, code, said):
-    """The process ends with its own exit code, after functions registered for the exit have run and printed."""
+    """Functions registered for the exit run and print before the process ends."""
     ended = recon_in(f"def work():\n    atexit.register(print, 'at the exit'); {end}")
     assert (ended.code, ended.out) == (code, "cleaned up\nat the exit\n")
     assert ended.err.endswith(said)
@@ -215,7 +215,7 @@ def test_the_process_ends_with_its_own_code(end, code, said):
     ("where", "code", "said"),
     [("/dev/full", 2, "No space left on device"), pytest.param("|", 1, "", marks=pytest.mark.slow)],
 )
-def test_output_that_goes_nowhere(where, code, said):
+def test_output_to_a_full_disk_or_a_closed_pipe(where, code, said):
     """A full disk is reported; a reader that closed the pipe is not an error."""
     if where == "|":
         reader, writer = os.pipe()
@@ -233,8 +233,8 @@ def test_output_that_goes_nowhere(where, code, said):
 @pytest.mark.parametrize(
     "after_s", [0.5, *(pytest.param(after_s, marks=pytest.mark.slow) for after_s in (0.0, 0.2, 0.8))]
 )
-def test_from_outside(after_s, tmp_path):
-    """An interrupt from outside works while modules are imported and while the clip is fitted and written."""
+def test_interrupt_from_outside(after_s, tmp_path):
+    """The signal arrives while modules are imported, or while the clip is fitted and written."""
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     fit = ["fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     ended = interrupted([*map(str, fit)], after_s, tmp_path)
@@ -243,7 +243,7 @@ def test_from_outside(after_s, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="others do not limit what a process may have")
-def test_too_little_memory_is_said_before_a_library_waits_for_it():
+def test_too_little_memory_is_reported_before_libraries_are_loaded():
     ended = subprocess.run(
         ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m recon doctor"],
         capture_output=True,

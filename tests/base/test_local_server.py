@@ -53,7 +53,7 @@ def test_another_host_or_page_is_refused(server: LocalServer):
 
 
 @pytest.mark.parametrize(("body", "status"), [("{", 400), ("[" * 100_000, 400), ("", 400)])
-def test_data_that_are_no_json_are_refused(server: LocalServer, body: str, status: int):
+def test_data_that_is_not_json_is_refused(server: LocalServer, body: str, status: int):
     origin = f"http://localhost:{server.server_port}"
     assert ask(server, f"/{server.token}/save", "POST", body, Origin=origin)[0].status == status
 

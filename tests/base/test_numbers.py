@@ -11,7 +11,7 @@ import recon
 from recon.base.numbers import quantity, rough_length
 
 BY_HAND = re.compile(r"\{[^{}]*:\.\df\} ?(?:m/s|mm|px|m|s|Hz|°)(?![\w/²])")
-"""Pattern of a number in an f-string that is followed by a unit."""
+"""Pattern of an f-string in which a formatted number is followed by a unit."""
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ QUICK = ("--fps", 60, "--frames", "0:8", "--set", "fast=true")
 
 
 def written(out: Path, kind: str = "fit", overwrite: bool = True, **files: str) -> None:
-    """Write texts into a folder as a command of that kind does."""
+    """Write texts into the folder `out` as the command `kind` does."""
     with Output(out, kind, overwrite, has_manifest=True).staged() as folder:
         for name, text in files.items():
             (folder / f"{name}.csv").write_text(text)
@@ -72,7 +72,7 @@ def test_another_command_s_files_are_not_replaced(tmp_path):
     assert (tmp_path / "a.csv").read_text() == "1"
 
 
-def test_nothing_is_replaced_unless_it_may_be(tmp_path):
+def test_nothing_is_replaced_without_overwrite(tmp_path):
     written(tmp_path, a="1")
     with refusal(("--out", "folder", f"a.csv and 1 more in {tmp_path}", "a folder without results, or --overwrite")):
         written(tmp_path, overwrite=False, a="2")
@@ -110,8 +110,8 @@ def test_an_input_is_never_replaced_nor_removed(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
-def test_what_a_killed_run_leaves_is_known_again(tmp_path, step):
-    """The next run recognises the files of a run that was killed at any step of putting files in place."""
+def test_files_of_a_killed_run_are_recognised(tmp_path, step):
+    """The run is killed at each step of moving files in turn, and the next run replaces its files."""
     for kill_at in range(1, 60, step):
         out = tmp_path / str(kill_at)
         written(out, a="1", b="1")
@@ -132,7 +132,7 @@ def test_what_a_killed_run_leaves_is_known_again(tmp_path, step):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 def test_two_writers_leave_the_files_of_one(tmp_path):
-    """Two simultaneous writers leave the files of one of them; the other is refused."""
+    """The second of two simultaneous writers is refused."""
     children = []
     for text in ("1", "2"):
         child = os.fork()
@@ -150,7 +150,7 @@ def test_two_writers_leave_the_files_of_one(tmp_path):
 
 
 def _killed(function: Callable[..., object], count: list[int], last: int) -> Callable[..., object]:
-    """Return a function that kills its process just before the call with that number."""
+    """Return a function that counts its calls, and kills its process just before call number `last`."""
 
     def step(*args: Any, **more: Any) -> object:
         count[0] += 1
@@ -162,7 +162,7 @@ def _killed(function: Callable[..., object], count: list[int], last: int) -> Cal
 
 
 def test_results_of_version_0_2_are_known_by_their_manifest(tmp_path):
-    """Results of version 0.2 are recognised by their manifest, which has no kind and is the only record."""
+    """The manifest of version 0.2 does not state its command, and is the only record."""
     written(tmp_path, motion="1", old="1")
     (tmp_path / RECORD).unlink()
     manifest = json.loads((tmp_path / MANIFEST).read_text())
@@ -178,7 +178,7 @@ def test_results_of_version_0_2_are_known_by_their_manifest(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["../thesis.tex", "/etc/thesis.tex", "..", "sub/thesis.tex", ""])
-def test_a_manifest_that_names_files_elsewhere_is_none(tmp_path, name):
+def test_manifest_that_names_files_elsewhere_is_refused(tmp_path, name):
     (tmp_path / "thesis.tex").write_text("mine")
     out = tmp_path / "out"
     written(out, a="1")
@@ -198,7 +198,7 @@ def test_a_manifest_that_names_files_elsewhere_is_none(tmp_path, name):
     assert (out / "a.csv").read_text() == "1"
 
 
-def test_a_record_that_is_none_is_left_alone(tmp_path):
+def test_file_that_is_not_a_record_is_left_alone(tmp_path):
     for text in (
         "mine",
         "[]",
@@ -213,7 +213,7 @@ def test_a_record_that_is_none_is_left_alone(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
 @pytest.mark.parametrize("name", [RECORD, MANIFEST, "a.csv"])
-def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
+def test_pipe_in_place_of_a_file_does_not_block(tmp_path, name):
     written(tmp_path, a="1", b="1")
     (tmp_path / name).unlink()
     os.mkfifo(tmp_path / name)
@@ -251,7 +251,7 @@ def test_a_file_that_appears_or_changes_meanwhile_stays(tmp_path):
 # A single output file
 
 
-def test_one_named_file_is_replaced_if_it_is_own(tmp_path):
+def test_named_file_is_replaced_if_it_is_own(tmp_path):
     path = tmp_path / "camera.toml"
     for text in ("1", "2"):
         with output_file(path, "calibrate", overwrite=True).staged_file() as staged:
@@ -267,7 +267,7 @@ def test_one_named_file_is_replaced_if_it_is_own(tmp_path):
             output_file(path, "calibrate", overwrite).require((path.name,))
 
 
-def test_the_record_forgets_files_that_are_no_more(tmp_path):
+def test_record_drops_files_that_no_longer_exist(tmp_path):
     for name in ("a.trc", "b.trc"):
         with output_file(tmp_path / name, "convert", overwrite=False).staged_file() as staged:
             staged.write_text("1")
@@ -277,7 +277,7 @@ def test_the_record_forgets_files_that_are_no_more(tmp_path):
     assert {*read_record(tmp_path)} == {"b.trc", "c.trc"}
 
 
-def test_files_beside_the_named_one_have_to_be_own(tmp_path):
+def test_files_next_to_the_named_file_are_replaced_only_if_own(tmp_path):
     output = output_file(tmp_path / "camera.toml", "calibrate", overwrite=True)
     picture = tmp_path / "camera_coverage.png"
     for text in ("1", "2"):
@@ -304,7 +304,7 @@ def test_no_file_of_the_results_that_are_read_is_replaced(tmp_path):
     assert (tmp_path / "new.csv").read_text() == "2"
 
 
-def test_inputs_are_the_paths_among_the_settings_that_are_there(tmp_path):
+def test_inputs_are_the_existing_paths_of_the_settings(tmp_path):
     class Given(Settings):
         source: Path
         names: str = "whole"
@@ -323,7 +323,7 @@ def test_inputs_are_the_paths_among_the_settings_that_are_there(tmp_path):
 # Outputs made from results
 
 
-def test_what_was_made_from_results_goes_with_them(tmp_path):
+def test_files_made_from_results_are_removed_with_them(tmp_path):
     out = tmp_path / "clip"
 
     def analysed(folder: Path, name: str, exact: bool = False) -> None:
@@ -347,7 +347,7 @@ def test_what_was_made_from_results_goes_with_them(tmp_path):
     assert not is_current(tmp_path / "elsewhere" / "speeds.csv", out)
 
 
-def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
+def test_nothing_is_written_from_results_replaced_meanwhile(tmp_path):
     out = tmp_path / "clip"
     written(out, a="1")
     for folder in (out, tmp_path / "analysis"):
@@ -365,7 +365,7 @@ def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
 @pytest.mark.parametrize("kind", ["symlink", "hard link", "file", "folder", "fifo"])
-def test_a_lock_that_is_something_else_is_left_alone(tmp_path, kind):
+def test_file_that_is_not_a_lock_is_left_alone(tmp_path, kind):
     precious, lock = tmp_path / "precious.csv", tmp_path / "out" / ".recon-writing"
     precious.write_text("1234\n" * 100)
     lock.parent.mkdir()
@@ -412,9 +412,9 @@ Arguments = Sequence[object]
 
 
 def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
-    """Return the arguments of each command and the name of a file that it writes.
+    """Return the arguments of each command, and the name of a file that it writes.
 
-    clip, frame: results of fits.
+    `clip` and `frame` are folders of results of fits.
     """
     return {
         "fit": (("fit", SAMPLES / "whole.csv", *CAMERA, *QUICK), "motion.npz"),
@@ -439,10 +439,10 @@ def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
     ],
 )
 @pytest.mark.usefixtures("no_playback", "undrawn", "in_process", "remembered_analyses")
-def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_results, tmp_path, name):
-    """No command touches a user's files that have the names which it writes.
+def test_no_command_touches_users_files_with_names_that_it_writes(whole_results, frame_results, tmp_path, name):
+    """A first run, or the fixtures of fits, shows the names that a command writes.
 
-    A first run, or the fixtures of fits, gives the names; 40 of them are a user's files at the second run.
+    Before the second run, files of a user have these names.
     """
     arguments, sure = commands(whole_results, frame_results)[name]
     first = {"fit": whole_results, "frame": frame_results}.get(name, tmp_path / "first")
@@ -467,7 +467,7 @@ def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_r
     assert (mine / sure).read_text() == "mine"
 
 
-def test_a_batch_leaves_what_lies_where_a_clip_would_be(tmp_path):
+def test_batch_leaves_a_users_files_in_the_folder_of_a_clip(tmp_path):
     put_foreign(tmp_path / "whole", ["motion.npz", "pose3d.csv", "report.json", "report.html", "manifest.json"])
     before = contents(tmp_path)
     arguments = ("batch", SAMPLES / "whole.csv", *CAMERA, *QUICK, "--out", tmp_path, "--jobs", 1)
@@ -478,9 +478,9 @@ def test_a_batch_leaves_what_lies_where_a_clip_would_be(tmp_path):
 
 
 def files_and_commands(clip: Path, inputs: Path, mine: Path) -> dict[str, tuple[Arguments, Sequence[str]]]:
-    """Return the arguments and the names for each command that writes files of given names.
+    """Return the arguments of each command that writes files of given names, and these names.
 
-    clip: results of a fit. inputs: a folder with other inputs. mine: the folder to write to.
+    `clip` has the results of a fit, `inputs` is a folder with other inputs, and `mine` is the folder to write to.
     """
     film, folder = inputs / "film.avi", ("--out", mine)
     two = (SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv", "--camera", SAMPLES / "whole_scene.json")
@@ -532,7 +532,7 @@ def files_and_commands(clip: Path, inputs: Path, mine: Path) -> dict[str, tuple[
 
 @pytest.fixture(scope="module")
 def other_inputs(tmp_path_factory):
-    """Write a film of black pictures, which also shows no board, and the folder of a network."""
+    """Return a folder with a film of black pictures, which shows no board, and with the folder of a network."""
     folder = tmp_path_factory.mktemp("inputs")
     with video_writer(folder / "film.avi", (1920, 1080), 60.0) as write:
         write(np.zeros((1080, 1920, 3), np.uint8))
@@ -543,14 +543,14 @@ def other_inputs(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", files_and_commands(Path(), Path(), Path()))
-def test_no_command_touches_files_of_the_names_that_it_is_given(whole_results, other_inputs, tmp_path, name):
-    """No command replaces files of the names that it is given: it is refused before any work, also for a single one."""
+def test_no_command_replaces_a_users_file_that_it_is_given(whole_results, other_inputs, tmp_path, name):
+    """The command is refused before any work, also for a single file."""
     arguments, names = files_and_commands(whole_results, other_inputs, tmp_path / "mine")[name]
     require_untouched(arguments, tmp_path / "mine", names)
 
 
-def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
-    """No page replaces a user's file, although `recon report` renews its own page without --overwrite."""
+def test_no_page_replaces_a_users_file(whole_results, tmp_path, monkeypatch):
+    """`recon report` renews its own page without --overwrite."""
     monkeypatch.setattr("recon.cli.look.run_tasks", run_tasks_here)
     clip = copy_results(whole_results, tmp_path / "all" / "clip")
     put_foreign(clip, [PAGE, "summary.html"])
@@ -572,7 +572,7 @@ def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
     ],
 )
 @pytest.mark.usefixtures("no_playback", "undrawn")
-def test_a_command_replaces_its_own(whole_results, frame_results, tmp_path, name):
+def test_command_replaces_its_own_files(whole_results, frame_results, tmp_path, name):
     arguments, sure = commands(whole_results, frame_results)[name]
     for more in ((), ("--overwrite",)):
         assert run(*arguments, "--out", tmp_path / "out", *more).code in (0, 1)

@@ -1,4 +1,4 @@
-"""Test tasks in processes of their own: their arguments, and the outcome if a process dies.
+"""Test tasks that run in other processes, and their outcome if a process dies.
 
 This file imports little, because each process that it starts imports it.
 """
@@ -22,7 +22,7 @@ from recon.base.progress import Progress
 
 
 def work(task: str, progress: Progress) -> dict[str, Any]:
-    """Do the work of the tests below in another process."""
+    """Do a task of these tests in another process: sleep, crash, raise, or describe the process."""
     if task == "environment":
         threads, new_objects = os.environ["OMP_NUM_THREADS"], gc.get_threshold()[0]
         return {"pid": os.getpid(), "threads": threads, "numpy": "numpy" in sys.modules, "new_objects": new_objects}
@@ -42,7 +42,7 @@ def work(task: str, progress: Progress) -> dict[str, Any]:
 
 
 def ended(*tasks: str, **more: Any) -> dict[str, Any]:
-    """Return the outcomes by task; a task is its own name up to a colon."""
+    """Return the outcomes of tasks by name, which is the task's text up to a colon."""
     outcomes: dict[str, Any] = {}
 
     def tell(event: Event) -> None:
@@ -57,7 +57,7 @@ def test_processes_have_one_thread_and_are_replaced(monkeypatch):
     monkeypatch.setattr(parallel, "TASKS_PER_PROCESS", 2)
     held, stop = [], parallel._Process.stop
     monkeypatch.setattr(parallel._Process, "stop", lambda self: (held.append(self.pid), stop(self)))
-    for library in ("OMP", "OPENBLAS"):  # the tests set these variables, too
+    for library in ("OMP", "OPENBLAS"):  # conftest.py also sets these variables
         monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
     first, second, third = ended("environment:1", "environment:2", "environment:3", jobs=1).values()
     assert first["pid"] == second["pid"] != third["pid"] != os.getpid()
@@ -96,7 +96,7 @@ def test_an_interrupt_stops_the_processes():
 
 
 def test_a_script_needs_no_main(tmp_path):
-    """A script needs no `if __name__` guard, because its code does not run again in the processes."""
+    """A script without an `if __name__` guard does not run again in the processes."""
     script = tmp_path / "script.py"
     script.write_text(
         "from recon.base.parallel import run_tasks\nfrom recon.base.progress import silent\n"

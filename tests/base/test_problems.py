@@ -1,4 +1,4 @@
-"""Test the line that describes a problem of an input, and how tests compare problems."""
+"""Test the line that describes a problem with an input, and how tests compare problems."""
 
 import pickle
 
@@ -29,13 +29,13 @@ def test_an_error_passes_between_processes():
     assert pickle.loads(pickle.dumps(error)).problems == error.problems
 
 
-def test_what_follows_a_problem():
+def test_details_follow_a_problem():
     error = InputError([Problem("a.csv", "names", "x", "y", ("file,skeleton", "x,\x07")), Problem("b", "c", "d", "e")])
     lines = "a.csv: names: found x, expected y\nfile,skeleton\nx,\\x07\nb: c: found d, expected e"
     assert str(error) == lines
 
 
-def test_the_same_problem_of_several_files_is_said_once():
+def test_problem_of_several_files_is_reported_once():
     of_cameras = [Problem(f"cam{n}.csv", "names", "x", "y", ("file,skeleton", "x,")) for n in (1, 2)]
     error = InputError([*of_cameras, Problem("cam1.csv", "names", "x", "z"), of_cameras[0]])
     assert str(error).splitlines() == [
@@ -58,7 +58,7 @@ def test_the_same_problem_of_several_files_is_said_once():
         [],
     ],
 )
-def test_another_refusal_is_none_that_is_expected(other):
+def test_other_problems_do_not_match_the_expected_ones(other):
     problem = Problem("x/a.csv", "line 9", "3 cells, 0.4 wide", "8")
     for file in ("a.csv", "x/a.csv"):
         with refusal((file, "line 9", ["3 cells", 0.4], 8)):

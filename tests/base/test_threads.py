@@ -13,7 +13,7 @@ def threads() -> list[int]:
     return [library["num_threads"] for library in ThreadpoolController().select(user_api="blas").info()]
 
 
-def test_the_libraries_use_one_thread_within_the_context_and_as_many_as_before_after_it():
+def test_libraries_use_one_thread_only_within_the_context():
     for _ in range(2):
         with threadpool_limits(2, user_api="blas"):
             before = threads()

@@ -1,4 +1,4 @@
-"""Test numbers in sentences."""
+"""Test numbers with units and intervals in sentences."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_number_has_the_digits_that_its_uncertainty_supports(value, sigma, tex
     assert plus_minus(value, sigma, "m/s") == text
 
 
-def test_intervals_have_their_unit_once_and_an_unknown_end_is_said_in_words():
+def test_intervals_have_their_unit_once():
     assert interval(72.4, 48.2, 105.9, "mm") == "72 mm (48 to 106)"
     assert interval(16.21, 14.2, 18.1, "m/s", level="90 %") == "16.2 m/s (90 %: 14.2 to 18.1)"
     assert interval(3.0, -1.0, 7.0, "m/s", least=0.0) == "3 m/s (at most 7)"

@@ -1,4 +1,4 @@
-"""Test keypoints and their cleaning."""
+"""Test keypoints, ranges of frames, and the cleaning of keypoints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def keypoints(xy, confidence, frames=None, **more) -> Keypoints:
 
 
 def one_point(*rows, frames=None, **more) -> Keypoints:
-    """Return one keypoint from rows of (x, y, likelihood)."""
+    """Return a clip of one keypoint from rows of (x, y, likelihood), one for each frame."""
     return keypoints([[row[:2]] for row in rows], [[row[2]] for row in rows], frames, **more)
 
 
@@ -56,7 +56,7 @@ def test_frame_range(text, expected):
 
 
 @pytest.mark.parametrize("text", ["", "3", "3-8", "a:b", "8:3", "3:3", "-3:8", "1:2:3", "1.5:3", "٣:8"])
-def test_frame_range_that_is_none(text):
+def test_invalid_frame_range_is_refused(text):
     with refusal(("--frames", "range", f"'{text}'", "A < B")):
         parse_frame_range(text)
 
@@ -73,7 +73,7 @@ def test_frame_range_is_half_open_and_in_original_numbers():
     assert clean(clip, 0.5, (0, 101))[0].frames.tolist() == [100]
 
 
-def test_frame_range_without_a_frame_says_which_there_are():
+def test_empty_frame_range_names_the_existing_frames():
     clip = one_point((1, 1, 1), (1, 1, 1), frames=[152, 193], source="clip.csv")
     with refusal(("clip.csv", "frames", "0:42", "152 to 193")):
         clean(clip, 0.5, (0, 42))
@@ -139,16 +139,16 @@ def test_gaps_become_missing_rows():
     (counts,) = report.keypoints.values()
     assert (counts["frames"], counts["used"], counts["missing"], counts["missing_absent_frame"]) == (9, 4, 5, 5)
     assert (cleaned.fps, cleaned.individual) == (90.0, "m")
-    # Only gaps inside the clip: nothing is known outside it.
+    # Frames outside the clip are not inserted, because nothing is known there.
     assert clean(clip, 0.5, (0, 4))[0].frames.tolist() == [1, 2]
 
 
-def test_absurd_gap_asks_for_a_range():
+def test_very_long_gap_asks_for_a_frame_range():
     clip = one_point((1, 1, 1), (2, 2, 1), frames=[0, 10**12])
     with refusal(("keypoints", "frames", 10**12, "--frames A:B")):
         clean(clip, 0.5)
     assert clean(clip, 0.5, (0, 5))[0].frames.tolist() == [0]
-    # The limit itself: 10 x 2 + 10,000 inserted rows.
+    # The largest gap that is filled has 10 x 2 + 10,000 frames.
     assert len(fill_gaps(one_point((1, 1, 1), (2, 2, 1), frames=[0, 10_021]))[0].frames) == 10_022
     with refusal(("keypoints", "frames", 10021, "--frames A:B")):
         fill_gaps(one_point((1, 1, 1), (2, 2, 1), frames=[0, 10_022]))

@@ -1,4 +1,4 @@
-"""Test several cameras and moving cameras: the projections of a view, and motions solved from views."""
+"""Test projections of views, and motions solved from several or moving cameras."""
 
 from __future__ import annotations
 
@@ -35,10 +35,7 @@ def test_poses_of_cameras_keep_the_files_world_where_z_points_up():
 
 
 def test_without_a_known_upward_direction_the_world_is_level_under_the_first_camera():
-    """If the up direction is not known, the world is level at the first camera.
-
-    Its centre is the origin, z is up, and the other cameras keep their poses relative to it.
-    """
+    """The origin is the first camera's centre, z is up, and other cameras keep their poses relative to the first."""
     first = replace(CAMERA, rotation=np.eye(3), translation_m=np.array([0.0, 0.0, 5.0]), world_z_up=False)
     second = replace(first, translation_m=np.array([2.0, 0.0, 5.0]))
     a, b = camera_poses([first, second])
@@ -70,11 +67,10 @@ def test_rays_of_a_moving_view_meet_the_points():
     np.testing.assert_allclose(view.rays(), off / np.linalg.norm(off, axis=-1, keepdims=True), atol=1e-9)
 
 
-def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
-    """The noise of keypoints in pixels is a length in metres times the magnification of the lens.
+def test_keypoint_noise_scales_with_the_magnification():
+    """The magnification is the root mean square shift, px/m, of the animal's middle over all directions.
 
-    The magnification is the root mean square of the shift in pixels per millimetre of the animal's middle, over all
-    directions; a fisheye that turns towards the animal shows it as large as before.
+    A fisheye that turns towards the animal shows it as large as before.
     """
     lens, points = replace(CAMERA, model="fisheye", distortion=np.zeros(4)), truth_m()
     found = []
@@ -84,7 +80,7 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
         middle = np.median(points, axis=1, keepdims=True)
         steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
         moved, at = view.project(middle + steps)[0], view.project(middle)[0]
-        # Root mean square over two directions of three axes, per coordinate.
+        # two steps along each of three axes, and two coordinates in the picture
         along = np.sqrt(np.sum((moved - at) ** 2, axis=(1, 2)) / 4)
         np.testing.assert_allclose(found[-1], 1e6 * along, rtol=1e-4)
     np.testing.assert_allclose(found[1], found[0], rtol=0.06)
@@ -93,8 +89,8 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
 # Motions
 
 
-def test_two_cameras_find_the_place_and_the_size():
-    """Two cameras find the position ten times as closely as one, and the size within its stated uncertainty."""
+def test_two_cameras_find_the_position_and_the_size():
+    """The position is ten times as accurate as with one camera, and the size is within its stated uncertainty."""
     solution = two()
     error = np.linalg.norm(solution.joints_m - truth_m(), axis=-1)
     assert error.mean() < 0.02
@@ -105,7 +101,7 @@ def test_two_cameras_find_the_place_and_the_size():
 
 
 def test_a_wrong_size_of_the_body_is_found():
-    """A body that is 10 % too large is found: the positions of the joints are right, and the size states it."""
+    """With a body that is 10 % too large, the joints have the right positions, and the size is 10 % too small."""
     long = replace(
         BODY,
         tree=replace(
@@ -134,10 +130,10 @@ def test_a_view_that_does_not_see_the_animal_for_a_while():
 
 
 @pytest.mark.slow
-def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
-    """Two cameras see an animal that runs obliquely to its heading, and report no angle if it runs straight.
+def test_sideslip_is_estimated(monkeypatch):
+    """Every frame is turned by 0.2 rad about its middle, so that the animal runs obliquely to its heading.
 
-    Every frame is turned by 0.2 rad about its middle.
+    The estimated angle of an animal that runs straight is zero.
     """
     points, turn = truth_m(), 0.2
     middle = points.mean(axis=1, keepdims=True)
@@ -155,7 +151,7 @@ def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
     assert errors[0] < 0.9 * errors[1]
 
 
-def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
+def test_points_between_frames_and_at_the_end_of_a_stretch():
     points = np.arange(6.0)[:, None, None] * np.ones((6, 1, 3))
     points[3] = np.nan
     late = replace(view_of(np.ones((6, 1, 3)), AHEAD), offset_frames=0.25)
@@ -163,8 +159,8 @@ def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
     np.testing.assert_allclose(late.shift_to_exposure(points)[:, 0, 0], expected)
 
 
-def test_a_camera_half_a_frame_late_is_no_worse_for_it():
-    """A camera whose pictures lie half a frame later gives as good a result if the view states it."""
+def test_known_delay_of_half_a_frame_does_not_matter():
+    """The view states that the pictures were taken half a frame later."""
     points = truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     late = view_of(between, ASIDE, seed=1)
@@ -177,9 +173,9 @@ def test_a_camera_half_a_frame_late_is_no_worse_for_it():
 
 @pytest.mark.slow
 def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
-    """A lag of less than a frame that is not stated is found.
+    """The view does not state the lag. Positions are as accurate as without a lag.
 
-    Positions are as good as without it, and with one camera their uncertainty includes it.
+    With one camera, the uncertainty of the positions includes the lag.
     """
     points = truth_m()
     late = view_of(0.6 * points + 0.4 * np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]), AHEAD)
@@ -203,8 +199,8 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
     assert 0.7 < np.median(more) / (0.5 * step_m) ** 2 < 1.0  # the motion prior reduces the uncertainty a little
 
 
-def test_a_camera_that_pans_is_as_good_as_a_still_one():
-    """A camera that pans gives the same motion and uncertainty as a still camera, because the rays are the same."""
+def test_panning_camera_is_as_accurate_as_a_still_camera():
+    """The rays are the same, and so are the motion and its uncertainty."""
     points = truth_m()
     T = len(points)
     still = still_view(CAMERA, seen(run()), np.ones(points.shape[:2]))
@@ -228,8 +224,8 @@ def test_a_camera_that_pans_is_as_good_as_a_still_one():
     assert spread[1] == pytest.approx(spread[0], rel=0.03)
 
 
-def test_a_camera_that_is_carried_about_shows_the_size():
-    """A camera that is carried to and fro shows the size, because its own path is known in metres."""
+def test_carried_camera_determines_the_size():
+    """The camera's own path is known in metres."""
     points = truth_m()
     T = len(points)
     poses = np.stack([level_pose([np.sin(14 * t / FPS), 0.0, 0.3 * np.cos(14 * t / FPS)], np.pi / 2) for t in range(T)])
@@ -241,8 +237,8 @@ def test_a_camera_that_is_carried_about_shows_the_size():
     assert solution.size == pytest.approx(1.0, abs=2 * solution.size_sigma)
 
 
-def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
-    """A camera driven along at 10 m/s shows the size, because feet of another size would slip on the ground."""
+def test_driven_camera_determines_the_size_from_standing_feet():
+    """The camera moves at 10 m/s, and the feet of an animal of another size would slip on the ground."""
     points = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
     seconds = (np.arange(len(points)) - len(points) / 2) / 60
     poses = np.stack([level_pose([10.0 * t, -9.0, 0.6], np.pi / 2) for t in seconds])
@@ -253,7 +249,7 @@ def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
     assert solution.size == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_camera_beside_its_pose():
+def test_displaced_view_equals_the_view_of_a_displaced_camera():
     """A view and a camera are displaced in the same way."""
     extrinsic_correction, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
     camera = replace(CAMERA, rotation=ASIDE[:3, :3], translation_m=ASIDE[:3, 3])
@@ -261,8 +257,8 @@ def test_a_camera_beside_its_pose():
     np.testing.assert_allclose(view.project(points)[0], turned.project(turned.world_to_camera(points))[0], atol=1e-9)
 
 
-def test_cameras_beside_their_poses_come_back():
-    """Displaced camera poses are found: the second of two is turned by 1.5 degrees and moved by 4 cm."""
+def test_displaced_cameras_are_refined():
+    """The second of two cameras is turned by 1.5 degrees and moved by 4 cm."""
     extrinsic_correction = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     wrong = [views[0], views[1].corrected(-extrinsic_correction)]
@@ -278,7 +274,7 @@ def test_cameras_beside_their_poses_come_back():
 
 
 def test_a_wrong_focal_length_is_found_by_two_cameras():
-    """Two cameras find a focal length that is 8 % too short; a single camera keeps its focal length."""
+    """The focal length is 8 % too short; a single camera keeps it."""
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     options = TrajectoryOptions(fast=True, focal_sigma=0.1)
     found = solve_trajectory([views[0], views[1].with_focal_scale(-0.08)], BODY, PRIOR, FPS, options)
@@ -295,8 +291,8 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
     assert np.sqrt(added_m2) == pytest.approx(0.1 * distance_m, rel=0.2)
 
 
-def test_lengths_of_nobody_in_particular_add_to_the_uncertainty_of_one_camera():
-    """Lengths that were not measured add to the uncertainty of one camera if the prior was not learned."""
+def test_unmeasured_lengths_add_to_the_uncertainty_of_one_camera():
+    """The uncertainty is added only if the prior was not learned."""
     views = (view_of(truth_m(), AHEAD),)
     body = replace(BODY, subject=None)
     rough = ClipProblem.from_views(views, body, prior_from_body(body), FPS, TrajectoryOptions()).with_free_shape()

@@ -1,4 +1,4 @@
-"""Test banded equations against numpy's dense solve and inv, scipy's solveh_banded, a naive loop and AR(1)."""
+"""Test banded equations against dense results of numpy, scipy's banded solver, a naive loop and an AR(1) process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from term_cases import to_dense
 from recon.fit.banded import Normal, add_normal, eliminated, factored, lower_band, step
 
 SIZES = [
-    # T, D, W
+    # frames T, unknowns D of a frame, coupled frames W
     (1, 1, 0),
     (1, 3, 0),
     (1, 2, 3),
@@ -34,7 +34,7 @@ def rng():
 
 
 def dense_system(rng, T, D, W):
-    """Return a random symmetric positive definite matrix (TD, TD) with the pattern, condition number below 1e5."""
+    """Return a random block-banded, symmetric positive definite matrix (TD, TD), condition number below 1e5."""
     n = T * D
     frame = np.arange(n) // D
     L = np.tril(rng.normal(size=(n, n))) * (frame[:, None] - frame <= W) / np.sqrt((W + 1) * D)
@@ -54,7 +54,7 @@ def blocks_of(dense, T, D, W, outside=0.0):
 
 
 def split(dense, T, D, W):
-    """Split a vector or matrix, and fill with NaN what H ignores."""
+    """Split a dense vector or matrix into frames, with NaN in the parts that H ignores."""
     return blocks_of(dense, T, D, W, np.nan)
 
 
@@ -68,13 +68,13 @@ def assert_close(actual, expected, rtol=1e-9):
 
 
 @pytest.mark.parametrize(("T", "D", "W"), SIZES)
-def test_matrix_is_the_dense_one(rng, T, D, W):
+def test_matrix_equals_the_dense_matrix(rng, T, D, W):
     dense = dense_system(rng, T, D, W)
     np.testing.assert_array_equal(to_dense(split(dense, T, D, W)), dense)
 
 
 @pytest.mark.parametrize(("T", "D", "W"), SIZES)
-def test_lower_band_is_lapacks(rng, T, D, W):
+def test_lower_band_follows_lapack(rng, T, D, W):
     """The lower band follows LAPACK's definition, band[i - j, j] = H[i, j], and scipy's solver accepts it."""
     H = split(dense_system(rng, T, D, W), T, D, W)
     dense, band = to_dense(H), lower_band(H)
@@ -88,8 +88,8 @@ def test_lower_band_is_lapacks(rng, T, D, W):
 
 
 @pytest.mark.parametrize(("T", "D", "W"), SIZES)
-def test_solution_and_inverse_are_the_dense_ones(rng, T, D, W):
-    """Solution and inverse are the dense ones: every marginal block is that of the dense inverse, or zero outside."""
+def test_solution_and_inverse_equal_dense_results(rng, T, D, W):
+    """The solution equals the dense solution, and marginal blocks equal those of the dense inverse, or 0 outside it."""
     dense = dense_system(rng, T, D, W)
     factor = factored(split(dense, T, D, W))
     b = rng.normal(size=(T, D))
@@ -109,7 +109,7 @@ def test_damping_is_added_to_the_diagonal_of_a_copy(rng):
 
 
 def test_unknowns_may_differ_in_scale(rng):
-    """Unknowns may differ in scale: if they are scaled by s, H becomes s H s and its inverse s^-1 Z s^-1."""
+    """If unknowns are scaled by s, H becomes s H s and its inverse s^-1 Z s^-1, to rounding."""
     T, D, W = 15, 4, 2
     dense = dense_system(rng, T, D, W)
     s = 10.0 ** rng.uniform(-3.0, 3.0, (T, D))
@@ -124,7 +124,7 @@ def test_unknowns_may_differ_in_scale(rng):
 
 @pytest.mark.parametrize("where", [0, 7, 17])
 @pytest.mark.parametrize("value", [-1.0, np.nan])
-def test_not_positive_definite_raises(rng, where, value):
+def test_matrix_that_is_not_positive_definite_raises(rng, where, value):
     T, D, W = 6, 3, 1
     H = split(dense_system(rng, T, D, W), T, D, W)
     H[where // D, 0, where % D, where % D] = value
@@ -135,7 +135,7 @@ def test_not_positive_definite_raises(rng, where, value):
 @pytest.mark.parametrize(
     ("stencil", "W"), [((0,), 0), ((0,), 2), ((-1, 0), 1), ((-1, 0, 1), 2), ((-2, 0), 3), ((1, -1, 0), 2)]
 )
-def test_normal_equations_are_those_of_the_dense_jacobian(rng, stencil, W):
+def test_normal_equations_equal_products_of_the_dense_jacobian(rng, stencil, W):
     """The normal equations are J'J and J'r of the dense Jacobian (NM, TD), and two calls add up."""
     T, D, M = 9, 3, 4
     frames = np.arange(max(0, -min(stencil)), T - max(0, *stencil))[:5]
@@ -171,11 +171,11 @@ def test_term_without_frames_adds_nothing():
     assert not gradient.any()
 
 
-def test_long_clip_is_the_stationary_process_and_needs_linear_memory(rng):
-    """A long clip is the stationary process x_t+1 = φ x_t + noise of covariance Q, and needs linear memory.
+def test_long_clip_has_stationary_covariances_in_linear_memory(rng):
+    """A long clip of the process x_t+1 = φ x_t + noise of covariance Q has its stationary covariances.
 
-    Its covariances are cov(x_t+k, x_t) = φ^k Q / (1 - φ²), exactly. Its precision is Q^-1 times the tridiagonal matrix
-    of 1 + φ² (1 at both ends) and -φ. A dense matrix would take 2.6 GB, the blocks take 3.5 MB.
+    They are cov(x_t+k, x_t) = φ^k Q / (1 - φ²), exactly. The precision is Q^-1 times the tridiagonal matrix of 1 + φ²
+    (1 at both ends) and -φ. A dense matrix would take 2.6 GB, the blocks take 3.5 MB.
     """
     T, D, W, phi = 3000, 6, 3, 0.9
     mixing = rng.normal(size=(D, D)) + 3 * np.eye(D)
@@ -207,9 +207,9 @@ def test_long_clip_is_the_stationary_process_and_needs_linear_memory(rng):
 def test_marginals_of_a_stiff_smoother_are_columns_of_the_inverse(rng):
     """The marginals of a stiff smoother are columns of the inverse.
 
-    The data are weak, and the prior on second differences is strong, so that gain_t extrapolates: 2 x_t+1 - x_t+2. The
-    oracle is the solver for unit vectors. A rounding error that makes the window's blocks asymmetric would grow without
-    bound.
+    The data are weak and the prior on second differences is strong, so that gain_t extrapolates to 2 x_t+1 - x_t+2. The
+    expected columns come from the solver for unit vectors. A rounding error that makes the window's blocks asymmetric
+    would grow without bound.
     """
     T, D, W = 400, 3, 2
     blocks, unused = np.zeros((T, W + 1, D, D)), np.zeros((T, D))
@@ -242,7 +242,7 @@ def in_pieces(rng, dense, T, D, W, P, stops):
 
 @pytest.mark.parametrize("P", [0, 3, 9])
 @pytest.mark.parametrize(("D", "W"), [(3, 1), (2, 2), (4, 2)])
-def test_a_step_in_two_pieces_that_see_each_other_is_exact(rng, D, W, P):
+def test_step_in_two_overlapping_pieces_is_exact(rng, D, W, P):
     T = 12
     pieces, whole, right = in_pieces(rng, dense_system(rng, T, D, W), T, D, W, P, [6, T])
     moved, shared, slope = step(pieces, 0.01)
@@ -252,8 +252,8 @@ def test_a_step_in_two_pieces_that_see_each_other_is_exact(rng, D, W, P):
     assert slope == pytest.approx(right @ expected)
 
 
-def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
-    """Frames before a piece are eliminated exactly: the last piece has the right covariances and shared unknowns."""
+def test_frames_before_a_piece_are_eliminated_exactly(rng):
+    """The last piece has exact covariances and shared unknowns after all frames before it are eliminated."""
     T, D, W, P = 17, 3, 2, 2
     dense = dense_system(rng, T, D, W)
     pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [4, 8, 12, T])
@@ -270,7 +270,7 @@ def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
 
 @pytest.mark.parametrize("ahead", [None, 15])
 @pytest.mark.parametrize("P", [0, 3, 9])
-def test_what_comes_after_the_frames_taken_along_hardly_matters(rng, P, ahead):
+def test_frames_beyond_those_ahead_hardly_matter(rng, P, ahead):
     T, D, W = 60, 2, 2
     dense = dense_system(rng, T, D, W)
     pieces, whole, right = in_pieces(rng, dense, T, D, W, P, [20, 40, T])

@@ -1,6 +1,6 @@
-"""Test bodies that are not quadrupeds: a walking person and a mouse seen from above, before simulated rigs.
+"""Test bodies of other animals, such as a walking person and a mouse seen from above, with simulated cameras.
 
-The tests include the names of their detectors, and the commands that use a fit.
+The tests include the keypoint names of their detectors, and the commands that use a fit.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def settings_of(files: dict[str, Path], skeleton: str, fps: float) -> FitSetting
 
 
 def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str, float]]:
-    """Return a fit, its errors in millimetres, and the fractions of coordinates within the 90 % intervals."""
+    """Return the motion of a fit, its errors, mm, and the fractions of coordinates within the 90 % intervals."""
     run_clip(settings, folder / "out")
     write_trc(truth, folder / "truth.trc")
     found = evaluate_files(folder / "out", folder / "truth.trc")
@@ -87,11 +87,8 @@ def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cameras", [2, 4])
-def test_a_person_who_walks(cameras, tmp_path):
-    """A walking person of 1.79 m is fitted, with stances of both feet and without a name of the gait.
-
-    Its keypoints have a constant offset of 26 mm from the markers.
-    """
+def test_fits_a_walking_person(cameras, tmp_path):
+    """The person is 1.79 m tall, and keypoints have a constant offset of 26 mm from the markers."""
     centres_m = np.array(OBLIQUE_M[:cameras])
     files, truth = write_rig_clip(tmp_path, "human-25", walking_person(90, 30.0), 30.0, centres_m, 1.05, 0.9, 2.0)
     settings = settings_of(files, "human-25", 30.0)
@@ -112,8 +109,8 @@ def test_a_person_who_walks(cameras, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
-    """A mouse of 100 mm from nose to tail base is fitted, with a constant keypoint offset of 3.5 mm."""
+def test_fits_a_mouse_of_100_mm(tmp_path, undrawn):
+    """The mouse is 100 mm long from nose to tail base, and keypoints have a constant offset of 3.5 mm."""
     states = running_mouse(60, 60.0)
     files, truth = write_rig_clip(tmp_path, "mouse-top", states, 60.0, np.array(ABOVE_M), 1.14, 0.02, 0.7)
     settings = settings_of(files, "mouse-top", 60.0)
@@ -129,11 +126,11 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
 
 
 @pytest.mark.slow
-def test_intervals_widen_where_lengths_are_others():
-    """Intervals widen if lengths differ by a fifth from the skeleton's.
+def test_intervals_widen_if_lengths_differ_from_the_skeleton():
+    """Lengths differ by a fifth from the skeleton's, so keypoints are further from the markers than expected.
 
-    Several cameras then see keypoints further from the markers than expected. One clip has a single draw of lengths and
-    offsets, so correct intervals contain more of one clip and less of another.
+    One clip has a single draw of lengths and offsets, so correct intervals contain more of one clip and less of
+    another.
     """
     shares = []
     for skeleton in ("mouse-top", "dog-27", "human-25"):
@@ -144,7 +141,7 @@ def test_intervals_widen_where_lengths_are_others():
         place = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
         shares.append([place, coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)])
     assert np.min(shares) > 0.83  # 0.65 to 0.82 if the keypoint bias is ignored
-    assert np.all(np.mean(shares, axis=0) < 0.97)  # 0.98 where a bias that was found counts twice
+    assert np.all(np.mean(shares, axis=0) < 0.97)  # 0.98 if an estimated bias counts twice
 
 
 def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> TrajectorySolution:
@@ -157,8 +154,8 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("skeleton", "frames", "size"), [("dog-27", 150, 1.1), ("mouse-top", 72, 1.2)])
-def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monkeypatch):
-    """Two cameras with correct poses get no finding, for a walk in a circle and for a small animal."""
+def test_two_cameras_with_correct_poses_get_no_finding(skeleton, frames, size, monkeypatch):
+    """The animal walks in a circle, or is small."""
     monkeypatch.setattr("recon.fit.solution.TESTED_S", 2.0)
     body, random = load_skeleton(skeleton), np.random.default_rng(0)
     states, ahead = rigs.random_motion(body, random, frames), 2 * np.pi * np.arange(frames) / 360
@@ -173,11 +170,8 @@ def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monke
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0.8, 1.1])
-def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
-    """The ground does not change the size that two cameras find.
-
-    The root of the dog is as high as that of a dog of mean size, so that its feet are off z = 0.
-    """
+def test_ground_does_not_change_the_size_from_two_cameras(size):
+    """The root is as high as in a dog of mean size, so the feet of a smaller or larger dog are not at z = 0."""
     body, random = load_skeleton("dog-27"), np.random.default_rng(1)
     found = seen_by_two(body, body.tree.pose(rigs.random_motion(body, random), size).points_m, random)
     assert found.size == pytest.approx(size, abs=0.02)
@@ -187,11 +181,11 @@ def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
 
 
 @pytest.mark.parametrize("cameras", [2, 1])
-def test_keypoint_bias_is_no_noise(cameras):
-    """A keypoint bias is not taken for noise.
+def test_keypoint_bias_does_not_count_as_noise(cameras):
+    """Detections have 2 px of noise and a constant offset of 15 mm, which is 4 px.
 
-    Detections have 2 px of noise and a constant offset of 15 mm, which is 4 px. The posterior of two cameras counts
-    hardly more than the noise. The posterior of one camera, whose keypoints show no common bias, counts all of it.
+    The noise from two cameras is hardly larger than 2 px. The noise from one camera includes the offset, because one
+    camera shows no common bias.
     """
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, cameras, 0)
@@ -209,10 +203,7 @@ def test_keypoint_bias_is_no_noise(cameras):
 
 @pytest.mark.parametrize(("explained", "rounds"), [(0.0, 2), (1.0, 1)])
 def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, rounds, monkeypatch):
-    """The noise is estimated twice only if the bias explains much.
-
-    In this short clip the bias explains a quarter of the detections, and even so the first round is right to a tenth.
-    """
+    """In this short clip the bias explains a quarter of the detections, and the first round is right within a tenth."""
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, 2, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
@@ -226,8 +217,8 @@ def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, 
     np.testing.assert_allclose(counted.terms[0].view.confidence, usual, rtol=0.1)
 
 
-def test_several_cameras_try_only_headings_that_they_may_see(monkeypatch):
-    """Several cameras try only headings that they may see; the others lead to the same minimum or to higher costs."""
+def test_several_cameras_skip_unlikely_headings(monkeypatch):
+    """The skipped headings would lead to the same minimum, or to minima of higher cost."""
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, 3, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions())
@@ -238,8 +229,8 @@ def test_several_cameras_try_only_headings_that_they_may_see(monkeypatch):
     assert few[0].cost == pytest.approx(every[0].cost, rel=1e-2)
 
 
-def test_a_drone_that_hovers_does_not_tell_the_size():
-    """A hovering drone that drifts by 0.5 m, 8 m above a person, does not determine the size."""
+def test_hovering_drone_does_not_determine_the_size():
+    """The drone drifts by 0.5 m, 8 m above a person."""
     body, random = load_skeleton("human-25"), np.random.default_rng(0)
     states, poses = walking_person(60, 30.0), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (60, 1, 1))
     centres_m = np.array([0.3, 0.2, 8.0]) + 0.3 * np.arange(-30, 30)[:, None] / 30 * [1.0, 0.0, 0.0]
@@ -264,8 +255,8 @@ def test_a_drone_that_hovers_does_not_tell_the_size():
         ("mouse-top", "mouse-15", MOUSE_15, 13),
     ],
 )
-def test_maps(skeleton, bundled, names, known):
-    """Maps of names keep the sides, and the fit finds its own map."""
+def test_maps_of_names_keep_the_sides(skeleton, bundled, names, known):
+    """The map of names keeps left and right, and a fit finds the map of its keypoint file."""
     by, body = load_names(bundled), load_skeleton(skeleton)
     _, new, _ = new_names(names, by, "clip.csv")
     assert len({*new} & {*body.markers}) == known
@@ -274,12 +265,12 @@ def test_maps(skeleton, bundled, names, known):
 
 
 @pytest.mark.parametrize("points", [17, 18, 25])
-def test_lists_that_need_no_map(points):
+def test_lists_of_names_that_need_no_map(points):
     assert {*LISTS[points]} <= {*load_skeleton("human-25").markers}
 
 
-def test_a_person_of_coco(tmp_path):
-    """A person in COCO's spelling is recognised: the skeleton is suggested, then fitted, without any toe."""
+def test_person_with_coco_names_is_recognised(tmp_path):
+    """The skeleton is suggested for a person with COCO's names, and fitted although COCO has no toes."""
     states = walking_person(30, 30.0)
     files, _ = write_rig_clip(tmp_path, "human-25", states, 30.0, np.array(OBLIQUE_M[:2]), 1.0, 0.9, 2.0)
     settings = settings_of(files, "human-25", 30.0)
@@ -308,14 +299,14 @@ def test_a_person_of_coco(tmp_path):
         (HORSE_10, "--skeleton horse-22, which has 22 of these 22"),
     ],
 )
-def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str], options):
+def test_points_of_another_skeleton_give_no_quadruped(names: Iterable[str], options):
     with refusal(("clip.csv", "bodyparts", f"another animal's: {next(iter(names))}", options)):
         draft_skeleton([*names], "mine", Path("clip.csv"))
 
 
 @pytest.mark.parametrize(("skeleton", "alone"), [("mouse-top", 0), pytest.param("human-25", 2, marks=pytest.mark.slow)])
-def test_a_draft_from_geometry(skeleton, alone, tmp_path):
-    """A draft from geometry fits the clip, and none of its segments has points of two true segments."""
+def test_draft_from_geometry_fits_the_clip(skeleton, alone, tmp_path):
+    """No segment of the draft has points of two true segments."""
     true = load_skeleton(skeleton)
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
@@ -336,7 +327,7 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     order = [names.index(marker) for marker in body.markers]
     seen = [replace(v, xy_px=v.xy_px[:, order], confidence=v.confidence[:, order]) for v in views]
     found = solve_trajectory(seen, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
-    off_m = np.linalg.norm(found.joints_m - true_m[:, order], axis=2)  # with the keypoints' bias
+    off_m = np.linalg.norm(found.joints_m - true_m[:, order], axis=2)  # includes the keypoint bias
     assert np.median(off_m) < 1.5 * true.keypoint_sigma_m
     with refusal(("KEYPOINTS", "files", "2 files without --camera", "--camera")):
         skeleton_from_keypoints(SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
@@ -347,8 +338,8 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
-    """A draft from a calibration in millimetres asks for the unit, and for the up direction or a level first camera."""
+def test_draft_from_a_calibration_in_millimetres(tmp_path):
+    """The command asks for the unit, and for the upward direction or a level first camera."""
     true = load_skeleton("mouse-top")
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
@@ -388,7 +379,7 @@ def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
         (2.0, True, 0.03, ("keypoints", ["32.6 mm", "1.5 m"], "1 % or less")),
     ],
 )
-def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, expected):
+def test_motion_that_does_not_show_joints_gives_no_draft(path_m, bends, noise_m, expected):
     time = np.linspace(0, 1, 60)
     still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
     points = still + np.stack([path_m * time, 0 * time, 0 * time], axis=1)[:, None]
@@ -413,8 +404,8 @@ def test_outliers_of_nose_and_tail_do_not_make_a_draft_larger():
 
 
 @pytest.mark.parametrize("names", ["nose b c d e f g tail", "Ear_L b c d e f g h", "a b c d e f g rump"])
-def test_a_draft_of_an_animal_that_stands_still(names):
-    """A draft of an animal that stands still finds the front, here at negative x, from the names of head and tail."""
+def test_draft_of_a_standing_animal_finds_its_front(names):
+    """The front, here at negative x, follows from the names of head and tail."""
     time = np.linspace(0, 1, 60)
     still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
     points = np.tile(still, (60, 1, 1))
@@ -429,11 +420,8 @@ def test_a_draft_of_an_animal_that_stands_still(names):
 
 
 @pytest.mark.slow
-def test_refined_cameras_of_a_small_rig_stay_near_their_places():
-    """Refined cameras of a small rig stay near their poses, although the lengths of the skeleton are wrong.
-
-    A mouse with a wider trunk and a longer head is seen by cameras that are turned by a degree about each axis.
-    """
+def test_refined_cameras_of_a_small_rig_stay_near_their_poses():
+    """The skeleton's lengths are wrong for the mouse, and the cameras are turned by a degree about each axis."""
     body, rng = load_skeleton("mouse-top"), np.random.default_rng(0)
     states = running_mouse(60, 60.0)
     stretched = [
@@ -454,7 +442,7 @@ def test_refined_cameras_of_a_small_rig_stay_near_their_places():
     options, prior = TrajectoryOptions(fast=True), prior_from_body(body)
 
     def off(refine: bool) -> tuple[float, float]:
-        """Return the angle of the camera that is turned most, degrees, and the error of the markers, m."""
+        """Return the largest rotation error of a camera, degrees, and the error of the markers, m."""
         found = solve_trajectory(views, body, prior, 60.0, replace(options, refine_cameras=refine))
         turns = [
             Rotation.from_matrix(view.T_camera_world[:3, :3] @ T[:3, :3].T).magnitude()
@@ -463,5 +451,5 @@ def test_refined_cameras_of_a_small_rig_stay_near_their_places():
         return float(np.degrees(max(turns))), float(np.linalg.norm(found.markers_m - true_m, axis=2).mean())
 
     held, refined = off(False), off(True)
-    assert refined[0] < 3  # 4.3 to 5.0 with the position prior of a rig for an animal of 1 m (5 cm)
+    assert refined[0] < 3  # 4.3 to 5.0 with the prior of camera positions for an animal of 1 m (5 cm)
     assert refined[1] < min(0.007, 1.1 * held[1])

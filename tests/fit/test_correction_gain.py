@@ -1,4 +1,4 @@
-"""Test the gain of a correction against solving the equations again."""
+"""Test the gain of a correction against equations that are solved again with the correction."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def gains(motion: Motion, **changes) -> np.ndarray:
     return correction_gain_m2(replace(motion.solution, **changes), prior, motion.fps, TrajectoryOptions())
 
 
-def test_a_fit_states_what_corrections_would_gain(solved: Motion):
+def test_fit_states_the_gain_of_corrections(solved: Motion):
     gain_m2 = solved.correction_gain_m2
     assert gain_m2 is not None
     assert gain_m2.shape == (1, len(solved.frames), len(solved.joints))
@@ -47,7 +47,7 @@ def test_the_equations_of_a_longer_clip_are_computed_again(solved: Motion, monke
     np.testing.assert_array_equal(gains(solved), kept)
 
 
-def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: Motion):
+def test_derivative_of_the_covariance_matches_the_dense_inverse(solved: Motion):
     solution = solved.solution
     assert isinstance(solution, TrajectorySolution)
     clip = ClipProblem.from_views(
@@ -71,11 +71,8 @@ def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: M
     np.testing.assert_allclose(Q[5], whole, rtol=2e-3, atol=2e-3 * np.abs(whole).max())
 
 
-def test_the_last_frame_of_cameras_out_of_step_is_seen_as_well_as_the_others():
-    """The last frame of cameras out of step is seen as well as the others.
-
-    An estimated offset is a value of its unknown, as in the fit; interpolated pictures would need a next frame.
-    """
+def test_last_frame_has_a_gain_despite_a_time_offset():
+    """The time offset is an unknown, as in the fit, because interpolated pictures would need a next frame."""
     body = load_skeleton("human-25")
     prior, options = prior_from_body(body), TrajectoryOptions(fast=True)
     views, _ = rigs.random_clip(body, 0.0, 2, 0)
@@ -92,7 +89,7 @@ def test_the_last_frame_of_cameras_out_of_step_is_seen_as_well_as_the_others():
 
 
 def test_a_missing_detection_gains_more_than_one_that_is_used(solved: Motion):
-    """A missing detection gains more than one that is used and agrees with the pose, in the same cell."""
+    """The gain of the same detection is larger if it is missing than if it agrees with the pose."""
     solution, (view,) = solved.solution, solved.solution.views
     weight = np.nan_to_num(solution.weight[0])
     weight[:5], weight[-5:] = 0.0, 0.0
@@ -108,7 +105,7 @@ def test_a_missing_detection_gains_more_than_one_that_is_used(solved: Motion):
 
 
 def test_a_distant_detection_pulls_more_than_one_that_agrees(solved: Motion):
-    """A detection that is moved by two standard deviations, with the same weight, pulls more than one that agrees."""
+    """A detection that is moved by two standard deviations, with its weight unchanged, pulls more than before."""
     solution, (view,) = solved.solution, solved.solution.views
     t, j = 20, int(np.nanargmax(np.nan_to_num(solution.weight[0, 20])))
     xy_px = view.xy_px.copy()

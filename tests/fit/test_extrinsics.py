@@ -22,7 +22,7 @@ BEHIND = level_pose([3.0, 17.0, 0.2], -np.pi / 2)
 
 
 def across() -> np.ndarray:
-    """Return the joints (T, J, 3), m, of the same run in another direction through the field."""
+    """Return the joints (T, J, 3), m, of the run of `truth_m` in another direction through the pictures."""
     points = truth_m()
     middle = points.mean(axis=(0, 1)) * [1, 1, 0]
     return (points - middle) @ rigid(euler_rotation([0, 0, 1.2]), np.zeros(3))[:3, :3].T + middle
@@ -45,15 +45,15 @@ def with_frames_unseen(view: View, rows: Index) -> View:
 
 
 def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
-    """Return the differences of two rigs, degrees and metres."""
+    """Return the difference of two poses, degrees and metres."""
     turn = found[:3, :3] @ true[:3, :3].T
     off_m = np.linalg.norm(inverse(found)[:3, 3] - inverse(true)[:3, 3])
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(off_m)
 
 
 @pytest.mark.slow
-def test_two_clips_tell_what_one_does_not():
-    """Two clips determine more than one: the third camera did not film the first clip."""
+def test_two_clips_determine_a_camera_that_one_clip_lacks():
+    """The third camera did not film the first clip."""
     first = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1), blind(view_of(truth_m(), BEHIND))]
     second = [view_of(across(), p, seed=2 + i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]
     one, both = solve_extrinsics([setting(first[:2])]), solve_extrinsics([setting(first), setting(second)])
@@ -70,7 +70,7 @@ def test_two_clips_tell_what_one_does_not():
 
 
 @pytest.mark.slow
-def test_a_camera_that_was_touched_between_two_clips():
+def test_a_camera_moved_between_two_clips_disagrees():
     turned = rigid(euler_rotation([0.0, np.radians(5.0), 0.0]), np.zeros(3)) @ ASIDE
     clips = [
         setting([view_of(truth_m(), p, seed=i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]),
@@ -79,8 +79,8 @@ def test_a_camera_that_was_touched_between_two_clips():
     assert solve_extrinsics(clips).disagreement.max() > DISAGREEMENT
 
 
-def test_cameras_that_were_levelled_say_which_way_is_up():
-    """Levelled cameras determine the up direction, although the ground slopes by 5 degrees."""
+def test_levelled_cameras_determine_the_upward_direction():
+    """The ground slopes by 5 degrees."""
     slope = rigid(euler_rotation([np.radians(5.0), 0, 0]), np.zeros(3))
     views = [view_of(moved(slope, truth_m()), p, seed=i) for i, p in enumerate((AHEAD, ASIDE))]
     rig = solve_extrinsics([setting(views)], level_rad=np.radians(0.5))
@@ -88,24 +88,24 @@ def test_cameras_that_were_levelled_say_which_way_is_up():
         assert np.degrees(np.arccos(T[:3, 2] @ view.camera.up)) < 0.5
 
 
-def test_cameras_are_placed_beside_those_already_placed():
-    """Cameras are placed relative to those already placed, of which the second shares frames with the others."""
+def test_cameras_are_placed_relative_to_known_cameras():
+    """The third camera shares frames only with the second camera, and the second shares others with the first."""
     poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]
     views = [with_frames_unseen(view_of(points, p, 0.5), rows) for p, rows in zip(poses, unseen, strict=True)]
     (placed,) = _initial_poses([setting(views)], silent)
     for view, true in zip(placed.views, poses, strict=True):
         turned_deg, off_m = apart(view.T_camera_world @ inverse(placed.views[0].T_camera_world), true @ inverse(AHEAD))
-        assert turned_deg < 10.0  # the next step expects errors up to these limits
+        assert turned_deg < 10.0  # the refinement expects errors up to these limits
         assert off_m < 1.0
 
 
-def test_clips_with_nothing_in_common():
+def test_cameras_without_common_frames_are_refused():
     points = truth_m()
     with refusal(("KEYPOINTS", "camera cam1", "too few frames")):
         solve_extrinsics([setting([view_of(points, AHEAD), blind(view_of(points, ASIDE))])])
 
 
-def test_poses_that_are_roughly_known():
+def test_rough_poses_are_refined():
     wrong = rigid(euler_rotation(np.radians([1.0, -1.0, 0.5])), np.array([0.03, 0.0, -0.03])) @ ASIDE
     clips = []
     for i, points in enumerate((truth_m(), across())):
@@ -118,8 +118,8 @@ def test_poses_that_are_roughly_known():
     assert metres < 0.05  # as in the prior, since two clips of half a second hardly determine positions
 
 
-def test_rough_poses_say_how_large_the_animal_is():
-    """Rough poses determine the size: a rig that is 5 % too large stays so, and no camera has to turn by 2 degrees."""
+def test_rough_poses_determine_the_size():
+    """A rig that is 5 % too large keeps its size, and no camera turns by 2 degrees."""
     larger = [rigid(p[:3, :3], 1.05 * p[:3, 3]) for p in (AHEAD, ASIDE)]
     views = [
         replace(view_of(truth_m(), p, seed=i), T_camera_world=q)
@@ -131,8 +131,8 @@ def test_rough_poses_say_how_large_the_animal_is():
     assert metres < 0.03
 
 
-def test_deviations_beside_the_first_camera():
-    """Standard deviations relative to the first camera, which is uncertain itself, agree with finite differences."""
+def test_standard_deviations_relative_to_the_first_camera():
+    """The standard deviations agree with finite differences, also if the first camera is uncertain."""
     rng, poses = np.random.default_rng(0), [AHEAD, ASIDE, BEHIND]
     root = rng.normal(size=(18, 18))
 
@@ -151,7 +151,7 @@ def test_deviations_beside_the_first_camera():
     np.testing.assert_allclose(_sigma_to_first(poses, root @ root.T), expected, rtol=1e-6, atol=1e-6)
 
 
-def test_level_cameras_have_their_minimum_where_up_is_up():
+def test_level_prior_has_its_minimum_at_the_upward_direction():
     turned = rigid(euler_rotation([0.02, 0.3, -0.03]), np.zeros(3)) @ ASIDE
     view = replace(view_of(truth_m(), ASIDE), T_camera_world=turned)
     curvature, gradient = _level_prior([view], 0.1)

@@ -1,4 +1,4 @@
-"""Test lengths and keypoint offsets as unknowns of a fit of several cameras to an animal of other proportions."""
+"""Test fits of several cameras that estimate the lengths and keypoint offsets of an animal."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_camera_that_was_left_out_is_predicted_better_than_by_triangulation():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_poses_are_better_and_their_intervals_hold(count):
+def test_poses_are_better_and_within_their_intervals(count):
     free = solved(count, False)
     assert pose_error_m(free) < 0.7 * pose_error_m(solved(count, True))
     assert coordinate_coverage(free.joints_m - TRUE_M, free.covariance_m2, 0.9) > 0.85
@@ -59,7 +59,7 @@ def test_poses_are_better_and_their_intervals_hold(count):
     assert coordinate_coverage(centred_m, free.relative_covariance_m2, 0.9) > 0.85
 
 
-def test_the_body_has_the_lengths_that_were_found():
+def test_body_has_the_estimated_lengths():
     free = solved(3, False)
     states = free.states
     np.testing.assert_allclose(free.body.tree.pose(states, free.size).points_m, free.joints_m, atol=1e-9)
@@ -71,7 +71,7 @@ def test_the_body_has_the_lengths_that_were_found():
     assert set(free.body.keypoint_offset_m) == set(BODY.markers)
 
 
-def test_lengths_are_stated_with_intervals_that_hold():
+def test_lengths_are_within_their_intervals():
     shape = solved(3, False).shape
     assert shape is not None
     factors = np.random.default_rng(0).normal(size=len(shape.names)) * np.log1p(0.1)  # as `random_clip` draws them
@@ -84,11 +84,8 @@ def test_lengths_are_stated_with_intervals_that_hold():
     assert solved(3, True).shape is None
 
 
-def test_rays_still_meet_after_the_size_has_been_combined_with_the_expected_one():
-    """Rays still meet after the size was combined with the expected size.
-
-    The lengths and the second camera stay as they were solved, so the animal must not move along its distance.
-    """
+def test_rays_still_meet_after_the_size_is_combined_with_its_prior():
+    """The lengths and the second camera stay as estimated, so the animal's distance must not change."""
     body = load_skeleton("mouse-top")
     views, _ = random_clip(body, 0.1, 2, 0)
     solution = solve_trajectory(views, body, prior_from_body(body), FPS, TrajectoryOptions(fast=True))
@@ -97,7 +94,7 @@ def test_rays_still_meet_after_the_size_has_been_combined_with_the_expected_one(
         np.testing.assert_allclose(np.nanmean(off_px, axis=(0, 1)), 0.0, atol=0.1)
 
 
-def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
+def test_one_camera_keeps_the_lengths_with_more_uncertain_poses():
     free, known = (
         solve_trajectory(
             VIEWS[:1], BODY, prior_from_body(BODY), FPS, TrajectoryOptions(fast=True, lengths_known=is_known)
@@ -110,8 +107,8 @@ def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
     assert free.body == BODY
 
 
-def test_the_second_of_two_cameras_is_as_uncertain_as_calibrations_are():
-    """The second of two cameras has the usual uncertainty of calibrations, unless its pose is known or an unknown."""
+def test_second_camera_has_the_uncertainty_of_a_calibration():
+    """The uncertainty is not added if the camera's pose is exact, or an unknown of the fit."""
     known, refined = TrajectoryOptions(cameras_known=True), TrajectoryOptions(refine_cameras=True)
     for options, is_uncertain in ((TrajectoryOptions(), True), (known, False), (refined, False)):
         clip = ClipProblem.from_views(VIEWS[:2], BODY, prior_from_body(BODY), FPS, options)

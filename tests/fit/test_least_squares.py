@@ -1,4 +1,4 @@
-"""Test the clip's least-squares problem: the banded solution equals the dense one."""
+"""Test that the banded solution of a clip's least-squares problem equals the dense solution."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def equations(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np
 
 
 def dense_rows(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return all rows of all terms, stacked, with their Jacobian (M, TD): the slow oracle."""
+    """Return all rows of all terms and their Jacobian (M, TD), as a slow reference."""
     residuals, jacobians = [], []
     D = states.shape[1]
 
@@ -70,7 +70,7 @@ def dense_rows(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, n
     return np.concatenate(residuals), np.concatenate(jacobians)
 
 
-def test_normal_equations_equal_dense_ones():
+def test_normal_equations_equal_dense_equations():
     problem, states = whole_problem(), some_states()
     r, J = dense_rows(problem, states)
     H, g = equations(problem, states)
@@ -79,7 +79,7 @@ def test_normal_equations_equal_dense_ones():
 
 
 def seen_late(shared: bool = True) -> LeastSquares:
-    """Return two views with unknowns that all frames share, and the size."""
+    """Return a problem of two views with unknowns that all frames share, including the size."""
     rng, xy_px = np.random.default_rng(5), detections(some_states(1))
     sigma, J = np.full(xy_px.shape[:2], 8.0), xy_px.shape[1]
     seen = [
@@ -93,7 +93,7 @@ def seen_late(shared: bool = True) -> LeastSquares:
     displaced = [SharedUnknown(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
     common = [] if shared else [SharedUnknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
     linear = [t for t in terms() if isinstance(t, Linear)]
-    held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
+    held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # for the last frame
     free = [*unknown, *displaced] if shared else unknown
     stance = StanceVelocity(FEET, FPS, 2.5, 2.0)
     driven = replace(stance, at=0.9, by_size=rng.normal(size=(T - 1, len(FEET), 3)))
@@ -115,7 +115,7 @@ def some_shared(problem: LeastSquares) -> dict[str, np.ndarray]:
 
 
 def with_shape() -> LeastSquares:
-    """Return the problem with the body's lengths and keypoint offsets among the shared unknowns."""
+    """Return a problem with the body's lengths and keypoint offsets among the shared unknowns."""
     problem, shape, J = seen_late(), FreeShape.of_body(BODY), len(BODY.markers)
     unknown = [
         SharedUnknown(LENGTHS, np.zeros(len(shape.lengths)), np.full(len(shape.lengths), 0.1)),
@@ -126,7 +126,7 @@ def with_shape() -> LeastSquares:
 
 @pytest.mark.parametrize("problem", [seen_late(), with_shape()], ids=["shared", "shape"])
 def test_shared_unknowns_have_the_gradient_of_the_cost(problem):
-    """Shared unknowns have the gradient of the cost, by central differences along random joint directions."""
+    """The gradient agrees with central differences along random directions of all unknowns together."""
     states = some_states()
     shared, rng, h = some_shared(problem), np.random.default_rng(2), 1e-5
     normal = problem.normal(states, shared)
@@ -142,7 +142,7 @@ def test_shared_unknowns_have_the_gradient_of_the_cost(problem):
 
 
 def of_three_cameras(*, free_shape: bool) -> LeastSquares:
-    """Return two cameras in step and a late one with their own unknowns, and a body with free shape or common bias."""
+    """Return a problem of three cameras, one of them late, and a body with a free shape or a common keypoint bias."""
     problem, J, rng = with_shape() if free_shape else seen_late(), len(BODY.markers), np.random.default_rng(5)
     late = next(term for term in problem.terms if isinstance(term, Reprojection))
     cameras = [replace(late, view=replace(late.view, offset_frames=0.0), number=number) for number in (1, 2)]
@@ -171,8 +171,8 @@ def test_summed_cameras_give_the_equations_of_each_cameras_rows(monkeypatch, fre
         np.testing.assert_allclose(getattr(summed, name), expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
-def test_keypoints_that_all_cameras_see_displaced():
-    """Residuals follow keypoints that all cameras see displaced, also between two frames."""
+def test_residuals_follow_a_common_keypoint_bias():
+    """The residuals agree with keypoints displaced in all cameras, also between two frames."""
     problem, states, h = seen_late(shared=False), some_states(), 1e-6
     J = len(BODY.markers)
     shared = problem.expected() | {COMMON_KEYPOINT_BIAS: np.zeros(3 * J)}
@@ -191,8 +191,8 @@ def test_keypoints_that_all_cameras_see_displaced():
             np.testing.assert_allclose(np.sum(rows.residual * along, axis=1), slope, rtol=1e-4, atol=1e-3)
 
 
-def test_the_posterior_is_that_of_the_dense_equations():
-    """The posterior is that of the dense equations: covariances of joints at a given size, and the size."""
+def test_posterior_equals_the_dense_posterior():
+    """The posterior's covariances of the joints at a given size, and of the size, equal the dense ones."""
     problem, states = seen_late(shared=False), some_states()
     shared, factor = some_shared(problem), 3.0
     found = posterior(problem, BODY, Estimate(states, 0.0, 1, True, shared), factor)
@@ -201,7 +201,7 @@ def test_the_posterior_is_that_of_the_dense_equations():
     n, P = states.size, len(normal.corner)
     border = normal.border.reshape(n, P)
     whole = np.block([[to_dense(normal.blocks), border], [border.T, normal.corner]])
-    # The size, the first unknown of the border, is fixed.
+    # The size is the first unknown of the border.
     given = np.linalg.inv(np.delete(np.delete(whole, n, 0), n, 1))[:n, :n]
     jacobian = BODY.tree.pose_with_jacobian(states).jacobian
     assert jacobian is not None
@@ -214,7 +214,7 @@ def test_the_posterior_is_that_of_the_dense_equations():
     assert found.size_precision == pytest.approx(of_size / factor, rel=1e-5)
 
 
-def test_a_step_equals_the_dense_one():
+def test_step_equals_the_dense_step():
     from recon.fit.banded import factored
 
     problem, states = whole_problem(), some_states()
@@ -227,7 +227,7 @@ def test_a_step_equals_the_dense_one():
 
 
 def test_pieces_of_a_clip_add_up(monkeypatch):
-    """Cost and equations of pieces of two frames add up to those of the clip."""
+    """The costs and equations of pieces of two frames add up to the cost and equations of the clip."""
     problem, states = whole_problem(), some_states()
     whole_cost, (H, g) = problem.cost(states), equations(problem, states)
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 2)
@@ -239,7 +239,7 @@ def test_pieces_of_a_clip_add_up(monkeypatch):
 
 @pytest.mark.parametrize("piece", [2, 3])
 def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
-    """The equations of a long clip come in pieces, which add up to the whole with its shared unknowns."""
+    """The pieces add up to the equations of the whole clip, with its shared unknowns."""
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
     problem, states = seen_late(shared=True), some_states()
     shared = some_shared(problem)
@@ -255,7 +255,7 @@ def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
         np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
 
 
-def test_the_middle_piece_is_that_of_the_clip(monkeypatch):
+def test_middle_piece_equals_that_part_of_the_clip(monkeypatch):
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
     problem, states = replace(seen_late(shared=True), piece=2), some_states()
     shared = some_shared(problem)
@@ -272,7 +272,7 @@ def test_the_middle_piece_is_that_of_the_clip(monkeypatch):
 
 
 def test_minimum_of_a_linear_problem_takes_one_step():
-    """The minimum of a linear problem takes one step, and is the closed form of least squares."""
+    """The minimum agrees with the closed form of least squares."""
     D = BODY.n_state
     place = Linear("place", (0,), np.eye(D)[None, :4], np.array([1.0, 5.0, -0.3, 0.2]))
     linear = [
@@ -294,12 +294,12 @@ def dense_rows_of_linear(linear, states):
 
 
 class _Quiet(LeastSquares):
-    """A problem without nonlinear terms, in which no span is posed."""
+    """Problem without non-linear terms, which never computes the pose of a span."""
 
 
 @pytest.mark.slow
-def test_minimum_of_the_whole_problem_is_a_minimum():
-    """The minimum of the whole problem is a minimum: no direction leads down, and scipy's solver stays there."""
+def test_no_direction_leads_below_the_minimum():
+    """scipy's solver does not leave the minimum, either."""
     problem = whole_problem()
     found = problem.minimise(some_states(), 1e-10, 200)
     assert found.converged
@@ -309,7 +309,7 @@ def test_minimum_of_the_whole_problem_is_a_minimum():
     assert problem.cost(other.x.reshape(T, -1)) > found.cost - 1e-3
 
 
-def test_reports_when_it_did_not_converge():
+def test_search_reports_that_it_did_not_converge():
     found = whole_problem().minimise(some_states(), 1e-12, 2)
     assert not found.converged
     assert found.iterations == 2
@@ -361,10 +361,10 @@ def test_costs_are_named():
 
 
 def test_a_slow_shift_in_depth_is_found():
-    """A slow shift in depth is found in few steps.
+    """The whole path starts one metre too far away, and is found in few steps.
 
-    A single marker on a moving root is seen by pixels only through its distance. The whole path is off by one metre,
-    and every frame is stiff against its neighbours. Damping by the diagonal would need many steps.
+    A single marker on a moving root shows its distance only weakly, and every frame is stiff against its neighbours.
+    Damping by the diagonal would need many steps.
     """
     tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
     D, frames = tree.n_state, 60
@@ -375,11 +375,10 @@ def test_a_slow_shift_in_depth_is_found():
     np.testing.assert_allclose(found.states, 1.0, atol=2e-2)
 
 
-def test_a_step_of_the_size_keeps_the_animal_in_its_place():
-    """A step of the size keeps the animal in its position.
+def test_step_of_the_size_keeps_the_position():
+    """Two cameras see a marker 20 m from the origin, while the size has to grow by a third and the root to shrink.
 
-    Two cameras see a marker 20 m from the origin, while the size has to grow by a third and the root shrinks by as
-    much. A straight step in root and size would carry the marker off by a metre.
+    A straight step in root and size would move the marker by a metre.
     """
     tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
     states = np.zeros((40, tree.n_state))
@@ -399,10 +398,9 @@ def test_a_step_of_the_size_keeps_the_animal_in_its_place():
 
 
 def test_a_step_of_the_size_keeps_the_animal_in_the_picture_of_one_camera():
-    """A step of the size keeps the animal in the picture of one camera.
+    """For a camera at the origin, a marker looks the same for each size.
 
-    From the camera at the origin, a marker looks the same for each size. A root that moved by less because the size
-    grows would fall short of the detection.
+    If the root moved by less because the size grows, the marker would not reach the detection.
     """
     tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
     states = np.zeros((40, tree.n_state))

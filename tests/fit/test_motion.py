@@ -19,7 +19,7 @@ def motion(request) -> Motion:
 
 
 def chain_trajectory(of: Motion, small_motion: Motion) -> Motion:
-    """Return a trajectory of the body of the 8U chain, whose poses lie around its mean pose."""
+    """Return a trajectory of the 8U chain's body, with poses around the mean pose."""
     body, T = load_skeleton("cheetah-8u"), 6
     states = np.zeros((T, body.n_state))
     states[:, :3] = [-1.0, 9.0, 0.3] + 0.3 * np.arange(T)[:, None] * [1.0, 0.0, 0.0]
@@ -63,26 +63,26 @@ def test_shapes_and_names_agree(motion: Motion):
     assert set(motion.feet) == set(lowest)
 
 
-def test_root_is_the_joint_it_is_called_after(motion: Motion):
+def test_root_is_the_joint_that_names_it(motion: Motion):
     at = motion.joints.index(motion.root_name)
     np.testing.assert_allclose(motion.root_m, motion.joints_m[:, at], atol=1e-12)
     assert motion.root_name == ("J0" if motion.body.one_sided else "spine")
 
 
-def test_detections_that_the_pose_does_not_explain(small_motion, small_trajectory):
+def test_detections_far_from_the_pose_are_outliers(small_motion, small_trajectory):
     for motion, frame, name in ((small_motion, 14, "neck_base"), (small_trajectory, 14, "nose")):
         ((t, j),) = np.argwhere(motion.pictures[0].outliers)
         assert (motion.frames[t], motion.names[j]) == (frame, name)
     assert small_trajectory.pictures[0].distance_px[4, 0] == pytest.approx(300.0)
 
 
-def test_keypoints_of_the_file_and_of_the_skeleton(small_trajectory):
+def test_unused_and_missing_keypoints(small_trajectory):
     assert small_trajectory.unused_keypoints == ("ear",)
     assert small_trajectory.missing_keypoints == ("r_eye",)
 
 
 def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
-    """Reprojections lie where the detector sees the joints, for a skeleton with offset shoulder keypoints."""
+    """The skeleton's shoulder keypoints have offsets from the joints."""
     body = small_trajectory.body
     shifted = replace(body, keypoint_offset_m={"l_shoulder": (0.0, 0.0, 0.1)})
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, body=shifted))
@@ -102,18 +102,18 @@ def test_states_of_a_body_give_its_joints_in_the_world(world_trajectory):
     assert motion.states_frame == "world"
     points = motion.body.tree.pose(motion.states, motion.solution.size).points_m
     np.testing.assert_allclose(points, motion.joints_m, atol=1e-12)
-    # Seen by a camera that looks along x, the animal runs along -y.
+    # The camera looks along x, and the animal runs along -y.
     np.testing.assert_allclose(motion.states[:, 3], -np.pi / 2)
     np.testing.assert_allclose(np.diff(motion.root_m, axis=0), np.tile([0, -0.3, 0], (7, 1)), atol=1e-12)
 
 
-def test_without_a_world_they_are_in_the_level_frame(small_trajectory):
+def test_states_without_a_world_are_in_the_level_frame(small_trajectory):
     motion = small_trajectory
     assert motion.states_frame == "level"
     np.testing.assert_array_equal(motion.states, motion.solution.states)
     points = motion.body.tree.pose(motion.states).points_m
     np.testing.assert_allclose(motion.in_reference(points), motion.joints_m, atol=1e-12)
-    # The world of a calibration board need not be upright, so yaw has no meaning there.
+    # The world of a calibration board may be tilted, so that yaw has no meaning in it.
     board = with_first(
         motion, camera=replace(motion.camera, rotation=np.eye(3), translation_m=np.zeros(3), world_z_up=False)
     )
@@ -121,7 +121,7 @@ def test_without_a_world_they_are_in_the_level_frame(small_trajectory):
     np.testing.assert_array_equal(board.states, motion.solution.states)
 
 
-def test_states_of_a_chain_are_those_of_its_tree(small_trajectory, small_motion):
+def test_states_of_a_chain_have_the_names_of_its_unknowns(small_trajectory, small_motion):
     motion = chain_trajectory(small_trajectory, small_motion)
     assert motion.states_frame == small_motion.states_frame == "level"
     assert motion.state_names == small_motion.state_names
@@ -154,11 +154,8 @@ def test_sigmas_are_along_the_axes_of_the_frame_of_reference(small_trajectory, w
     np.testing.assert_allclose(world_trajectory.relative_rms_m, np.sqrt(2 * 0.02**2 + 0.08**2))
 
 
-def test_place_sigma_is_that_of_the_mean_along_the_line_of_sight(small_trajectory):
-    """`place_sigma` is the standard deviation of the mean of the joints along the line of sight.
-
-    The joints are drawn with a common position and with offsets relative to their mean.
-    """
+def test_place_sigma_is_along_the_line_of_sight(small_trajectory):
+    """`place_sigma_m` agrees with the spread of the joints' mean in draws of a position and of relative offsets."""
     rng = np.random.default_rng(5)
     J, draws = 24, 4000
     mixing = rng.normal(0, 0.05, (3 * J, 3 * J)) / np.sqrt(J)
@@ -235,7 +232,7 @@ def test_every_camera_has_its_picture(two_cameras):
     np.testing.assert_allclose(picture.distance_m, away_m)
 
 
-def test_a_moving_cameras_place_is_that_of_each_frame(two_cameras):
+def test_moving_camera_has_a_pose_in_each_frame(two_cameras):
     first, second = two_cameras.solution.views
     poses = np.tile(second.T_camera_world, (8, 1, 1))
     poses[:, :3, 3] -= np.arange(8)[:, None] * poses[:, :3, 0]  # the camera moves along x by one metre per frame
@@ -244,7 +241,7 @@ def test_a_moving_cameras_place_is_that_of_each_frame(two_cameras):
     np.testing.assert_allclose(places_m - [10, -8, 2.5], np.arange(8)[:, None] * [1, 0, 0], atol=1e-12)
 
 
-def test_detections_and_weights_are_those_of_all_cameras(two_cameras):
+def test_detections_and_weights_include_all_cameras(two_cameras):
     assert two_cameras.detections.tolist() == [23, 23, 47, 24, 47, 47, 47, 47]
     assert two_cameras.mean_weight[[0, 3]].tolist() == [1.0, 0.5]
     assert two_cameras.mean_weight[2] == pytest.approx((23 + 24 / 2) / 47)
@@ -252,7 +249,7 @@ def test_detections_and_weights_are_those_of_all_cameras(two_cameras):
     assert two_cameras.unused_keypoints == ("ear",)
 
 
-def test_what_is_derived_from_a_motion_is_made_once_and_again_for_a_changed_motion(small_trajectory: Motion):
+def test_derived_results_are_cached_until_the_motion_changes(small_trajectory: Motion):
     made = []
 
     def frames_of(motion: Motion) -> int:

@@ -1,4 +1,4 @@
-"""Test cameras that are out of step or have other frame rates: found, combined, refused."""
+"""Test cameras with time offsets or different frame rates."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from recon.fit.trajectory import solve_trajectory
 
 
 def test_the_search_finds_whole_frames():
-    """The search finds whole frames: one of three cameras begins 4 frames later, one 3 frames earlier."""
+    """One of three cameras begins 4 frames later, and one 3 frames earlier."""
     views = run_views(3)
     found = search_offsets([views[0], late(views[1], 4), late(views[2], -3)], FPS, 2.0, KEYPOINT_M)
     np.testing.assert_array_equal(found, [0, 4, -3])
 
 
-def test_a_camera_that_sees_nothing_together_with_others_is_not_compared():
+def test_camera_without_common_frames_is_not_compared():
     first, second, third = run_views(3)
     blind = replace(second, xy_px=np.full_like(second.xy_px, np.nan))
     np.testing.assert_array_equal(search_offsets([first, blind, third], FPS, 2.0, KEYPOINT_M), [0, np.nan, 0])
 
 
 def test_lags_are_found_with_their_uncertainty():
-    """A solver for large lags finds them relative to the first camera, with their uncertainty."""
+    """Lags are relative to the first camera."""
     views = [replace(view, offset_frames=lead) for view, lead in zip(run_views(2), (0.0, 0.75), strict=True)]
     found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
     assert (found.time_offset_frames[0], found.time_offset_sigma_frames[0]) == (0, 0)
@@ -49,7 +49,7 @@ def sources() -> list[Source]:
     return [Source(lens, *clean(own, 0.5), BODY.markers) for lens, own in zip(lenses, given, strict=True)]
 
 
-def test_found_lags_put_the_sources_in_step_until_they_are_small():
+def test_sources_are_shifted_until_the_lags_are_small():
     asked = []
 
     def solve(of: tuple[Source, ...]) -> TrajectorySolution:
@@ -63,7 +63,7 @@ def test_found_lags_put_the_sources_in_step_until_they_are_small():
     assert len(asked) == 2
 
 
-def test_a_motion_that_does_not_tell_is_refused():
+def test_motion_that_does_not_determine_lags_is_refused():
     def solve(of: tuple[Source, ...]) -> TrajectorySolution:
         return SimpleNamespace(time_offset_frames=np.array([0.0, 0.04]), time_offset_sigma_frames=np.array([0.0, 1.9]))  # type: ignore[return-value]
 
@@ -71,19 +71,18 @@ def test_a_motion_that_does_not_tell_is_refused():
         solve_time_offsets(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
 
 
-def test_a_clip_whose_cameras_are_out_of_step(runs):
-    """The offset of cameras is found although `--set offset-s` states five frames and both began together."""
+def test_offset_of_unsynchronised_cameras_is_found(runs):
+    """Both cameras began together, although `--set offset-s` states five frames."""
     motion = fit_clip(settings(runs, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
     lag = motion.solution.views[1].offset_frames - motion.sources[1].offset_frames
     assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)
     assert abs(lag) < 0.05
 
 
-def test_points_at_another_frame_rate():
-    """Points are resampled to another frame rate.
+def test_points_are_resampled_to_another_frame_rate():
+    """At half the rate, every second frame is between two points, each of which counts half.
 
-    At half the rate, every second frame is between two points, and each counts half. At twice the rate, every second
-    point is used.
+    At twice the rate, every second point is used.
     """
     slow = keypoints_of(np.arange(4.0)[:, None, None] * np.full((4, len(BODY.markers), 2), 10.0), first=3)
     slow.xy_px[2] = np.nan
@@ -99,8 +98,8 @@ def test_points_at_another_frame_rate():
         at_rate(replace(slow, fps=FPS * 20), FPS)
 
 
-def test_cameras_of_different_frame_rates(runs):
-    """Cameras of different frame rates are combined: 30 frames of the second file last twice as long."""
+def test_cameras_with_different_frame_rates_are_combined(runs):
+    """The 30 frames of the second file last twice as long."""
     first, second = prepare(settings(runs, 1, 2, fps=None, camera_fps=[FPS, FPS / 2], frames="0:60")).sources
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(59))
     assert np.flatnonzero(second.keypoints.present.any(axis=1)).tolist() == list(range(20, 59))

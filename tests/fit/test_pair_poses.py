@@ -1,4 +1,4 @@
-"""Test the explanations of the poses of two cameras."""
+"""Test the hypotheses about the poses of two cameras."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from recon.fit.trajectory import solve_segments
 
 USUAL_RAD = constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD
 USUAL = np.tile([*[USUAL_RAD] * 3, *[0.03] * 3], 2)
-"""Usual standard deviations of the errors of two poses."""
+"""Usual standard deviations (12,) of the errors of two poses, rad and m."""
 CALIBRATED = constants.WELL_CALIBRATED * USUAL
 MISPLACED = np.tile([*[constants.MISPLACED_RAD] * 3, *[0.3] * 3], 2)
-"""Standard deviations for well calibrated cameras, and for cameras that were turned and moved."""
+"""Standard deviations (12,) of the errors of two cameras that were turned and moved, rad and m."""
 PAN, SECOND_PAN = 1, 7
 """Turns of the first and of the second camera about their vertical axis, among the twelve errors."""
 SHIFT, SECOND_SHIFT = 3, 9
@@ -36,7 +36,7 @@ def likelihood(measured: dict[int, float], sigma_rad: float) -> tuple[np.ndarray
     return precision, pull
 
 
-def test_poses_that_nothing_shows_are_as_likely_turned_and_moved_as_expected():
+def test_hypotheses_without_evidence_keep_their_prior():
     poses = PairPoses.weigh(np.zeros((12, 12)), np.zeros(12), CALIBRATED, MISPLACED)
     assert np.tensordot(poses.weight, poses.is_turned, axes=1) == pytest.approx(np.full((2, 3), constants.TURNED_SHARE))
     assert poses.weight @ poses.is_moved == pytest.approx(np.full(2, constants.MOVED_SHARE))
@@ -47,7 +47,7 @@ def test_poses_that_nothing_shows_are_as_likely_turned_and_moved_as_expected():
     np.testing.assert_array_equal(poses.expected, np.zeros(12))
 
 
-def test_a_turn_that_the_detections_show_is_that_of_its_camera():
+def test_turn_is_attributed_to_the_right_camera():
     measured = dict.fromkeys(range(12), 0.0)
     for index in (PAN, SECOND_PAN):
         seen = likelihood(measured | {index: np.radians(3.0)}, np.radians(0.1))
@@ -56,7 +56,7 @@ def test_a_turn_that_the_detections_show_is_that_of_its_camera():
         assert np.degrees(poses.expected[PAN + SECOND_PAN - index]) == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_shift_that_the_detections_show_is_that_of_its_camera():
+def test_shift_is_attributed_to_the_right_camera():
     measured = dict.fromkeys(range(12), 0.0)
     for index in (SHIFT, SECOND_SHIFT):
         poses = PairPoses.weigh(*likelihood(measured | {index: 0.3}, 0.001), CALIBRATED, MISPLACED)
@@ -65,11 +65,8 @@ def test_a_shift_that_the_detections_show_is_that_of_its_camera():
         assert poses.weight @ poses.is_moved == pytest.approx([float(index == SHIFT), float(index == SECOND_SHIFT)])
 
 
-def test_a_turn_explains_what_a_turn_and_a_shift_would_show_alike():
-    """A turn explains an error that a shift could explain equally well, because turns are more common.
-
-    Only the sum of a pan and of a shift at 10 m is measured.
-    """
+def test_turn_is_preferred_to_a_shift_with_the_same_effect():
+    """Only the sum of a pan and of a shift at 10 m is measured, and turns are more common than shifts."""
     both = np.zeros(12)
     both[[PAN, SHIFT]] = 1.0, 0.1
     precision = np.outer(both, both) * np.radians(0.1) ** -2
@@ -78,8 +75,8 @@ def test_a_turn_explains_what_a_turn_and_a_shift_would_show_alike():
     assert poses.weight @ poses.is_turned[:, 0, 1] > poses.weight @ poses.is_moved[:, 0] > constants.MOVED_SHARE
 
 
-def test_if_it_is_open_which_camera_is_turned_each_is_turned_by_half_and_both_are_uncertain():
-    """If only the difference of two pans is measured, each camera is turned by half of it, and both are uncertain."""
+def test_each_camera_is_turned_by_half_if_either_may_be_turned():
+    """Only the difference of two pans is measured, so that both cameras remain uncertain."""
     difference = np.zeros(12)
     difference[[PAN, SECOND_PAN]] = -1.0, 1.0
     precision, angle_rad = np.outer(difference, difference) * np.radians(0.1) ** -2, np.radians(3.0)
@@ -100,7 +97,7 @@ def random_problem(correlation: float) -> tuple[LeastSquares, np.ndarray]:
     return problem, 1e4 * rows.T @ rows + np.diag(np.concatenate([unknown.sigma for unknown in unknowns]) ** -2.0)
 
 
-def test_the_poses_of_a_problem_become_as_uncertain_as_all_explanations_leave_them():
+def test_uncertainty_of_poses_includes_all_hypotheses():
     correlation = 4.0
     problem, S = random_problem(correlation)
     shared, gradient = problem.expected(), np.zeros(13)
@@ -117,9 +114,9 @@ def test_the_poses_of_a_problem_become_as_uncertain_as_all_explanations_leave_th
     np.testing.assert_allclose(np.linalg.solve(after[1:, 1:], after[1:, 0]), by_poses, rtol=1e-5, atol=1e-9)
 
 
-def test_with_the_mean_of_its_prior_a_problem_has_its_minimum_at_the_expected_poses():
+def test_prior_mean_moves_the_minimum_to_the_expected_poses():
     problem, S = random_problem(4.0)
-    gradient = 0.02 * S[:, 2]  # indicates a rotation, so that the expected poses are not the minimum
+    gradient = 0.02 * S[:, 2]  # a rotation, so that the expected poses are not the minimum
     weighed = pair_poses(problem, problem.expected(), (S, gradient), 4.0)
     assert weighed is not None
     prior_pull = np.append(0.0, -weighed.prior_mean / np.tile(problem.shared[1].sigma, 2) ** 2)
@@ -143,7 +140,7 @@ def test_a_first_camera_that_defines_the_world_stays_certain():
     assert with_uncertain_poses(problem, problem.expected(), (S, np.zeros(6)), 1.0) is S
 
 
-def test_the_noise_of_detections_does_not_depend_on_how_far_a_camera_may_be_turned(two_cameras, monkeypatch):
+def test_noise_does_not_depend_on_the_prior_of_the_poses(two_cameras, monkeypatch):
     solution, body = two_cameras.solution, two_cameras.body
     prior = load_prior(solution.prior, body)
     clip = ClipProblem.from_views(solution.views, body, prior, two_cameras.fps, TrajectoryOptions(fast=True))

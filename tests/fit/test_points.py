@@ -11,7 +11,7 @@ from recon.fit.points import MIN_MARKERS, solve_points
 from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 FAINT = 1e-6
-"""Weight of the angles that moves no marker visibly."""
+"""Weight of the angles' deviations, m/rad, small enough to move no marker visibly."""
 
 
 LIKE_OTHERS = ("cheetah-8u", "cheetah-8u-jules", "cheetah-8u-phantom")
@@ -31,7 +31,7 @@ def cheetah() -> Body:
 
 
 def random_states(body: Body, n: int) -> np.ndarray:
-    """Return states around the expected pose, with half the spread, anywhere and with any heading."""
+    """Return states around the expected pose, at any position and heading, with half the usual spread of angles."""
     rng = np.random.default_rng(0)
     angles = rng.normal(body.mean_rad, 0.5 * body.sigma_rad, (n, body.n_state - 4))
     return np.concatenate([rng.uniform(-5, 5, (n, 3)), rng.uniform(-3, 3, (n, 1)), angles], axis=1)
@@ -44,7 +44,7 @@ def test_finds_the_markers(body: Body):
     np.testing.assert_allclose(body.tree.pose(states, 1.1).points_m, points, rtol=0, atol=3e-6)
 
 
-def test_finds_the_states_where_the_markers_say_them(cheetah):
+def test_finds_states_that_the_markers_determine(cheetah):
     truth = random_states(cheetah, 60)
     states, *_ = solve_points(cheetah, cheetah.tree.pose(truth).points_m, pull_m_per_rad=FAINT)
     states[:, YAW] -= 2 * np.pi * np.round((states - truth)[:, YAW] / (2 * np.pi))
@@ -91,7 +91,7 @@ def test_least_squares_of_noisy_markers(cheetah):
 
 
 def test_a_tail_that_points_up_does_not_turn_over(cheetah):
-    """A tail that points up does not turn over, although (yaw + pi, pi - pitch) is the same direction."""
+    """The direction (yaw, pitch) of the tail is the same as (yaw + pi, pi - pitch)."""
     T, names = 60, list(cheetah.state_names)
     truth = np.zeros((T, cheetah.n_state))
     truth[:, PITCH:] = cheetah.mean_rad
@@ -111,7 +111,7 @@ def test_heading_is_continuous(cheetah):
     assert np.ptp(states[:, YAW]) == pytest.approx(4 * np.pi, abs=1e-3)
 
 
-def test_what_does_not_fit(cheetah):
+def test_points_that_cannot_be_fitted(cheetah):
     with pytest.raises(ValueError, match="24 markers"):
         solve_points(cheetah, np.zeros((5, 23, 3)))
     nothing = np.full((5, 24, 3), np.nan)

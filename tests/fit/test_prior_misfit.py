@@ -1,4 +1,4 @@
-"""Test that a motion unknown to the prior is noticed and does no more harm than having no prior."""
+"""Test that a motion unlike the prior's is reported, and is fitted no worse than without a prior."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ NARROW = replace(
     covariances=PLAIN.covariances / 25,
     covariance=PLAIN.covariance / 25,
 )
-"""A prior with other means and a fifth of the standard deviations."""
+"""Prior with other means than `PLAIN`, and a fifth of its standard deviations."""
 FPS, T = 60.0, 16
 CAMERA = Camera.from_hfov(60.0, (1920, 1080))
 
 
 @pytest.mark.parametrize("fps", [45.0, 200.0])
-def test_the_level_is_the_scale_of_the_variances(fps):
-    """The misfit is the scale of the prior's variances, for angles that are seen directly in all frames."""
+def test_misfit_is_the_scale_of_the_variances(fps):
+    """The angles are measured directly in all frames."""
     rng = np.random.default_rng(0)
     prior = pose_term(NARROW, BODY.n_state, fps, 1.0)
     sigma = np.sqrt(np.diagonal(NARROW.covariance) * fps / 90.0)
@@ -54,7 +54,7 @@ def test_the_level_is_the_scale_of_the_variances(fps):
         assert found.prior_weight == pytest.approx(weight, rel=0.1)
 
 
-def test_pixels_that_say_nothing_make_no_surprise():
+def test_uninformative_pixels_give_no_misfit():
     states = np.zeros((5, BODY.n_state))
     states[:, ANGLES] = NARROW.mean
     hardly = Linear("seen", (0,), 1e-3 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))
@@ -64,20 +64,20 @@ def test_pixels_that_say_nothing_make_no_surprise():
     assert [term.name for term in problem.subset((POSE,)).linear] == [POSE]
 
 
-def test_few_unknowns_have_to_be_further_off():
+def test_few_unknowns_need_a_larger_misfit():
     assert not PriorMisfit(1.99, 1e4).unlike
     assert PriorMisfit(2.01, 1e4).unlike
     assert not PriorMisfit(2.2, 10.0).unlike  # 2.32 is the 99 % quantile of chi square / 10 with ten degrees of freedom
     assert PriorMisfit(2.4, 10.0).unlike
 
 
-def test_a_prior_loses_its_weight_little_by_little():
+def test_prior_weight_decreases_gradually():
     trusts = [PriorMisfit(level, 1e3).prior_weight for level in (0.5, 1.0, 1.001, 1.999, 2.001)]
     assert trusts == pytest.approx([1.0, 1.0, 1 / 1.001, 1 / 1.999, 1 / 2.001])
 
 
 def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySolution, float]:
-    """Return a solved clip in which the angles stay, and the error of the pose in m."""
+    """Return the solution of a clip with constant angles, and the error of its pose, m."""
     states = np.zeros((T, BODY.n_state))
     states[:, ANGLES] = at
     states[:, :3] = np.array([-0.5, 6.0, -0.3]) + np.outer(np.arange(T) / FPS, [5.0, 0.0, 0.0])
@@ -90,8 +90,8 @@ def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySol
 
 
 @pytest.mark.parametrize("fast", [False, True])
-def test_a_prior_that_does_not_know_the_motion_gives_way(fast, monkeypatch):
-    """A prior that does not know the motion loses its weight, so that angles stay near the skeleton's expectation."""
+def test_prior_of_other_motions_loses_its_weight(fast, monkeypatch):
+    """The angles then stay near the skeleton's expectation."""
     at = PLAIN.mean + 0.1 * np.random.default_rng(3).normal(size=len(PLAIN.mean))
     solution, error_m = solved(NARROW, at, fast=fast)
     (segment,) = solution.segments
@@ -105,7 +105,7 @@ def test_a_prior_that_does_not_know_the_motion_gives_way(fast, monkeypatch):
     assert error_m < (0.9 if fast else 0.7) * held_m
 
 
-def test_without_a_prior_nothing_is_a_surprise():
+def test_fit_without_a_prior_has_no_misfit():
     (segment,) = solved(PLAIN, NARROW.mean, fast=True)[0].segments
     assert (segment.prior_misfit, segment.prior_weight) == (None, 1.0)
 

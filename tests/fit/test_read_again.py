@@ -1,4 +1,4 @@
-"""Test that later commands read all that a fit writes, with any skeleton, camera, offset, track or missing marker."""
+"""Test that later commands read everything that a fit writes, for many skeletons and kinds of cameras."""
 
 from __future__ import annotations
 
@@ -86,14 +86,14 @@ def one_began_earlier(folder: Path) -> FitSettings:
 
 
 def six_that_began_apart(folder: Path) -> FitSettings:
-    """Return six cameras that began apart, with the skeleton drafted from the names of their keypoints."""
+    """Return the settings of six cameras that began at different times, with a skeleton drafted from keypoint names."""
     names = load_skeleton("quadruped").markers
     (folder / "drafted.toml").write_text(draft_skeleton(names, "drafted", folder)[2])
     return settings_of(folder, folder / "drafted.toml", SIX, (0, -3, 2, 0, 1, 0))
 
 
 def bare_root(folder: Path) -> FitSettings:
-    """Return a skeleton without a marker at the root's origin."""
+    """Return the settings of a clip whose skeleton has no marker at the root's origin."""
     text = (Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "quadruped.toml").read_text()
     moved = text.replace(
         'name = "spine"\nsegment = "rear_trunk"\n', 'name = "spine"\nsegment = "rear_trunk"\nat_m = [0.05, 0.0, 0.0]\n'
@@ -104,7 +104,7 @@ def bare_root(folder: Path) -> FitSettings:
 
 
 def followed(folder: Path) -> FitSettings:
-    """Return a clip of a camera with a track."""
+    """Return the settings of a clip of one camera with a track."""
     found = settings_of(folder, "quadruped", CAMERAS[:1], (0,))
     write_camera(LENS, folder / "lens.toml")
     track = write_track(folder / "track.csv", np.arange(FRAMES), np.tile(_pose(CAMERAS[0]), (FRAMES, 1, 1)))
@@ -112,7 +112,7 @@ def followed(folder: Path) -> FitSettings:
 
 
 def away_for_a_minute(folder: Path) -> FitSettings:
-    """Return a clip in which the animal leaves and returns; one camera sees it longer than the other."""
+    """Return the settings of a clip in which the animal leaves and returns; one camera sees it longer."""
     found = settings_of(folder, "quadruped", CAMERAS, (0, 0))
     for path in found.keypoints:
         clip = read_keypoints(path)
@@ -126,13 +126,13 @@ CLIPS = {name: one_camera(name) for name in builtin_names()}
 ODD = ("offset", "bare root", "away")
 """Clips whose points are also written in every format."""
 QUICK = ("cheetah-24", "mouse-top", "track")
-"""Clips of the kinds that differ in code; the other skeletons differ in numbers. "away" has 146 frames."""
+"""Clips that are always tested, one for each kind of code; the other skeletons only have other numbers."""
 CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}
 CLIPS |= {"six, drafted": six_that_began_apart}
 
 
 @pytest.mark.parametrize("clip", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in CLIPS])
-def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, undrawn, monkeypatch):
+def test_later_commands_read_the_results_of_a_fit(clip, tmp_path, undrawn, monkeypatch):
     settings, out = CLIPS[clip](tmp_path), tmp_path / "out"
     if clip not in ODD:
         leave_out_playback(monkeypatch)  # nothing reads it

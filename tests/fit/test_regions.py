@@ -17,7 +17,7 @@ def test_intervals_are_those_of_students_t_with_the_stated_variance():
     assert 0.85 < radius(0.5, 3) / np.sqrt(chi2.ppf(0.5, 3)) < 0.95
 
 
-def test_regions_hold_errors_of_their_covariance_as_often_as_said():
+def test_regions_contain_the_stated_fraction_of_errors():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(3, 3))
     scale = np.sqrt((DEGREES_OF_FREEDOM - 2) / rng.chisquare(DEGREES_OF_FREEDOM, 40_000))
@@ -30,7 +30,7 @@ def test_regions_hold_errors_of_their_covariance_as_often_as_said():
     assert np.mean(x < radius(0.9)) == pytest.approx(0.9, abs=0.01)
 
 
-def test_what_is_not_known_does_not_count():
+def test_unknown_errors_do_not_count():
     errors, covariance = np.zeros((3, 2)), np.stack([np.eye(2)] * 3)
     errors[0], errors[1, 0], covariance[2] = 0.1, np.nan, np.nan
     assert np.isfinite(sigmas(errors, covariance)).tolist() == [True, False, False]

@@ -19,7 +19,7 @@ from recon.thesis.chain import with_unknowns
 
 TABLES_M = 6e-6
 SIGMA = {"rtol": 0.0051, "atol": TABLES_M}
-"""Half a unit of the last decimal of a cheetah's tables in metres, and a little more."""
+"""Tolerances of standard deviations in a cheetah's tables: a little more than half of the last decimal."""
 
 
 def copy(folder: Path, to: Path) -> Path:
@@ -27,12 +27,12 @@ def copy(folder: Path, to: Path) -> Path:
 
 
 @pytest.mark.parametrize("results", ["whole_results", "level_results", "frame_results", "chain_results"])
-def test_the_report_is_that_of_the_motion(results, request):
+def test_report_agrees_with_the_motion(results, request):
     folder = request.getfixturevalue(results)
     assert build_report(Motion.load(folder)) == json.loads((folder / "report.json").read_text(encoding="utf-8"))
 
 
-def test_a_world_with_z_up_stays_as_it_is(whole_results):
+def test_world_with_z_up_is_not_turned(whole_results):
     found = Motion.load(whole_results)
     pose = read_pose3d(whole_results / "pose3d.csv")
     np.testing.assert_allclose(found.upright.xyz_m, pose.xyz_m, atol=TABLES_M)
@@ -57,7 +57,7 @@ def test_shares_and_deviations_belong_to_their_angles(whole_results):
 
 @pytest.mark.parametrize("results", ["whole_results", "level_results"])
 def test_states_and_size_give_the_joints(results, request):
-    """States and size give the joints, also if the frame of reference is the camera's and the states are upright."""
+    """The frame of reference may be the camera's, while the states are in an upright world."""
     found = Motion.load(request.getfixturevalue(results))
     joints = found.body.tree.pose(found.states, found.size).points_m
     np.testing.assert_allclose(joints, found.upright.xyz_m, atol=1e-9)
@@ -78,7 +78,7 @@ def test_the_camera_frame_is_turned_upright(level_results):
     np.testing.assert_allclose(np.sqrt(turned[:, 1, 1]), table["y_sigma"], **SIGMA)
 
 
-def test_a_chain_is_called_by_its_keypoints(frame_results):
+def test_chain_has_the_names_of_its_keypoints(frame_results):
     found = Motion.load(frame_results)
     chain = with_unknowns(found.chain)
     assert chain is not None
@@ -109,8 +109,8 @@ def test_feet_of_a_whole_animal(whole_results):
     }
 
 
-def test_spells_and_their_grounds(whole_results, frame_results):
-    """Segments have their grounds, planes in the upright frame; the frame method has a single segment."""
+def test_segments_have_their_grounds(whole_results, frame_results):
+    """A ground is a plane in the upright frame; the frame method has a single segment."""
     found = Motion.load(whole_results)
     ((written,), (segment,)) = build_report(found)["segments"], found.segments
     assert segment.rows == slice(0, 60)
@@ -143,8 +143,8 @@ def test_results_of_a_batch(tmp_path, whole_results):
 
 
 @pytest.mark.parametrize("left", ["report.json", "config.toml", "angles.csv", "pose3d.csv", "quality.csv"])
-def test_without_a_manifest_they_are_no_results(left, whole_results, tmp_path):
-    """A folder without a manifest is not a folder of results, as after a run that was killed while writing."""
+def test_folder_without_a_manifest_is_refused(left, whole_results, tmp_path):
+    """A run that was killed while writing leaves no manifest."""
     folder = copy(whole_results, tmp_path)
     for path in folder.iterdir():
         if path.name not in ("motion.npz", left):
@@ -155,19 +155,19 @@ def test_without_a_manifest_they_are_no_results(left, whole_results, tmp_path):
 @pytest.mark.parametrize(
     "content", ["", "[]", "{}", '{"schema": {"name": "recon.manifest", "version": 1}}', "9" * 5000]
 )
-def test_a_manifest_of_another_kind(whole_results, tmp_path, content):
+def test_manifest_of_another_kind_is_refused(whole_results, tmp_path, content):
     folder = copy(whole_results, tmp_path)
     (folder / "manifest.json").write_text(content)
     refuses(folder, folder / "manifest.json", "content", "another kind of file", "--overwrite")
 
 
-def test_a_motion_of_another_run(whole_results, level_results, tmp_path):
+def test_motion_of_another_run_is_refused(whole_results, level_results, tmp_path):
     folder = copy(whole_results, tmp_path)
     shutil.copy(level_results / "motion.npz", folder)
     refuses(folder, folder / "motion.npz", "content", "manifest.json")
 
 
-def test_a_motion_that_no_manifest_names_is_not_read(whole_results, tmp_path):
+def test_motion_missing_in_the_manifest_is_refused(whole_results, tmp_path):
     folder = copy(whole_results, tmp_path)
     motion = (folder / "motion.npz").read_bytes()
     (folder / "motion.npz").unlink()
@@ -176,7 +176,7 @@ def test_a_motion_that_no_manifest_names_is_not_read(whole_results, tmp_path):
     refuses(folder, folder / "motion.npz", "file", "manifest.json", "--overwrite")
 
 
-def test_what_is_not_read_may_be_changed_or_removed_and_files_added(whole_results, tmp_path):
+def test_files_that_are_not_read_may_change(whole_results, tmp_path):
     folder = copy(whole_results, tmp_path)
     (folder / "motion.rrd").unlink()
     (folder / "report.json").unlink()

@@ -31,7 +31,7 @@ def test_draws_spread_as_the_motion_states(motion: recon.Motion):
             motion.sample(n)  # pyright: ignore[reportArgumentType]
 
 
-def test_the_residual_of_the_page_pulls_towards_the_measurement(motion: recon.Motion, tmp_path: Path, monkeypatch):
+def test_residual_of_the_docs_pulls_towards_the_measurement(motion: recon.Motion, tmp_path: Path, monkeypatch):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "results" / "clip").mkdir(parents=True)
     motion.save(tmp_path / "results" / "clip")

@@ -1,4 +1,4 @@
-"""Test that the pictures stay the same if a solution gets another size than that of its minimum."""
+"""Test that a solution keeps its pictures if its size is changed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from recon.fit.solution import states_at_size
 
 
 @pytest.mark.parametrize("other_size", [0.8, 0.999, 1.3])
-def test_another_size_leaves_the_animal_before_a_camera_that_moves(other_size):
-    """Another size leaves the animal in the same place of the pictures of a moving camera.
+def test_another_size_keeps_the_pictures_of_a_moving_camera(other_size):
+    """A camera moves 7 m with an animal that is 14 m away, as in the frame of a belt.
 
-    A camera goes 7 m along with an animal that is 14 m away, as in the frame of a belt. From each position of the
-    camera, the animal is farther away in proportion to its size.
+    From each position of the camera, the animal's distance is proportional to its size.
     """
     size, origin_m = 0.78, np.array([3.8, -14.0, 1.5])
     centres_m = origin_m + np.linspace(-3.5, 3.5, 30)[:, None] * [1.0, 0.1, 0.0]

@@ -27,7 +27,7 @@ RESULTS = [
 @pytest.mark.parametrize(
     ("fit", "camera", "spoilt", "frames"), RESULTS, ids=[f"{fit[0]}-{spoilt.__name__}" for fit, _, spoilt, _ in RESULTS]
 )
-def test_a_spoilt_clip_ends_in_a_result(fit, camera, spoilt, frames):
+def test_damaged_clip_gives_a_result(fit, camera, spoilt, frames):
     options = (("fast", True),) if fit is WHOLE else ()
     ended = stress_fits.run(Case(*fit, camera, spoilt, frames, 60.0, options, 3))
     assert (ended.how, ended.why) == ("result", ())
@@ -43,14 +43,14 @@ def test_a_spoilt_clip_ends_in_a_result(fit, camera, spoilt, frames):
     ],
 )
 @pytest.mark.parametrize("fit", [CHAIN, WHOLE])
-def test_what_nothing_can_be_made_of_is_refused(fit, spoilt, fps, why):
+def test_unusable_clip_is_refused(fit, spoilt, fps, why):
     ended = stress_fits.run(Case(*fit, "pinhole", spoilt, 3, fps, (), 5))
     assert ended.how == "refused"
     assert len(ended.why) == 1
     assert why in ended.why[0]
 
 
-def test_every_way_to_spoil_a_clip_has_its_turn():
+def test_every_kind_of_damage_is_tested():
     chosen = stress_fits.cases(400, 0)
     assert {case.spoilt for case in chosen} == set(stress_fits.SPOILT)
     assert {case.skeleton for case in chosen} == {*builtin_names()}

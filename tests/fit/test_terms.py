@@ -1,4 +1,4 @@
-"""Test that every term's rows have the exact gradient of its cost, at random points.
+"""Test that the rows of every term have the exact gradient of the term's cost, at random states.
 
 A new term is one line in `terms` of tests/term_cases.py.
 """
@@ -42,7 +42,7 @@ def cost(term, states: np.ndarray) -> float:
     return problem.cost(states)
 
 
-def test_every_term_of_a_fit_is_tried_here():
+def test_every_term_of_a_fit_is_tested():
     states = some_states()
     options = TrajectoryOptions()
     clip = ClipProblem.from_views([view(detections(states))], BODY, PRIOR, FPS, options, ground_near_zero=True)
@@ -56,7 +56,7 @@ def test_every_term_of_a_fit_is_tried_here():
 
 @pytest.mark.parametrize("term", terms(), ids=lambda t: t.name)
 def test_rows_have_the_gradient_of_the_cost(term):
-    """The rows of every term have the gradient of its cost, by central differences along 20 random directions."""
+    """The gradient agrees with central differences along 20 random directions."""
     states, rng = some_states(), np.random.default_rng(2)
     exact = gradient(term, states)
     for _ in range(20):
@@ -67,8 +67,8 @@ def test_rows_have_the_gradient_of_the_cost(term):
 
 
 @pytest.mark.parametrize("term", terms(), ids=lambda t: t.name)
-def test_says_which_frames_it_reads(term):
-    """A term states which frames it reads: a change of one frame changes the gradient in the stencil's reach only."""
+def test_stencil_names_the_frames_that_a_term_reads(term):
+    """A change of one frame changes the gradient only within the stencil."""
     states, reach = some_states(), term.stencil[-1] - term.stencil[0]
     other = states.copy()
     other[2] += 0.01
@@ -78,17 +78,14 @@ def test_says_which_frames_it_reads(term):
 
 
 def test_priors_count_the_same_per_second_at_any_frame_rate():
-    """Priors count the same per second at any frame rate: twice the frames have half the weight each."""
+    """With twice the frame rate, each frame has half the weight."""
     states = some_states()
     for make in (lambda fps: pose_term(PRIOR, BODY.n_state, fps, 1.0), lambda fps: PoseMixture(PRIOR, fps, 1.0)):
         assert cost(make(FPS), states) == pytest.approx(2 * cost(make(2 * FPS), states))
 
 
-def test_a_steady_gait_of_the_prior_costs_no_motion():
-    """A steady gait of the prior costs no motion.
-
-    It is z'' = drift [z - mean, z'], stepped as the term differences it.
-    """
+def test_steady_gait_of_the_prior_has_no_motion_cost():
+    """The gait follows z'' = drift [z - mean, z'], with the term's own differences."""
     dt, A = 1 / FPS, len(PRIOR.mean)
     by_angle, by_rate = PRIOR.drift[:, :A], PRIOR.drift[:, A:]
     z = [PRIOR.mean + 0.1, PRIOR.mean + 0.102]
@@ -102,8 +99,8 @@ def test_a_steady_gait_of_the_prior_costs_no_motion():
     assert cost(dynamics_term(PRIOR, BODY.n_state, FPS, 1.0), states) < 1e-12
 
 
-def test_a_component_on_its_own_is_a_gaussian():
-    """A mixture of one component is a Gaussian: its cost, minus the constant, is the Gaussian's."""
+def test_mixture_of_one_component_is_a_gaussian():
+    """Both have the same cost, up to a constant."""
     from recon.animal.prior_fit import as_one_gaussian
 
     one = as_one_gaussian(PRIOR)
@@ -112,8 +109,8 @@ def test_a_component_on_its_own_is_a_gaussian():
     assert cost(mixture, a) - cost(mixture, b) == pytest.approx(cost(linear, a) - cost(linear, b))
 
 
-def test_a_detection_far_off_hardly_pulls():
-    """A detection that is 1000 px off pulls less than one 20 px off, and a missing point does not pull."""
+def test_distant_detection_hardly_pulls():
+    """An error of 1000 px has a smaller gradient than one of 20 px, and a missing point has none."""
     states = some_states()
     xy_px = pixels(states)
     pulls = []
@@ -126,7 +123,7 @@ def test_a_detection_far_off_hardly_pulls():
     assert pulls[2] == pytest.approx(0, abs=1e-6)
 
 
-def test_joints_behind_the_camera_cost_much_and_finitely():
+def test_joints_behind_the_camera_have_a_large_finite_cost():
     states = some_states()
     xy_px = pixels(states)
     term = Reprojection(view(xy_px), np.full(xy_px.shape[:2], 5.0), 3.0, np.zeros(3))
@@ -137,17 +134,14 @@ def test_joints_behind_the_camera_cost_much_and_finitely():
 
 
 def test_spans_overlap_by_one_frame():
-    """Spans overlap by one frame, so that each row belongs to one frame for any division of the clip."""
+    """Each row belongs to one frame, for any division of the clip into spans."""
     pose = BODY.tree.pose_with_jacobian(some_states())
     assert Span(0, some_states(), pose, is_last=True).own_rows == slice(0, T)
     assert Span(0, some_states(), pose, is_last=False).own_rows == slice(0, T - 1)
 
 
-def test_every_term_that_reads_markers_is_among_those_that_a_shape_changes():
-    """Every term that reads markers is in the list of terms whose derivatives a shape changes.
-
-    Otherwise fits of several cameras would lack its derivatives by lengths and offsets.
-    """
+def test_every_term_that_reads_markers_is_listed():
+    """A term missing in `MARKER_TERMS` would lack derivatives with respect to lengths and offsets."""
     states, poseless = some_states(), cast(TreePose, None)
     for term in terms():
         if not isinstance(term, (Linear, *MARKER_TERMS)):

@@ -1,4 +1,4 @@
-"""Test the trajectory method on a simulated animal: a smooth gait within the prior, seen by one camera."""
+"""Test the trajectory method on a simulated animal with a gait like the prior's, seen by one camera."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from recon.testing.gallop import gallop
 
 
 def test_finds_the_motion():
-    """The motion is found within 30 mm and the path within 4 per cent of the distance, at 2 px of noise and 9 m."""
+    """The errors are at most 30 mm for the pose and 4 % of the distance for the path, with 2 px of noise at 9 m."""
     solution, truth = plain(), run()
     assert solution.status == "converged"
     assert errors_m(solution, truth).mean() < 0.03
@@ -40,14 +40,14 @@ def test_finds_other_headings(heading_rad):
     assert errors_m(solve(seen(truth)), truth).mean() < 0.045
 
 
-def test_is_the_same_every_time():
+def test_result_is_reproducible():
     again = solve(seen(run()))
     np.testing.assert_array_equal(again.states, plain().states)
     np.testing.assert_array_equal(again.covariance_m2, plain().covariance_m2)
 
 
 def test_result_is_consistent():
-    """The result is consistent: joints are those of the states, and covariances are covariances."""
+    """The states give the joints, and covariances are positive definite."""
     solution = plain()
     posed = solution.body.tree.pose(solution.states, solution.size).points_m
     np.testing.assert_allclose(posed, solution.joints_m, atol=1e-9)
@@ -69,7 +69,7 @@ def test_depth_is_less_certain_than_the_picture():
 
 
 def test_a_side_view_shows_pitch_and_hardly_roll():
-    """A side view shows pitch and hardly any roll: the pixels' share of each angle, and its remaining deviation."""
+    """Information fraction and standard deviation show that the pixels determine pitch and hardly determine roll."""
     solution = plain()
     share = dict(zip(BODY.state_names[3:], np.median(solution.angle_data_share, axis=0), strict=True))
     assert min(share[f"{side}_{part}_pitch"] for side in "lr" for part in ("fore_upper", "hind_thigh")) > 0.6
@@ -77,8 +77,8 @@ def test_a_side_view_shows_pitch_and_hardly_roll():
     assert ((solution.angle_data_share >= 0) & (solution.angle_data_share <= 1)).all()
 
 
-def test_bridges_a_hole_with_growing_uncertainty():
-    """A gap of ten frames is bridged with growing uncertainty, and the other frames are as good as before."""
+def test_bridges_a_gap_with_growing_uncertainty():
+    """The gap lasts ten frames, and the other frames are as good as without it."""
     truth = run()
     xy_px = seen(truth)
     xy_px[15:25] = np.nan
@@ -97,7 +97,7 @@ SWAPPED = [BODY.markers.index(other_side(marker)) for marker in BODY.markers]
 
 
 def test_survives_outliers():
-    """Outliers hardly change the result: a third of the points is up to 300 px off in both directions."""
+    """A third of the detections is up to 300 px off along both axes."""
     truth, rng = run(), np.random.default_rng(5)
     xy_px = seen(truth)
     wrong = rng.uniform(size=xy_px.shape[:2]) < 0.3
@@ -108,13 +108,13 @@ def test_survives_outliers():
 
 
 def test_an_animal_seen_end_on_is_ambiguous():
-    """The depth of an animal that runs straight away from the camera is ambiguous."""
+    """The animal runs straight away from the camera."""
     solution = solve(seen(run(heading_rad=np.pi / 2, speed_m_s=4.0)))
     assert all("ambiguous depth" in flags for flags in solution.flags)
 
 
 def test_survives_swapped_sides():
-    """Ten frames with swapped sides get less weight, and the other frames are good."""
+    """Left and right are swapped in ten frames, which get less weight; the other frames are good."""
     truth = run()
     xy_px = seen(truth)
     xy_px[12:22] = xy_px[12:22][:, SWAPPED]
@@ -125,7 +125,7 @@ def test_survives_swapped_sides():
 
 
 def test_survives_missing_legs():
-    """A first half without hind legs is less certain there; the second half is as good as before."""
+    """The hind legs are missing in the first half, which is more uncertain; the second half is as good as before."""
     truth, base = run(), errors_m(plain(), run())
     xy_px = seen(truth)
     hind = [j for j, marker in enumerate(BODY.markers) if "back" in marker]
@@ -138,8 +138,8 @@ def test_survives_missing_legs():
     assert errors_m(solution, truth)[22:].mean() < 1.5 * base[22:].mean() + 0.003
 
 
-def test_long_holes_split_the_clip():
-    """More than two seconds without an animal split the clip in two, each with its own ground."""
+def test_long_gaps_split_the_clip():
+    """Both parts, more than two seconds apart, have their own ground."""
     truth = run(30)
     xy_px = np.full((30 + 240 + 30, len(BODY.markers), 2), np.nan)
     lower = truth + np.array([0.0, 0.6, 0.0])
@@ -182,7 +182,7 @@ def test_a_clip_without_animal():
 
 
 def test_windows_are_joined():
-    """Three seconds are started in three windows and solved as one, without a jump of the path."""
+    """A clip of three seconds has starts in three windows, and is solved as a whole without a jump of the path."""
     truth = run(270, heading_rad=0.1, speed_m_s=1.5)
     solution = solve(seen(truth))
     assert solution.status == "converged"
@@ -200,7 +200,7 @@ def test_fast_is_near_the_full_solution():
         assert sum(len(start.states) == len(run()) for start in tried) == count
 
 
-def test_starts_that_are_given_up_change_nothing_but_the_work(monkeypatch):
+def test_giving_up_starts_does_not_change_the_result(monkeypatch):
     truth = run(30, heading_rad=2.0)
     view = still_view(CAMERA, seen(truth), np.ones((len(truth), len(BODY.markers))))
     clip = ClipProblem.from_views([view], BODY, PRIOR, FPS, TrajectoryOptions())
@@ -214,14 +214,14 @@ def test_starts_that_are_given_up_change_nothing_but_the_work(monkeypatch):
 
 
 def test_without_a_learned_prior():
-    """If there is no learned prior, the expectations of the skeleton are used, with a larger error."""
+    """The skeleton's expected angles replace the learned prior, with larger errors."""
     solution = solve(seen(run()), prior=prior_from_body(BODY))
     assert solution.prior == "none"
     assert errors_m(solution, run()).mean() < 0.1
 
 
-def test_scale_cannot_be_seen():
-    """The scale cannot be seen: a body twice too large is twice as far away, and its size stays uncertain."""
+def test_one_camera_cannot_determine_the_scale():
+    """A body twice too large is placed twice as far away, and its size stays uncertain."""
     tree = BODY.tree
     segments = tuple(dataclasses.replace(s, offset_m=tuple(2 * x for x in s.offset_m)) for s in tree.segments)
     markers = tuple(dataclasses.replace(m, offset_m=tuple(2 * x for x in m.offset_m)) for m in tree.markers)
@@ -235,7 +235,7 @@ def test_scale_cannot_be_seen():
 
 
 def test_the_size_follows_from_the_ground():
-    """The size follows from the ground: a camera 3 m above it shows that a skeleton is 10 % too large."""
+    """A camera 3 m above the ground shows that the skeleton is 10 % too large."""
     clip = gallop(fps=FPS, n_frames=80, heading_rad=0.2)
     chain = load_chain("cheetah-8u")
     body = dataclasses.replace(chain.body, size_sigma=0.1)
@@ -249,8 +249,8 @@ def test_the_size_follows_from_the_ground():
     assert unknown.size_sigma == pytest.approx(0.1)
 
 
-def test_the_noisy_sample_with_the_chain():
-    """The trajectory method fits the 8U chain to the bundled sample with an error of at most 40 mm."""
+def test_chain_fits_the_noisy_sample():
+    """The error of the 8U chain on the bundled sample is at most 40 mm."""
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     settings = FitSettings(
         keypoints=samples / "noisy.csv", camera=samples / "camera.toml", fps=30, skeleton="cheetah-8u"
@@ -262,7 +262,7 @@ def test_the_noisy_sample_with_the_chain():
 
 @pytest.mark.slow
 def test_real_views(shared_data):
-    """Two real views with a known subject have the errors that the benchmark measures, with a margin."""
+    """The errors for two views of a known subject are those of the benchmark, with a margin."""
     for name, camera, below_m in (
         ("2017_08_29-top-phantom-run1_1", "cam5", 0.06),
         ("2017_08_29-top-jules-run1_1", "cam2", 0.06),
@@ -297,7 +297,7 @@ def solve_chain(xy_px: np.ndarray, camera=CAMERA, fps: float = FPS) -> Trajector
     return solve_trajectory([still_view(camera, xy_px, confidence)], chain, prior_from_body(chain), fps, options)
 
 
-def test_a_pose_too_far_off_to_be_seen_is_none():
+def test_pose_too_far_away_to_be_seen_is_left_out():
     xy_px = chain_points(3)
     middle = xy_px.mean(axis=(0, 1))
     solution = solve_chain(middle + 1e-3 * (xy_px - middle))
@@ -307,8 +307,8 @@ def test_a_pose_too_far_off_to_be_seen_is_none():
     assert np.isnan(solution.covariance_m2).all()
 
 
-def test_a_frame_beside_a_single_other_one_is_hardly_known():
-    """A frame next to a single other frame is hardly known, because nothing shows how fast the animal is."""
+def test_frame_next_to_a_single_other_frame_is_uncertain():
+    """Two frames alone do not show how fast the animal is."""
     xy_px = chain_points(2)
     xy_px[1] = np.nan
     solution = solve_chain(xy_px)
@@ -318,7 +318,7 @@ def test_a_frame_beside_a_single_other_one_is_hardly_known():
     assert "no data" in solution.flags[1]
 
 
-def test_frames_without_a_ray_are_as_without_points():
+def test_frames_without_rays_count_as_without_detections():
     fisheye = dataclasses.replace(CAMERA, model="fisheye", distortion=np.array([-0.3, 0.0, 0.0, 0.0]))
     off, missing = chain_points(4), chain_points(4)
     off[2] += (0.0, 2500.0)

@@ -17,7 +17,7 @@ DISTORTION = np.array([-0.25, 0.08, 0.001, -0.001, 0.0])
 
 
 def rig(count: int) -> list[Camera]:
-    """Return cameras with distorting lenses around the origin, 3 m away."""
+    """Return cameras with distorting lenses on a circle of 3 m around the origin."""
     cameras = []
     for i in range(count):
         bearing = 2 * np.pi * i / max(count, 3) + 0.1
@@ -28,7 +28,7 @@ def rig(count: int) -> list[Camera]:
 
 
 def points() -> np.ndarray:
-    """Return six points (T, 6, 3), m, that move along smooth paths within half a metre."""
+    """Return the paths (T, 6, 3), m, of six points that move smoothly within half a metre."""
     time_s, random = np.arange(T) / FPS, np.random.default_rng(1)
     phase, place = random.uniform(0, 6, (6, 3)), random.uniform(-0.4, 0.4, (6, 3)) + np.array([0, 0, 0.4])
     return place + 0.1 * np.sin(2 * np.pi * 1.5 * time_s[:, None, None] + phase)
@@ -57,7 +57,7 @@ def test_exact_detections_of_distorting_lenses_give_the_points_exactly():
 
 
 @pytest.mark.parametrize("count", [2, 4, 6])
-def test_noise_is_found_and_the_covariances_hold(count):
+def test_noise_is_estimated_and_covariances_are_correct(count):
     result = triangulate_views(seen(rig(count), points()))
     error_m = result.points_m - points()
     known = np.isfinite(error_m[..., 0])
@@ -89,7 +89,7 @@ def test_two_wrong_cameras_of_five_do_not_win():
     assert not result.is_used[[1, 4], :20, 0].any()
 
 
-def test_what_fewer_than_two_cameras_saw_stays_a_gap():
+def test_points_seen_by_fewer_than_two_cameras_are_gaps():
     views = seen(rig(3), points())
     views[0], views[1] = (moved(view, (slice(5, 9), 1), np.nan) for view in views[:2])
     result = triangulate_views(views)
@@ -128,7 +128,7 @@ def test_splines_halve_the_noise_and_fill_short_gaps_only():
     assert np.isnan(errors[1][20:45, 1]).all()
 
 
-def test_a_camera_that_is_late_by_part_of_a_frame():
+def test_camera_late_by_a_fraction_of_a_frame():
     points_m = points()
     views = seen(rig(3), points_m, 0.0)
     later = 0.5 * (points_m[:-1] + points_m[1:])

@@ -1,4 +1,4 @@
-"""Test the up direction of cameras whose file does not state it, from an animal that walks about."""
+"""Test the upward direction that a walking animal gives to cameras whose file does not state it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from recon.io.deeplabcut import write_csv
 
 BODY, FPS, T = load_skeleton("quadruped"), 60.0, 180
 WORLD = Rotation.from_rotvec([1.3, -0.7, 0.4]).as_matrix()
-"""Rotation of the calibration's world, by 87 degrees."""
+"""Rotation matrix of the calibration's world, by 87 degrees."""
 
 
 def walking(scale: float) -> np.ndarray:
-    """Return joints (T, J, 3), m, of a walk round a circle; each foot stands on z = 0 for two thirds of the time."""
+    """Return joints (T, J, 3), m, of a walk in a circle; each foot stands on z = 0 for two thirds of the time."""
     still = BODY.tree.pose(np.concatenate([np.zeros(4), BODY.mean_rad])[None]).points_m[0]
     still -= [0.0, 0.0, np.mean([still[BODY.markers.index(foot), 2] for foot in BODY.feet])]
     gone = 0.8 * np.arange(T) / FPS  # m
@@ -52,7 +52,7 @@ def looking(centre_m: np.ndarray, name: str, rolled_deg: float) -> Camera:
     [(1.0, [4.0, 0, 1.9]), pytest.param(0.1, [4.0, 0, 1.9], marks=pytest.mark.slow), (0.1, [0.0, 0.0, 5.0])],
 )
 def test_up_is_found_from_the_ground_that_feet_stand_on(tmp_path, scale, first):
-    """Up is found from the ground on which feet stand, with keypoints off by 2 % of the animal's length.
+    """Keypoints are off by 2 % of the animal's length.
 
     The first camera may look straight down, and the animal may be as small as a mouse.
     """

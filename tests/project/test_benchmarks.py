@@ -1,4 +1,4 @@
-"""Test that the names in the benchmarks' scripts exist, and that the docs' tables are those of their results."""
+"""Test that the names in the benchmarks' scripts exist, and that the docs' tables agree with their results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ QUESTIONS = (
 
 
 def script(name: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Return the names that a script defines."""
+    """Return the names that a script of the benchmarks defines."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     try:
         return runpy.run_path(str(BENCHMARKS / f"{name}.py"))
@@ -31,7 +31,7 @@ def test_the_tables_of_the_docs_are_those_of_the_results(monkeypatch):
     assert script("tables", monkeypatch)["differences"]() == []
 
 
-def test_a_table_that_was_edited_by_hand_is_made_anew(monkeypatch):
+def test_table_edited_by_hand_is_written_again(monkeypatch):
     tables = script("tables", monkeypatch)
     text = f"Before.\n\n<!-- results: accuracy/focal -->\n\n{tables['table_text']('accuracy', 'focal')}\nAfter.\n"
     assert tables["with_tables"](text) == text
@@ -66,7 +66,7 @@ def test_printed_tables_are_read(monkeypatch):
     assert question["without_times"](timed) == {"header": ["frames", "off, mm"], "rows": [["1", "3"]]}
 
 
-def test_two_results_differ_where_a_bit_does(tmp_path, monkeypatch):
+def test_results_that_differ_in_a_bit_are_found(tmp_path, monkeypatch):
     same = script("same_results", monkeypatch)
     for name, x in (("old", 1.0), ("new", np.nextafter(1.0, 2.0))):
         (tmp_path / name).mkdir()

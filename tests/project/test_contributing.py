@@ -1,4 +1,4 @@
-"""Test the map in CONTRIBUTING.md: its functions exist, and have about as many lines as stated."""
+"""Test that the functions in CONTRIBUTING.md's map exist, and have about as many lines as stated."""
 
 import ast
 import re
@@ -22,7 +22,7 @@ def lines_of(file: str, name: str) -> int:
     return node.end_lineno - node.lineno + 1
 
 
-def test_the_way_of_a_keypoint() -> None:
+def test_map_of_the_code_is_up_to_date() -> None:
     section = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split(SECTION)[1].split("\n## ")[0]
     text, way, others = section.split("| --- | --- |")
     sizes = []

@@ -1,8 +1,8 @@
 """Test that every command and Python block in README.md and docs/ runs, and prints what the pages show.
 
-Each page is run from top to bottom; each command continues in a copy of the folder that the command before it left. A
-file that the page names is made when it is first named (`docs_files`). Commands are run in this process. `NOT_RUN` has
-what cannot be run, with the reason.
+Each page is run from top to bottom, in this process. Each command continues in a copy of the folder that the previous
+command left. A file that a page names is made when it is first named (`docs_files`). `NOT_RUN` lists the commands that
+cannot be run, with the reason.
 """
 
 from __future__ import annotations
@@ -70,10 +70,10 @@ NOT_RUN = {
     r"recon fix ": "serves a page until it is stopped; test_correction_session.py",
     r"recon doctor": "looks at this machine; test_doctor.py",
 }
-"""Patterns of the beginnings of commands that are not run, and the reason."""
+"""Reasons for not running a command, by a pattern of the command's beginning."""
 
 SNIPPET = re.compile(r'--8<-- "(.*)"\n')
-"""A block that the site fills with a file of the repository; the files have tests of their own."""
+"""Pattern of a block that the site fills with a file of the repository, which has its own test."""
 LANGUAGES = {"sh", "python", "r", "toml", "csv", "text"}
 
 
@@ -91,7 +91,7 @@ ONCE = {
     "recon ik results/clip --compare",
     "recon retarget results/clip --robot a1 --out results/a1",
 }
-"""Slow commands that several pages have. On the same result, they are run once."""
+"""Slow commands that several pages show, and that are run once for all pages."""
 SLOW = {
     r"recon (fit|frame) ": "test_cli.py, test_naming.py, test_camera_track.py, test_subject.py, test_corrections.py",
     r"recon ik .*(--fitted|--cost )": "test_ik_clip.py",
@@ -99,7 +99,7 @@ SLOW = {
     r"recon batch .* --out results/all$": "test_batch.py",
     r"recon robot dh arm\.toml ": "test_robot_command.py",
 }
-"""Patterns of the beginnings of steps that take many seconds, and the tests that have the same options."""
+"""Tests that cover a step of many seconds, by a pattern of the step's beginning."""
 LONG = {
     r"recon solver ": "test_solver_analysis.py",
     r"recon batch ": "test_batch.py",
@@ -109,23 +109,23 @@ LONG = {
     r"recon ik ": "test_ik_clip.py",
     r"recon compare herd": "test_experiment.py",
 }
-"""Patterns of the beginnings of steps that are slow and after which all later steps of the page are slow, too."""
+"""Tests that cover a slow step after which all later steps of the page are slow, by a pattern of its beginning."""
 FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
-"""The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
+"""Command with which pages begin; `whole_results` has its results, and `test_cli.py` tests the command."""
 
 
 # Running the commands of a page
 
 
 class Workshop:
-    """A folder in which the files of `docs_files` are made when they are named."""
+    """Folder in which the files of `docs_files` are made when a page names them."""
 
     def __init__(self, folder: Path, page: str, results: Path, of_results: Callable[[str], tuple[str, Path]]) -> None:
         self.folder, self.results, self.of_results = folder, results, of_results
         self.files = FILES | OF_PAGE.get(page, {})
 
     def provide(self, text: str) -> None:
-        """Make every file that the text names and that does not exist."""
+        """Make every file that a text names and that does not exist yet."""
         for name, make in self.files.items():
             path = self.folder / name
             if re.search(rf"(?<![\w./-])(?<!--out ){re.escape(name)}(?![\w-]|\.\w)", text) and not path.exists():
@@ -171,13 +171,13 @@ def same_pose(*results: Path) -> bool:
     ],
 )
 def test_command_of_several_pages(command, of_results):
-    """Run a command that several pages show on its own, so that no page takes long."""
+    """These commands are run separately, so that no page takes long."""
     printed, _ = of_results(command)
     assert printed
 
 
 class Step(NamedTuple):
-    """One command (None: none), and the text of the page between it and the next."""
+    """Step of a page: a command, or None, and the text up to the next command."""
 
     command: str | None
     blocks: list[Block]
@@ -219,7 +219,7 @@ def do(step: Step, workshop: Workshop) -> None:
 
 @pytest.fixture(scope="session")
 def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], Path]:
-    """Return the folder after the page's first n steps, one after the other: `folder_after(page, n)`."""
+    """Return a function `folder_after(page, n)`, which returns the folder after the first n steps of a page."""
 
     def after(page: Path, count: int) -> Path:
         def make(folder: Path) -> None:
@@ -267,7 +267,7 @@ def takes_long(page: Path, number: int) -> bool:
     ],
 )
 def test_page(page: Path, count: int, folder_after) -> None:
-    """Each step of a page runs on its own, so that none takes long."""
+    """Each step of a page is a separate test, so that no test takes long."""
     folder_after(page, count)
 
 
@@ -306,7 +306,7 @@ def test_blocks_have_a_language_that_is_checked():
 
 
 def test_toml_blocks_can_be_read():
-    """TOML blocks can be read; the tests of skeletons check their fields with the readers."""
+    """The tests of skeletons check the fields of these blocks."""
     for page in PAGES:
         for block in blocks(page):
             if block.language == "toml" and not SNIPPET.fullmatch(block.text):
@@ -346,7 +346,7 @@ OTHERS_OPTIONS = {
     "--refine",
     "--seeds",
 }
-"""The options of the benchmarks, and of other programs."""
+"""Options of the benchmarks and of other programs."""
 
 
 def test_options_in_the_text_exist():
@@ -371,7 +371,7 @@ def test_commands_and_scripts_in_the_text_exist():
 
 
 def test_links_of_the_readme_lead_somewhere():
-    """Links of the README lead somewhere; links of docs/ are checked when the site is built."""
+    """Links of docs/ are checked when the site is built."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for link in re.findall(r"\]\((?!https?://)([^)#]+)", text):
         assert (ROOT / link).exists(), link
@@ -389,7 +389,7 @@ cli(prog_name="zensical")
 
 
 def built_site(folder: Path) -> Path:
-    """Build the site as `make docs` does, in a folder of its own, which also holds Zensical's cache."""
+    """Build the site as `make docs` does, in a folder that also holds Zensical's cache, and return its folder."""
     shutil.copytree(DOCS, folder / "docs", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md"):
         shutil.copy(ROOT / name, folder)
@@ -431,7 +431,7 @@ def test_the_site_is_built_and_read_without_the_net(tmp_path):
         assert 'class="arithmatex"' not in text, f"{page}: a formula that was not converted"
     assert pages[site / "method" / "trajectory.html"].count("<math") > 15
     assert "joint_sigma_m" in pages[site / "api.html"]
-    # The text below a field of a class.
+    # This is the text below a field of a class.
     assert "Name of the camera in its calibration file." in pages[site / "api.html"]
     assert "../data/samples/whole_scene.json" in pages[site / "pipelines.html"]
     assert "Keep a Changelog" in pages[site / "changelog.html"]
@@ -444,7 +444,7 @@ def test_the_site_is_built_and_read_without_the_net(tmp_path):
     ]
 
 
-def test_sites_of_several_versions_stand_beside_each_other(tmp_path):
+def test_sites_of_several_versions_link_to_each_other(tmp_path):
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "index.html").write_text("first")
     sites, add_version = tmp_path / "sites", runpy.run_path(str(DOCS / "versions.py"))["add_version"]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = {"formats": 150, "settings": 250}
-"""Kinds of files, with numbers of cases in proportion to their shares of all cases."""
+"""Number of cases of each kind of files."""
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")
 
@@ -41,7 +41,7 @@ def cases(kinds: str, folder: Path, count: int) -> Tally:
 
 
 def of_the_command(folder: Path) -> tuple[int, str]:
-    """Return how `python -m tests.fuzz` of cameras and their tracks ends, and what it prints."""
+    """Return the exit code and the output of `python -m tests.fuzz` for cameras and their tracks."""
     from tests.fuzz import __main__ as fuzz
     from tests.fuzz import corpus
 
@@ -63,8 +63,8 @@ def pool() -> Iterator[ProcessPoolExecutor]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", CASES)
-def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
-    """Damaged files are read or refused, and more than a tenth is read, as the damage is often small."""
+def test_damaged_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
+    """More than a tenth of the files can still be read, because the damage is often small."""
     count = CASES[kinds]
     tally = pool.submit(cases, kinds, tmp_path / kinds, count).result()
     assert tally.causes == {}
@@ -73,7 +73,7 @@ def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor,
 
 
 @pytest.mark.slow
-def test_the_command_says_what_happened(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
+def test_command_prints_the_number_of_cases(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
     code, printed = pool.submit(of_the_command, tmp_path).result()
     assert code == 0, printed
     counts = {words: int(number) for number, words in re.findall(r"(?m)^ *(\d+)  (\w.*)$", printed)}

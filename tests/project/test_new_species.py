@@ -1,4 +1,4 @@
-"""Test docs/how-to/new-species.md step by step: all files of a simulated animal, and the gain for one camera."""
+"""Test each step of docs/how-to/new-species.md with a simulated animal, and the gain for one camera."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shortcuts import leave_out_playback
 from recon import Evaluation, evaluate_files, load_skeleton
 
 pytestmark = pytest.mark.slow
-"""Several fits by each other's results; `test_subject.py` and `test_prior.py` have the commands."""
+"""All tests are slow, because they need several fits; `test_subject.py` and `test_prior.py` test the commands."""
 
 PAGE = DOCS / "how-to" / "new-species.md"
 STEPS = [block for block in blocks(PAGE) if block.language == "sh"][1:]  # the first block is the simulation
@@ -29,12 +29,12 @@ LINKS = {
     "l_hind_shin": 0.9 * 0.11,
     "l_hind_foot": 0.9 * 0.11,
 }
-"""True lengths of the simulated cat, m: the neck's attachment and the links of the legs."""
+"""True lengths of the simulated cat's neck and leg segments, m."""
 
 
 @pytest.fixture(scope="session")
 def after(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
-    """Return a folder after the page's first n steps, or more: `after(n)`."""
+    """Return a function `after(n)`, which returns a folder after at least the first n steps of the page."""
     folder = tmp_path_factory.mktemp("new-species")
     cat_file(folder / "my-cat.toml")
     with pytest.MonkeyPatch.context() as patch:
@@ -76,13 +76,13 @@ def test_the_lengths_are_found(after):
     assert cat.size_sigma == pytest.approx(0.01, abs=0.005)
 
 
-def test_the_lengths_mend_the_poses(after):
+def test_lengths_improve_the_poses(after):
     for n in (1, 2, 3):
         assert errors(after(3), f"tom/run{n}", n).mpjpe_m.mean < 0.009
 
 
-def test_the_prior_knows_other_runs(after):
-    """The prior knows other runs: under a prior from the others, a mixture fits each run better than a Gaussian."""
+def test_prior_describes_other_runs(after):
+    """Under a prior from the other runs, a mixture fits each run better than a Gaussian."""
     runs = [f"tom/run{n}" for n in (1, 2, 3)]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(after(4))
@@ -93,7 +93,7 @@ def test_the_prior_knows_other_runs(after):
 
 
 def test_one_camera_is_enough_afterwards(after):
-    """One camera has the errors that the page states, and both files reduce them."""
+    """One camera has the errors that the page states, and the subject and the prior reduce them."""
     rows = re.findall(r"^\| (?:the .*) \| ([\d.]+) \| ([\d.]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     scores = [errors(after(5), f"one/{name}", 4) for name in ("file", "lengths", "both")]
     found = [(1e3 * score.mpjpe_m.mean, 1e3 * score.mpe_m.mean) for score in scores]

@@ -24,7 +24,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 RECORDED = FOLDER / "8_a_real_clip.ipynb"
 QUICK = FOLDER / "7_the_8u_chain_in_motion.ipynb"
-"""A notebook that takes a few seconds."""
+"""Notebook that takes only a few seconds."""
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 
 
@@ -66,8 +66,8 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn", "no_playback")
-def test_the_cells_give_what_is_saved(monkeypatch: pytest.MonkeyPatch):
-    """The cells give what is saved, run in this process without drawing, in a third of a kernel's time."""
+def test_cells_give_their_saved_outputs(monkeypatch: pytest.MonkeyPatch):
+    """The cells run in this process without drawing, which is faster than in a kernel."""
     monkeypatch.setenv("RECON_SHARED_DATA", "")
     monkeypatch.chdir(FOLDER)
     names: dict[str, Any] = {"__name__": "notebook"}
@@ -85,7 +85,7 @@ def test_the_cells_give_what_is_saved(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, forked: ModuleType, tmp_path: Path, monkeypatch):
+def test_notebook_runs_and_gives_its_saved_outputs(path: Path, forked: ModuleType, tmp_path: Path, monkeypatch):
     monkeypatch.setenv("RECON_SHARED_DATA", "")
     assert forked.main(["--out", str(tmp_path), path.stem]) == 0
     written = tmp_path / path.name
@@ -99,7 +99,7 @@ def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, forked: Modu
 
 
 @pytest.mark.slow
-def test_a_recording_goes_through(shared_data: Path, forked: ModuleType, tmp_path: Path, monkeypatch) -> None:
+def test_notebook_runs_with_a_recording(shared_data: Path, forked: ModuleType, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("RECON_SHARED_DATA", str(shared_data))
     assert forked.main(["--out", str(tmp_path), "8"]) == 0
     cells = nbformat.read(tmp_path / RECORDED.name, as_version=4).cells
@@ -135,7 +135,7 @@ def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, sam
 
 
 def printed_by(source: str, names: dict[str, Any]) -> str:
-    """Return what a cell prints, with its last value unless that is a figure."""
+    """Return the text that a cell prints, and its last value unless this is a figure."""
     tree = ast.parse(re.sub(r"^%.*$", "", source, flags=re.MULTILINE))
     last = tree.body[-1] if tree.body else None
     shown = last.value if isinstance(last, ast.Expr) else None
@@ -163,7 +163,7 @@ def text_of(cell: Any) -> str:
 
 
 def difference(was: str, now: str) -> str:
-    """Return the first difference beyond blanks and the rounding of numbers, or ""."""
+    """Return the first difference between two texts, except in blanks and rounded numbers; "" if they agree."""
     words = [NUMBER.sub("#", text).split() for text in (was, now)]
     if words[0] != words[1]:
         return f"{' '.join(words[0])!r} is now {' '.join(words[1])!r}"

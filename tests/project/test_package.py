@@ -1,4 +1,4 @@
-"""Test the distribution's name, and the text that says how to add an extra."""
+"""Test the distribution's name, and the command that adds an extra."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def installed(monkeypatch, tmp_path):
-    """Write where the package comes from, as pip notes it; None is the index."""
+    """Return a function that writes the origin of the package as pip records it; None stands for the index."""
     monkeypatch.setattr(sys, "executable", "/opt/python")
 
     def note(direct_url: dict | None) -> None:
@@ -43,7 +43,7 @@ def test_the_name_of_the_distribution_is_that_of_pyproject():
 
 
 def test_one_version_everywhere():
-    """The version is the same in the package, the citation, the recipe and the changelog, and so are requirements."""
+    """Package, citation, recipe and changelog have the same version, and the recipe has the same requirements."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = (ROOT / "packaging" / "meta.yaml").read_text(encoding="utf-8")
     cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
@@ -59,7 +59,7 @@ def test_one_version_everywhere():
 
 
 def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_path):
-    """Extras are installed from the origin of the package, also if a folder has the package's name."""
+    """A folder may have the package's name."""
     checkout = tmp_path / "my checkout"
     (checkout / "recon" / "base").mkdir(parents=True)
     wheel = tmp_path / "recon_motion-0.1.0-py3-none-any.whl"
@@ -90,8 +90,8 @@ def test_a_python_in_a_folder_with_a_space_can_be_copied_into_a_shell(installed,
     assert install_command("net") == '"/opt/my env/bin/python" -m pip install "recon-motion[net]"'
 
 
-def test_no_text_names_the_package_of_somebody_else():
-    """No text contains `pip install recon`, with or without an extra, which would fetch another project."""
+def test_no_text_names_another_projects_package():
+    """`pip install recon`, with or without an extra, would install another project."""
     texts = [
         ROOT / "README.md",
         *(
@@ -108,7 +108,7 @@ def test_no_text_names_the_package_of_somebody_else():
 
 
 def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
-    """Return line, name and text of every docstring of a file, also those below constants and fields."""
+    """Yield line, name and text of every docstring of a file, also below constants and fields."""
     nodes: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
     while nodes:
         body = getattr(node := nodes.pop(), "body", [])
@@ -123,11 +123,11 @@ def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
 
 
 MAY_BE_POOR = re.compile(r"""^\s*r?["']+\s*((Of|That of|Those)\b|[^\s"']\S*(\s+\S+)?\s*["']+$)""", re.MULTILINE)
-"""A line with a text that may be a poor docstring: files without such lines need not be parsed."""
+"""Pattern of a line that may be a poor docstring; files without such a line are not parsed."""
 
 
-def test_docstrings_are_understood_by_themselves():
-    """Docstrings are understood without context: all have a noun, and those of public names have several words."""
+def test_docstrings_stand_alone():
+    """Every docstring has a noun, and the docstring of a public name has several words."""
     poor = [
         f"{path.relative_to(ROOT)}:{line}: {text}"
         for folder in ("recon", "tests", "benchmarks", "pipelines", "docs", "data")

@@ -1,4 +1,4 @@
-"""Test that each script of pipelines/ runs with its settings on the samples, and prints and writes what it should."""
+"""Test that each script of pipelines/ runs on the samples with its own settings, and check its output."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ SAMPLES = ROOT / "data" / "samples"
 WINGS = {
     "published_study": {"recon.ik.clip import IkSettings, run_ik", "recon.thesis.inspect import read_solver"},
 }
-"""Imports of scripts from optional rooms."""
+"""Imports from optional rooms that a script may have, by script."""
 MOST_LINES = 50
-"""Largest number of lines of a script, without its docstring, blank lines and comments."""
+"""Maximum number of lines of a script, without its docstring, blank lines and comments."""
 
 
 @pytest.fixture
@@ -42,7 +42,10 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def said(folder: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Return what a script prints after texts of its settings are replaced: `said(name, {old: new, ...})`."""
+    """Return a function that runs a script after replacing texts of its settings, and returns its output.
+
+    The function is called as `said(name, {old: new, ...})`.
+    """
 
     def run(name: str, changes: dict[str, str] | None = None) -> str:
         file = folder / f"{name}.toml"
@@ -101,7 +104,7 @@ def test_batch(said, folder, in_process):
 
 @pytest.mark.slow
 def test_calibration(said, folder):
-    """Pictures of a board in all corners make a camera; four of them are refused, with the missing regions."""
+    """Pictures of a board in all corners are enough; four of them are refused with the names of missing regions."""
     camera, board = BOARD_CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
@@ -133,7 +136,7 @@ def test_analysis(said, folder, whole_results):
 
 @pytest.mark.slow
 def test_new_species(said, folder):
-    """The lengths of the sample animal are those of the skeleton."""
+    """The sample animal has the lengths of the skeleton."""
     for name in ("several_cameras", "one_clip"):
         with (folder / f"{name}.toml").open("a", encoding="utf-8") as file:
             file.write("fast = true\n")
@@ -147,7 +150,7 @@ def test_new_species(said, folder):
 
 
 def small_film(folder: Path) -> None:
-    """Write film.mp4, the first frames of the rendered video at a quarter of its size, and their labels.csv."""
+    """Write film.mp4 with the first frames of the rendered video at a quarter of its size, and labels.csv."""
     labels = (SAMPLES / "rendered_labels.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.split(",") for line in labels[3:9]]
     small = [",".join([name, *(f"{float(cell) / 4:.2f}" if cell else "" for cell in cells)]) for name, *cells in rows]
@@ -160,7 +163,7 @@ def small_film(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("optimiser", "undrawn")
 def test_video_to_3d(said, folder, monkeypatch):
-    """The pipeline runs from the video to 3D with a network that learned next to nothing."""
+    """The network learns next to nothing, and all steps from the video to 3D still run."""
     narrow_networks(monkeypatch)
     monkeypatch.setattr("recon.keypoint_net.train.EVALUATIONS", 1)
     small_film(folder)
@@ -177,8 +180,8 @@ def test_video_to_3d(said, folder, monkeypatch):
     assert (folder / "results" / "video_to_3d" / "motion" / "pose3d.csv").is_file()
 
 
-def test_all_of_it_is_on_the_page():
-    """The page contains every script by reference, so that it cannot be out of date."""
+def test_page_contains_every_script():
+    """The page includes the scripts by reference, so that they are never out of date."""
     page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
     shown = re.findall(r'--8<-- "(pipelines/.*)"', page)
     assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in PIPELINES.iterdir() if path.is_file())
@@ -189,7 +192,7 @@ def test_all_of_it_is_on_the_page():
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_is_short_has_its_settings_beside_it_and_calls_only_what_is_public(name):
+def test_script_is_short_and_uses_only_the_public_api(name):
     text = (PIPELINES / f"{name}.py").read_text(encoding="utf-8")
     assert (PIPELINES / f"{name}.toml").is_file()
     code = text.split('"""', 2)[2].splitlines()
