@@ -36,7 +36,7 @@ ROUNDS = 4
 COARSE_ROUNDS = 2
 """Number of iterations to find the rotation between two pictures while trial focal lengths are compared."""
 PAIR_FLOOR_PX = 0.15
-"""Standard deviation, px, of the error that all points of a pair of pictures have in common."""
+"""Standard deviation of the error that all points of a pair of pictures have in common, px."""
 
 
 FrameLink = tuple[int, int, Array, Array, Array, Array]

@@ -23,7 +23,7 @@ EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or ve
 MARKED_PX = 2.0
 """Standard deviation of a marked point along each axis, px."""
 MAX_SIGMA_RAD = math.radians(3.0)
-"""Largest accepted standard deviation of the upward direction.
+"""Largest accepted standard deviation of the upward direction, rad.
 
 A single vertical, or parallel verticals, leave the direction undetermined.
 """

@@ -20,7 +20,7 @@ from recon.geometry.camera import Camera
 from recon.io.video import Image
 
 WIDTH_PX, HEIGHT_PX = 1920, 1080
-"""Largest width and height of the panorama."""
+"""Maximum width and height of the panorama, px."""
 THUMBNAIL_PX = 400
 COARSE_PX = 8
 """Distance between the pixels of the panorama whose position in a picture is computed. Positions in between are

@@ -19,7 +19,7 @@ from recon.geometry.camera import Camera
 from recon.io.video import Image
 
 WORK_PX = 1280
-"""Maximum side of the working pictures. Larger pictures are reduced by an integer factor."""
+"""Maximum side of the pictures in which points are tracked, px. Larger pictures are reduced by an integer factor."""
 CELLS = (16, 9)
 """Number of cells along the longer and the shorter side. Points are taken from each cell, so that finely textured parts
 of the picture do not dominate.
@@ -31,7 +31,7 @@ BLOCK_PX = 5
 LEVELS = 3
 """Number of times that the pictures are halved in size to follow points over long distances."""
 MIN_CORNER = 4e-5
-"""Smallest accepted minor eigenvalue of a corner's structure tensor. Noise of two grey levels gives less than 3e-5."""
+"""Minimum minor eigenvalue of a corner's structure tensor. Noise of two grey levels gives less than 3e-5."""
 MAX_UNLIKE = 3.0
 """Difference of a point's surroundings between two pictures, relative to the median of all points, above which the
 point is hidden.
@@ -213,9 +213,9 @@ MIN_POINTS = 15
 MIN_SPREAD = 0.2
 """Smallest spread of the agreeing points over the picture, as `cover_and_spread` returns it."""
 FINAL_LIMIT = 0.5
-"""Largest factor applied to the error limit in the final steps, where the limit follows the scatter of the points."""
+"""Maximum factor applied to the error limit in the final steps, where the limit follows the scatter of the points."""
 LEAST_LIMIT = 0.2
-"""Smallest factor applied to the error limit in the final steps."""
+"""Minimum factor applied to the error limit in the final steps."""
 ROUNDS = 6
 """Number of steps of robust least squares."""
 
@@ -244,7 +244,7 @@ class AgreedOrientation:
     2, 4).
     """
     sigma_px: float
-    """Standard deviation along each axis of the points that agree."""
+    """Standard deviation of the residuals of the points that agree, px along each axis."""
     spread: float
     """Covered fraction of the picture times the points' spread, both as `cover_and_spread` returns them."""
 

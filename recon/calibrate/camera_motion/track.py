@@ -33,7 +33,7 @@ MIN_CORNERS = 40
 NEW_KEY_LIKENESS = 0.7
 """Overlap with the nearest keyframe below which a frame becomes a keyframe."""
 MIN_LIKENESS = 0.25
-"""Smallest overlap with a keyframe at which a frame is compared with it."""
+"""Minimum overlap of a frame with a keyframe for the two to be compared."""
 NEW_KEY_SUPPORT = 0.6
 """`AgreedOrientation.spread`, relative to the largest since the last keyframe, below which a frame becomes a keyframe.
 """
@@ -57,7 +57,7 @@ MAX_APART = 0.25
 """Fraction of frames whose background no single rotation explains, above which the camera has moved as well as turned.
 """
 MIN_BACKGROUND = 0.4
-"""Smallest agreement with the background of the points that link two pictures."""
+"""Minimum agreement with the background, from 0 to 1, of the points that link two pictures."""
 CLEAR_SIGMAS = 3.0
 """Deviation of the focal length from the camera file's, in standard deviations, above which it counts as different."""
 MIN_STILL = 0.4
@@ -67,7 +67,7 @@ MAX_TORN = 1
 PICTURE_FLOOR_PX = 0.1
 """Standard deviation, px, of the error that all points of a picture have in common and their scatter does not show."""
 MIN_PAIR_POINTS = 30
-"""Smallest number of background points in a pair of pictures that helps to estimate the focal length."""
+"""Minimum number of background points for a pair of pictures to be used in the estimate of the focal length."""
 
 
 @dataclass(eq=False)
