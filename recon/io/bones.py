@@ -54,7 +54,7 @@ class BoneAngle:
 
 @dataclass(frozen=True, eq=False)
 class Bone:
-    """Rigid segment that turns relative to its parent; `parent` is None for the root, which also moves."""
+    """Rigid segment that turns relative to its parent, or the root, which has no parent and also moves."""
 
     name: str
     parent: int | None
@@ -62,7 +62,7 @@ class Bone:
     """Origin of the bone in its parent's frame, shape (3,)."""
     turns: tuple[BoneAngle, ...]
     mass_kg: float
-    """Mass; 0 if the skeleton has no masses."""
+    """Mass of the bone in kg; 0 if the skeleton has no masses."""
     centre_m: Array
     """Centre of mass in the bone's frame, shape (3,)."""
     inertia_kg_m2: Array
@@ -348,7 +348,7 @@ def _write_motion(rig: Armature, path: Path) -> None:
 
 
 def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
-    """Add a child element that has a name, if `called` is given, and text elements; return the child."""
+    """Return a new child element with text elements, and with a name if `called` is given."""
     element = SubElement(parent, kind, {} if called is None else {"name": called})
     for name, text in elements.items():
         SubElement(element, name).text = text

@@ -325,7 +325,7 @@ def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[in
 
 
 def _numbers(value: object) -> Array | None:
-    """Convert a number, a nested list or {rows, cols, data} to an array; return None for anything else."""
+    """Convert a number, a nested list or {rows, cols, data} to an array, and anything else to None."""
     try:
         if isinstance(value, Mapping):
             array = np.asarray(value["data"]).reshape(int(value["rows"]), int(value["cols"]))

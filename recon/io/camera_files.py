@@ -76,7 +76,7 @@ LENS_KEYS = (
 )
 """Keys under which files state a lens model."""
 STRICT_LENS_KEYS = LENS_KEYS[:5]
-"""Keys whose value can only be a lens model; the values of other keys can also name a product."""
+"""Keys whose value can only be a lens model, while values of the other `LENS_KEYS` can also name a product."""
 FISHEYE_KEYS = ("fisheye", "fisheye_model", "is_fisheye", "use_fisheye")
 SIZE_KEYS = (
     ("image_width", "width", "img_width", "frame_width"),
@@ -87,7 +87,7 @@ _PERSPECTIVE = ("pinhole", "perspective")
 """Names of camera models that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
-"""Largest number of nested levels in a file that is read; OpenCV crashes at 20,000."""
+"""Largest number of nested levels in a file that is read, because OpenCV crashes at 20,000."""
 
 
 def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
@@ -217,7 +217,7 @@ def transposed(value: object) -> object:
 
 
 def recognises_anipose(path: Path) -> bool:
-    """Return whether a file is TOML; recon's own camera files are recognised first."""
+    """Return whether a file is TOML, and is not one of recon's own camera files, which are recognised first."""
     return _is(path, (".toml",))
 
 
@@ -290,7 +290,7 @@ OPENSFM_LENSES = {
     "fisheye": ("fisheye", ("k1", "k2")),
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""Recon's lens model for each of OpenSfM's names, and the coefficients that a file has; all others are 0."""
+"""Recon's lens model for each of OpenSfM's names, and the coefficients that a file has, while others are 0."""
 COLMAP_LENSES = {
     name: (lens.name, parameters.split()) for lens in LENS_MODELS.values() for name, parameters in lens.colmap.items()
 }
@@ -511,7 +511,7 @@ def _plain_node(node: cv2.FileNode) -> Json:
 
 
 def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
-    """Write cameras as TOML that `read_cameras` reads back exactly; write the whole file or nothing."""
+    """Write cameras as TOML that `read_cameras` reads back exactly, without leaving an incomplete file."""
     write_text(path, tomli_w.dumps({"cameras": [_table(camera) for camera in cameras]}))
 
 

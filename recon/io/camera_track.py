@@ -75,7 +75,7 @@ MAX_SHOTS_BYTES = 1 << 28
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraTrack(FramePoses):
-    """Poses of one camera in N frames of its video; the world is in metres and has z up."""
+    """Poses of one camera in N frames of its video, in a world in metres with z up."""
 
     max_gap_s: ClassVar[float] = 0.1
     """Longest gap between two poses that is interpolated, in seconds."""
@@ -84,7 +84,7 @@ class CameraTrack(FramePoses):
     frames: Integers
     """Increasing frame numbers, shape (N,)."""
     camera: Camera | None = None
-    """The camera's lens, without a pose; None if the file of the track has no lens."""
+    """Camera with its lens but without a pose; None if the track's file has no lens."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
         """Return the poses in T increasing frames, and a mask (T,) of the interpolated poses.

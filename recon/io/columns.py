@@ -359,7 +359,7 @@ class _Cells:
         self.problems: list[Problem] = []
 
     def numbers(self, column: str) -> np.ndarray:
-        """Return the cells of a column as floats; cells that are infinite or not numbers become problems."""
+        """Return the cells of a column as floats, and record cells that are infinite or not numbers as problems."""
         cells, expected = self.table[column], "a number or an empty cell"
         values, wrong = common.numbers(cells[row] for row in self.rows)
         detail = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in self.rows[wrong]]

@@ -25,7 +25,10 @@ from recon.base.numbers import counted
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose3D(Brief):
-    """3D positions of J joints in T frames; the fields are checked for consistency."""
+    """3D positions of J joints in T frames.
+
+    Creating one raises ValueError if the fields do not fit together.
+    """
 
     names: tuple[str, ...]
     """Names of the J joints."""
@@ -110,7 +113,7 @@ MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands of problems.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**9
-"""Largest absolute frame number, three months at 120 Hz; larger numbers are time stamps or errors."""
+"""Largest absolute frame number (three months at 120 Hz), because larger numbers are time stamps or errors."""
 POINTS_MAX = 20_000_000
 """Largest number of points in all frames of a file, since each point takes memory even if missing."""
 

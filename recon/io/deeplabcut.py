@@ -295,7 +295,7 @@ def _require_one_scorer(path: Path, scorers: Sequence[str], columns: Sequence[Co
 
 
 def _without_repeats(columns: list[Column], values: np.ndarray) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
-    """Drop columns that repeat an earlier column; return the remaining columns, their values, and a note."""
+    """Return the columns without those that repeat an earlier column, their values, and a note."""
     repeats = _equal_repeats(columns, values)
     if not repeats:
         return columns, values, ()

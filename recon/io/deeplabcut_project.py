@@ -29,7 +29,7 @@ _OTHERS = ("_skeleton", "_3d")
 
 @dataclass(frozen=True)
 class Project:
-    """Content of a DeepLabCut project's `config.yaml`; names are empty if absent."""
+    """Content of a DeepLabCut project's `config.yaml`, with empty fields for absent keys."""
 
     config: Path
     scorer: str

@@ -33,7 +33,7 @@ def recognises_fmpose3d(path: Path) -> bool:
 
 
 def _has(path: Path, name: str, damaged: bool) -> bool:
-    """Return whether an archive contains a file of this name; for an unreadable archive, return `damaged`."""
+    """Return whether an archive contains a file of this name, or `damaged` for an unreadable archive."""
     if not common.starts_with(path, b"PK\x03\x04"):
         return False
     try:

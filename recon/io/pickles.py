@@ -69,7 +69,7 @@ def plain_parts_of_pickle(content: bytes) -> Plain:
 
 
 class Unread:
-    """Placeholder for an object of a pickle that is not created; it ignores what the pickle does with the object."""
+    """Placeholder for an object of a pickle that is not created, which ignores what the pickle does with it."""
 
     def __init__(self, *arguments: object, **named: object) -> None: ...
 

@@ -29,7 +29,7 @@ Uniformly random times have 0.29.
 ROUNDED_GAPS = 3
 """Minimum number of steps longer than 1.5 units required to conclude that times are rounded to the unit."""
 ROUNDED_OFF = 0.6
-"""Largest deviation of rounded times from evenly spaced times, in units; rounding alone gives 0.5."""
+"""Largest deviation of rounded times from evenly spaced times, in units, of which rounding alone explains 0.5."""
 PHASE_SHARED = 0.5
 """Largest mean resultant length, 0 to 1, of the times' phases within a frame at which no common offset is assumed."""
 _WINDOW = 16

@@ -37,7 +37,7 @@ SHIFT = 4
 STRIP_SHARE = 0.3
 """Height of the strip with the three views, as a fraction of 9/16 of the picture's width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
-"""Fraction of the strip's width for each view; the key takes the rest."""
+"""Fractions of the strip's width for the three views; the key to the colours takes the remaining width."""
 TILE_PX = (480, 300)
 """Width and height of a still picture, px."""
 TILE_UNIT = 0.55

@@ -254,11 +254,11 @@ Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
 """Names of a table's columns, and its rows."""
 Columns = dict[str, np.ndarray]
-"""Columns of a table by name; the table has one row for each frame or sample."""
+"""Columns, by name, of a table that has one row for each frame or sample."""
 
 
 def joints(analysis: ClipAnalysis) -> Table:
-    """Return distance, mean speed, peak speed and peak acceleration of every joint; unknown values are empty."""
+    """Return a table with distance, mean speed, peak speed and peak acceleration of every joint."""
     columns = "distance_m, mean_speed_m_s, peak_speed_m_s, peak_speed_sigma_m_s, peak_speed_time_s, "
     names = (columns + "peak_acceleration_m_s2, peak_acceleration_sigma_m_s2").split(", ")
     is_known = analysis.why_no_speed is None

@@ -28,7 +28,7 @@ FOLLOW_S = 0.05
 
 
 def level_rotation(centre_m: Array, target_m: Array) -> Array:
-    """Return R_camera_world (3, 3) of a camera without roll at a point (3,) that looks at a target (3,); z is up."""
+    """Return R_camera_world (3, 3) of a camera at a point (3,) that looks at a target (3,) without roll, z up."""
     ahead = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

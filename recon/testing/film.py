@@ -267,7 +267,7 @@ class PanningFilm:
 
 
 def film_clip() -> tuple[SyntheticClip, float]:
-    """Simulate the clip that is filmed by a still camera; return it and the height of the ground in metres."""
+    """Return a clip filmed by a still camera, and the height of the ground in metres."""
     clip, _ = whole_gallop(FPS, FRAMES)
     paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
     ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03

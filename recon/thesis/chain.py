@@ -152,7 +152,7 @@ class UnknownsChain(Chain):
 
 
 def with_unknowns(chain: object) -> object:
-    """Return a chain as `UnknownsChain`; return anything else unchanged."""
+    """Return a chain as `UnknownsChain`, and anything else unchanged."""
     if isinstance(chain, UnknownsChain) or not isinstance(chain, Chain):
         return chain
     return UnknownsChain(**{field.name: getattr(chain, field.name) for field in fields(Chain)})

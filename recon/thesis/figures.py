@@ -231,7 +231,7 @@ FIGURES = (
     solver_rotation,
     reference_path,
 )
-"""All figures; each is saved under the name of its function."""
+"""Functions that draw the figures of `recon solver`, each of which is saved under its function's name."""
 
 
 def _term_label(term: str) -> str:

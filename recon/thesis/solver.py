@@ -45,7 +45,7 @@ _WIDE_TOLERANCE = 1e-3
 _FIRST_TOLERANCE = 1e-3
 """Tolerance of the first solution of all frames, from which the second solution starts."""
 _SECOND_TOLERANCE = 1e-5
-"""Tolerance of the second solution of all frames; a smaller one moves no joint by a tenth of a millimetre."""
+"""Tolerance of the second solution of all frames, since a smaller one moves joints by less than 0.1 mm."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
 """Angles in rad between the direction of travel and the headings from which the search in the first frame starts."""
 

@@ -270,7 +270,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
-    """Yield the poses (T, J, 3) to draw in each figure, evenly spaced; the other poses are NaN."""
+    """Yield the poses (T, J, 3) for each figure, in which all but evenly spaced poses are NaN."""
     joints_m = motion.upright.xyz_m
     pose_rows = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     length_m = float(np.median(np.ptp(joints_m[pose_rows], axis=1), axis=0).max())

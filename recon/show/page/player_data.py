@@ -36,7 +36,7 @@ CAMERA_BYTES = 1_800_000
 """Largest size of the cameras' detections in a page before base64 encoding. The first camera shown is always included.
 """
 SPREADS = 600
-"""Largest number of frames, evenly spaced, whose uncertainty is stored; the uncertainty changes slowly."""
+"""Largest number of frames whose uncertainty is stored, evenly spaced because uncertainty changes slowly."""
 POSTURE_BYTES = 400_000
 """Largest size of the curves of the model's own angles, which are shown in addition to anatomical flexions."""
 MISSING, FITS, OUTLIER = 0, 1, 2
@@ -151,7 +151,7 @@ def _spreads(covariance_m2: Array) -> Array:
 
 
 def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
-    """Yield the ground plane of each segment; a level plane through the lowest joints if the ground is unknown."""
+    """Yield each segment's ground plane, or a level plane through the lowest joints if the ground is unknown."""
     for segment in motion.segments:
         first, stop, _ = segment.rows.indices(len(motion.frames))
         lowest_m = motion.upright.xyz_m[first:stop, :, 2]
@@ -257,7 +257,7 @@ def _panel(
     curves: Mapping[Any, tuple[Array, Array, bool]],
     least: float | None = None,
 ) -> dict[str, Any]:
-    """Return one panel of curves; `measured` is False for an angle that comes mostly from the prior."""
+    """Return one panel of curves, where `measured` is False for an angle that comes mostly from the prior."""
     return {
         "title": title,
         "unit": unit,

@@ -152,7 +152,7 @@ def _draw_ground(cells: Mapping[str, Axes], points_m: Array, R: Array, origin_m:
 
 
 def _label_axes(figure: Figure, axes: Axes, across: str, upwards: str) -> None:
-    """Label the axes of a view, in metres; an empty `across` leaves the horizontal axis without a label."""
+    """Label the axes of a view in metres, without a label on the horizontal axis if `across` is empty."""
     axes.set_xlabel(across and f"{across} (m)")
     axes.set_ylabel(f"{upwards} (m)")
     # The distance of the label is fixed, because equal scales change the axis numbers after the layout.

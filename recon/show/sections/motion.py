@@ -149,7 +149,7 @@ def given_size(motion: Motion) -> str:
 
 
 def size_sources(solution: TrajectorySolution) -> list[str]:
-    """Return the sources that determine the size better than the prior does; the ground often adds little."""
+    """Return the measurements that determine the animal's size better than the prior does."""
     is_measured = _size_share(solution) >= MEASURED_SHARE
     return [SIZE_SOURCES[source] for source in solution.size_from if source in SIZE_SOURCES and is_measured]
 

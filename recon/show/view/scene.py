@@ -56,7 +56,7 @@ CLOSE = 1.1
 HIDDEN_LINK = 0.01
 """Length of a link, relative to the close view's width, below which the dots at its ends hide it."""
 MAX_SHAPES_HZ = 25.0
-"""Largest number of times per second of a clip that an ellipsoid changes its shape; more would be invisible."""
+"""Largest number of changes of an ellipsoid's shape per second of a clip, because more would be invisible."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 
@@ -113,7 +113,7 @@ class Log:
         self.fix(entity, kind.from_fields(**style))
 
     def plot(self, plot: TimePlot) -> None:
-        """Write a plot over time; a NaN interrupts its line, and a row whose values are all NaN is empty."""
+        """Write a plot over time, in which a NaN interrupts a line."""
         is_known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
         columns = rr.Scalars.columns(scalars=plot.values[is_known].ravel())
         style = {"names": plot.names, "colors": plot.colours, "widths": [1.8] * count}
