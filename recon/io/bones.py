@@ -1,9 +1,9 @@
 """Describe an animal as bones that turn relative to each other, and write BVH, OpenSim and glTF 2.0.
 
-These formats are for programs that work with bones, not points. Axes are x forwards, y up, z right, metres. With all
-angles 0 every bone's axes are those of the world. Angles keep their names and signs: yaw turns about y, pitch about -z
-and roll about x. `recon.show.rig` makes an armature from a fit. Joints are written as bones without rotation, at the
-ends of limbs.
+These formats are for programs that work with bones, not points. Lengths are in metres, with x forwards, y up and z
+right. With all angles 0 every bone's axes are those of the world. Angles keep their names and signs: yaw turns about y,
+pitch about -z and roll about x. `recon.show.rig` makes an armature from a fit. Joints are written as bones without
+rotation, at the ends of limbs.
 
 BVH files of other programs are read as positions of the joints, with y up by convention and no unit. Position channels
 replace a joint's OFFSET, as in most programs. End sites are joints with the parent's name and `_end`, unless they have
@@ -71,7 +71,7 @@ class Bone:
 
 @dataclass(frozen=True, eq=False)
 class Armature:
-    """Bones, parents first, and J joints fixed to them, in T consecutive frames."""
+    """Skeleton of bones, parents first, with J joints fixed to them, in T consecutive frames."""
 
     name: str
     title: str
@@ -154,9 +154,9 @@ def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
-    """Return the joints in the order of their channels, parents first, from the lines of a file, split into words.
+    """Return the joints in the hierarchy of a BVH file, parents first.
 
-    If the file is damaged, errors of various types are raised.
+    `lines` are the file's lines, split into words. If the file is damaged, errors of various types are raised.
     """
     joints: list[_Joint] = []
     open_: list[int] = []
@@ -259,7 +259,7 @@ def _numbers(values: Array | Sequence[float]) -> str:
 
 OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"
 ROOT_AXES = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
-"""Names of the coordinates of the root's origin, z up, and their axes in the model, y up."""
+"""Axis in the OpenSim model, where y is up, of each coordinate of the root's origin, where z is up."""
 
 
 def write_opensim(rig: Armature, path: Path) -> None:
@@ -442,7 +442,7 @@ def _positions_at_rest(offsets_m: Array, parents: Sequence[int | None]) -> Array
 
 
 def _animation(buffer: _Buffer, rig: Armature, turns: Sequence[Array]) -> dict[str, Any]:
-    """Return the animation of the root's position and of the bones' rotations, given as quaternions (T, 4)."""
+    """Return the glTF animation of the root's position and of the bones' rotations, which are quaternions (T, 4)."""
     time_s = buffer.add(np.arange(len(rig.root_m)) / rig.fps)
     moved = [(0, "translation", rig.root_m)]
     moved += [(i, "rotation", turns[i]) for i, bone in enumerate(rig.bones) if bone.turns]
@@ -472,7 +472,7 @@ def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array
 
 
 def _triangles() -> Array:
-    """Return the triangles (N, 3) of a capsule between points of neighbouring rings, from pole to pole."""
+    """Return the indices (N, 3) of the points of a capsule's triangles, from pole to pole."""
     ring, sector = np.divmod(np.arange((2 * _RINGS - 1) * _SECTORS), _SECTORS)
     a, b = ring * _SECTORS + sector, ring * _SECTORS + (sector + 1) % _SECTORS
     lower, upper = np.column_stack([a, b, b + _SECTORS]), np.column_stack([a, b + _SECTORS, a + _SECTORS])

@@ -36,12 +36,12 @@ KEYS_SHOWN = 160
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """One camera as its file describes it."""
+    """Camera as described in a file, with unchecked values."""
 
     name: Any
     location: str
     values: Mapping[str, Any]
-    """Unchecked values, by field of `Camera`."""
+    """Unchecked value for each field of `Camera` that the file states."""
     called: Mapping[str, str]
     """Key in the file for each field of `Camera` that has another name there."""
     lenses: Iterable[str] = tuple(LENS_MODELS)
@@ -242,7 +242,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
     """Return the camera of a record, or raise InputError with every problem."""
     values, camera = record.values, None
     faults: dict[str, tuple[str, str]] = {}
-    """Value found and value expected, by field."""
+    """Found and expected value of each wrong field."""
     arguments: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
     arguments |= {
         "world_z_up": values["world_z_up"],
@@ -308,7 +308,7 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
-    """Return the image size in pixels, and None or, if the size is missing or wrong, the values found and expected.
+    """Return the image size in pixels, and the found and the expected value if the size is missing or wrong.
 
     If the file and the user both state a size, they must agree.
     """

@@ -187,10 +187,10 @@ def require_separate_pose(path: Path, table: Mapping[str, Any], record: CameraRe
 
 
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
-    """Return the key under which a table states its lens, and the lens's name: recon's if known, otherwise the file's.
+    """Return the key under which a table states its lens, and the name of the lens.
 
-    The name is None if the table states no lens. Contradictory names are joined into one text, which is not the name of
-    any lens.
+    The name is recon's if the lens is known, otherwise the file's, and None if the table states no lens. Contradictory
+    names are joined into one text, which is not the name of any lens.
     """
     stated: dict[str, str] = {}
     for name in LENS_KEYS:
@@ -217,7 +217,10 @@ def transposed(value: object) -> object:
 
 
 def recognises_anipose(path: Path) -> bool:
-    """Return whether a file is TOML, and is not one of recon's own camera files, which are recognised first."""
+    """Return whether a file is TOML.
+
+    Recon's own camera files, which are TOML too, come before this format in `FORMATS`.
+    """
     return _is(path, (".toml",))
 
 
@@ -417,10 +420,10 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
 
 
 def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
-    """Return the camera after ROS' region of interest and binning; the file's matrix is that of the whole picture.
+    """Return the camera of a picture that ROS crops to a region of interest and bins.
 
-    As in ROS' image_geometry, the region's corner is subtracted from the principal point, and the result is divided by
-    the binning.
+    The file's matrix is that of the whole picture. As in ROS' image_geometry, the region's corner is subtracted from
+    the principal point, and the result is divided by the binning.
     """
     region = document.get("roi")
     region = region if isinstance(region, Mapping) else {}
@@ -475,7 +478,7 @@ def _with_indented_lists(text: str) -> str:
     """Indent the lists of YAML below their keys, because OpenCV requires this indent and PyYAML does not write it."""
     lines: list[str] = []
     indents: list[int] = []
-    """Indentations of the lists that are open and were not indented."""
+    """Indentation of each open list that was not indented."""
     key_indent = None
     for line in text.splitlines():
         indent, is_item = len(line) - len(line.lstrip(" ")), re.match(r" *-(\s|$)", line) is not None

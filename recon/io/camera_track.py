@@ -43,13 +43,13 @@ Columns = dict[str, Array]
 UNIT_TOLERANCE = 1e-2
 """Largest difference between a quaternion's length and 1, wide enough for quaternions written with three digits."""
 MAX_METRES = 1e7
-"""Largest coordinate of a camera's position, in metres."""
+"""Largest accepted coordinate of a camera's position, in metres."""
 MAX_PX = 1e6
-"""Largest focal length and coordinate of a principal point, px."""
+"""Largest accepted focal length and coordinate of a principal point, in pixels."""
 MAX_SIGMA_DEG = 10.0
-"""Largest standard deviation of an orientation, in degrees."""
+"""Largest accepted standard deviation of an orientation, in degrees."""
 MAX_ROTATION_RAD = 100.0
-"""Largest component of a rotation vector, in radians."""
+"""Largest accepted component of a rotation vector, in radians."""
 LEANING_MAX_RAD = np.radians(60)
 """Largest angle, in radians, between a picture's upward direction and z at which the picture counts as upright.
 
@@ -112,7 +112,7 @@ class CameraTrack(FramePoses):
 
 
 def _between(a: Array, b: Array, share: Array) -> Array:
-    """Return poses (T, 4, 4) between poses a and b, at fractions (T,) and with constant rotation rate and velocity."""
+    """Interpolate between poses a and b (T, 4, 4) at fractions (T,), at constant rotation rate and velocity."""
     turn = b[:, :3, :3] @ a[:, :3, :3].swapaxes(1, 2)
     rotation = Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(turn).as_rotvec()).as_matrix() @ a[:, :3, :3]
     start, end = inverse(a)[:, :3, 3], inverse(b)[:, :3, 3]
@@ -121,7 +121,7 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 
 
 def track_files(path: Path) -> tuple[Path, ...]:
-    """Return the files of which a camera track consists, given the path that names the track."""
+    """Return the files of a camera track, which are two for a COLMAP model with a lens."""
     images = path / IMAGES if path.is_dir() else path
     if images.suffix.lower() in (".csv", *SHOTS):
         return (images,)
@@ -259,7 +259,7 @@ def _read_shots(path: Path) -> CameraTrack:
     Raises
     ------
     InputError
-        For an invalid file.
+        If the file is invalid.
     """
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
     whole = document[0] if isinstance(document, list) and len(document) == 1 else document
@@ -297,7 +297,7 @@ def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
     Raises
     ------
     InputError
-        For invalid files.
+        If a file is invalid.
     """
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
     rows: dict[str, list[float]] = {}

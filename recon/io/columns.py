@@ -80,7 +80,7 @@ class _Layout:
     """Meaning of a table's columns."""
 
     columns: Mapping[tuple[str, str], str]
-    """Columns by bodypart ("" in a long table) and role."""
+    """Name of the column for each bodypart ("" in a long table) and role."""
     unit: str | None
     """Unit of the coordinates; None if the columns state no unit, or several."""
     ignored: Sequence[str]
@@ -281,7 +281,7 @@ def points_of_columns(
     Raises
     ------
     InputError
-        For unknown columns, cells that are not numbers, points that appear twice in a frame, and missing coordinates.
+        If columns are unknown, cells are not numbers, a point appears twice in a frame, or coordinates are missing.
     """
     layout = _required_layout(path, table, column_map)
     columns = layout.columns
@@ -460,7 +460,7 @@ INDIVIDUALS = ("individuals", "individual")
 
 
 def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Keypoints:
-    """Return keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
+    """Return keypoints from a pandas table, as described in `recon.Keypoints.from_dataframe`."""
     source = Path("DataFrame")
     with damage_as_input_error(
         source, "numbers, with DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"
@@ -493,7 +493,7 @@ def _points_of_levels(source: Path, table: pd.DataFrame, individual: str | None)
 
 
 def from_xarray(dataset: xr.Dataset, fps: float | None, individual: str | None) -> Keypoints:
-    """Return keypoints from movement's dataset; see `recon.Keypoints.from_xarray`."""
+    """Return keypoints from movement's dataset, as described in `recon.Keypoints.from_xarray`."""
     from recon.io.hdf5_poses import points_of_dataset
 
     source = Path("Dataset")

@@ -35,7 +35,7 @@ class Pose3D(Brief):
     xyz_m: np.ndarray
     """Positions of the joints in metres with z up, shape (T, J, 3); NaN if missing."""
     frames: np.ndarray
-    """(T,): whole, strictly increasing frame numbers."""
+    """Whole, strictly increasing frame numbers, shape (T,)."""
     source: str | None = None
     fps: float | None = None
     """Frames per second, if known."""
@@ -74,7 +74,7 @@ class StoredPoints:
     values: np.ndarray
     """Positions in pixels, shape (T, K, 2), or in the file's unit and axes, shape (T, K, 3); NaN if missing."""
     frames: np.ndarray
-    """(T,): whole, strictly increasing frame numbers."""
+    """Whole, strictly increasing frame numbers, shape (T,)."""
     likelihood: np.ndarray | None = None
     """Likelihoods of the points, shape (T, K), NaN if unknown; None if the file has no likelihoods."""
     fps: float | None = None
@@ -108,7 +108,7 @@ UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
 """Scorer of recon's own files, to which the frame rate is appended if known, as in recon_90fps."""
 FMPOSE3D = "fmpose3d_"
-"""Text in a scorer or network's name that identifies FMPose3D's poses."""
+"""Text in the name of a scorer or network that identifies FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands of problems.
 PROBLEMS_SHOWN = 10
@@ -146,8 +146,9 @@ class NoChoiceError(InputError):
 def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
     """Return the index of the chosen animal of a file.
 
-    `animals` are their names; the name of a file's only animal may be empty. `seen` states whether each animal has a
-    point. Animals without points can be chosen only by name. Among several animals, an unnamed one is `UNTRACKED`.
+    `animals` has the names of the file's animals. A file's only animal may have an empty name. `seen` states whether
+    each animal has a point. Animals without points can be chosen only by name. Among several animals, an unnamed one is
+    `UNTRACKED`.
 
     Raises
     ------

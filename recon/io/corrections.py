@@ -145,7 +145,7 @@ def with_corrections(
     source : path
         The file of the corrections, for messages.
     sizes_px : sequence of (int, int), optional
-        Width and height of the V cameras' pictures, pixels; the notes then name corrected positions that lie outside.
+        Width and height of the V cameras' pictures in pixels. The notes then name corrected positions that lie outside.
 
     Raises
     ------

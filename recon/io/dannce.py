@@ -28,9 +28,9 @@ from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, one_animal, starts_with
 
 MAX_BYTES = 1 << 28
-"""Largest size of a MATLAB file that is read, bytes."""
+"""Largest size of a MATLAB file that is read in bytes."""
 MAX_UNPACKED = 1 << 28
-"""Largest size of the unpacked elements of a MATLAB file, bytes."""
+"""Largest size of the unpacked elements of a MATLAB file in bytes."""
 MAX_DEPTH = 12
 """Largest depth of cells and structures nested in each other."""
 MAX_ITEMS = 100_000

@@ -80,7 +80,7 @@ def refuse_several(path: Path) -> None:
 
 
 def _entries(text: str) -> dict[str, list[str]]:
-    """Return the values of each top-level key of a YAML document: its value, list items or mapping keys."""
+    """Return the value, the list items or the mapping's keys for each top-level key of a YAML document."""
     entries: dict[str, list[str]] = {}
     key, depth = "", 0
     for line in text.splitlines():

@@ -370,7 +370,8 @@ def _reading(kind: Kind | None) -> list[Format]:
 def read_keypoints(path: str | Path, individual: str | None = None, fps: float | None = None) -> Keypoints:
     """Return the keypoints of one animal as stored in a file of any known format.
 
-    `individual` is the animal's name, needed if there are several. `fps` numbers the frames of a file that has times.
+    `individual` is the animal's name, needed if there are several. `fps` is the frame rate in Hz at which times in a
+    file are converted to frame numbers.
 
     Raises
     ------

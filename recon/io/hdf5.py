@@ -174,12 +174,12 @@ def groups(file: h5py.File) -> Iterator[h5py.Group]:
 
 
 def is_scale(item: object) -> bool:
-    """Return whether an item is a dataset that names a dimension of other datasets."""
+    """Return whether an item is a dimension scale, which is a dataset that names a dimension of other datasets."""
     return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
 
 
 def scale_of(scale: h5py.Dataset, dataset: h5py.Dataset) -> list[int]:
-    """Return the axes of a dataset that a scale refers to."""
+    """Return the indices of a dataset's axes to which a dimension scale belongs."""
     if not h5py.h5a.exists(scale.id, b"REFERENCE_LIST"):
         return []
     stored = h5py.h5a.open(scale.id, b"REFERENCE_LIST")

@@ -137,7 +137,10 @@ def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[st
 
 
 def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tuple[str, ...]]:
-    """Return frame numbers by image id: as stated, otherwise the last digits of file names, otherwise the id."""
+    """Return the frame number of each image id, and notes.
+
+    The number is the stated one, otherwise the last digits of the file's name, otherwise the id.
+    """
     ids = [image["id"] for image in images]
     stated = ("frame_id", "frame_index", "frame_number")
     key = next((k for k in stated if images and all(isinstance(image.get(k), int) for image in images)), None)
@@ -208,9 +211,9 @@ def recognises_openpose(path: Path) -> bool:
 
 
 def clip_of_frame(path: Path) -> Path | None:
-    """Return the path that represents the clip of a one-frame file, or None for other formats.
+    """Return a path that is the same for all one-frame files of a clip, or None for other formats.
 
-    The path is the same for all frames. Pose2Sim has one folder per camera, such as cam1_json/cam1_000000.json.
+    Pose2Sim has one folder per camera, such as cam1_json/cam1_000000.json.
     """
     name = _FILE_NAME.fullmatch(path.name)
     if name is None or not os.access(path, os.R_OK) or not recognises_openpose(path):
@@ -301,7 +304,7 @@ ANIMAL3D = (
     "right_front_knee left_back_knee right_back_knee neck tail_end left_ear right_ear left_mouth right_mouth nose "
     "tail_mid"
 )
-"""Correct names of FMPose3D's points, which are Animal3D's, as in its conversion from SuperAnimal's points."""
+"""Correct names of FMPose3D's points in the network's order, which are those of the data set Animal3D."""
 LENGTHS = (
     "FMPose3D's lengths have no unit and its axes are arbitrary: compare poses only after scaling and rotation (PA)."
 )

@@ -50,7 +50,7 @@ class LabelledFrames:
     edges: tuple[tuple[int, int], ...] = ()
     """Pairs of keypoints joined by a bone, as indices."""
     size_px: tuple[int, int] = (0, 0)
-    """Width and height of the pictures."""
+    """Width and height of the pictures in pixels."""
     digits: int = 4
     """Number of digits in the pictures' names."""
 

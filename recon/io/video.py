@@ -298,7 +298,7 @@ def _is_complete(path: Path) -> bool:
 
 
 def _webm_length(path: Path) -> int:
-    """Return the length that a WebM file states: the length of its header plus that of the segment that follows."""
+    """Return the length in bytes that a WebM file states for its header and its segment together."""
     with path.open("rb") as file:
         head = file.read(80)
     position = 0

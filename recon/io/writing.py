@@ -58,7 +58,7 @@ def index_edges(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> np.nd
 
 
 def frames_text(frames: np.ndarray) -> list[str]:
-    """Return increasing frame numbers as ranges with both ends: 10, 11, 12, 15 is ["10-12", "15"]."""
+    """Return increasing frame numbers as ranges with both ends, such as ["10-12", "15"] for 10, 11, 12, 15."""
     return [f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in frame_ranges(frames)]
 
 
@@ -151,7 +151,7 @@ def write_rows(
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write a long table by its columns (N,), of floats, whole numbers or text without commas.
+    """Write a long table from its columns (N,), which are floats, whole numbers or text without commas.
 
     NaN is an empty cell. This is much faster than writing row by row.
     """

@@ -59,9 +59,9 @@ def console_summary(report: Mapping[str, Any]) -> Table:
 
 
 def _largest_notes(findings: Sequence[Mapping[str, Any]], reason: str) -> list[str]:
-    """Return the first sentences of the `NOTES` notes with the largest effects that the reason does not contain.
+    """Return the first sentences of up to `NOTES` notes that are not part of the verdict's reason.
 
-    Notes with an unknown effect come last.
+    The notes with the largest effects are chosen. Notes with an unknown effect come last.
     """
     notes = []
     for item in findings:

@@ -39,7 +39,7 @@ STRIP_SHARE = 0.3
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Fractions of the strip's width for the three views; the key to the colours takes the remaining width."""
 TILE_PX = (480, 300)
-"""Width and height of a still picture, px."""
+"""Width and height of a still picture in pixels."""
 TILE_UNIT = 0.55
 """Factor of line widths and mark sizes on a still picture, 1 for a picture 1920 px wide."""
 DARKENED = 0.35

@@ -61,7 +61,7 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
 def make_rig(
     body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float, body_mass_kg: float = 1.0
 ) -> Armature:
-    """Return the rig for states (N, D) in frames (N,), and interpolate the states of the frames between these.
+    """Return the rig of states (N, D) in frames (N,), with interpolated states in the frames between these.
 
     `names` (J,) are the names of the joints.
     """

@@ -35,7 +35,7 @@ ANGLE, PIXEL, SHARE, LENGTH = 5, 2, 3, 7
 Further digits are meaningless and differ between processors.
 """
 SIGMA_DIGITS = 3
-"""Significant digits of standard deviations in the tables of joints and angles, which are known to a few per cent."""
+"""Number of significant digits of standard deviations of joints and angles, which are known to a few per cent."""
 MIN_METRE = 4
 """Minimum number of decimals of positions in metres."""
 MAX_METRE = 7
@@ -161,7 +161,7 @@ def shape(motion: Motion, path: Path) -> None:
 
 _EVERY_CLIP = pose3d, angles, quality, pose3d_sigma, angles_sigma, to_correct
 CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.csv": table for table in _EVERY_CLIP}
-"""Tables of every clip, by file name."""
+"""Functions that write the tables of every clip, by file name."""
 
 REPROJECTION = "reprojection.csv"
 """File name of the reprojections of a single camera; with several cameras, it includes the camera's name."""
@@ -177,7 +177,7 @@ def write_tables(motion: Motion, folder: Path) -> None:
 
 
 def camera_files(cameras: Sequence[str]) -> list[str]:
-    """Return the file name of each camera's table, reprojection.csv, or reprojection_cam1.csv and so on."""
+    """Return the file name of each camera's table of reprojections, such as reprojection_cam1.csv."""
     if len(cameras) == 1:
         return [REPROJECTION]
     files: list[str] = []
@@ -381,7 +381,7 @@ def angle_rates(analysis: ClipAnalysis) -> Columns:
 
 
 def stances(analysis: ClipAnalysis) -> Table:
-    """Return a table with a row for each stance."""
+    """Return a table with a row for each stance of each foot."""
     columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, start_low_s, start_high_s"
     rows_of = np.arange(len(analysis.pose.frames))
     rows = [
@@ -414,9 +414,10 @@ def strides(analysis: ClipAnalysis) -> Table:
 
 
 def gait(analysis: ClipAnalysis) -> Table:
-    """Return the gait's name, its criterion, and means over complete strides, in one row; no row without feet.
+    """Return a table of one row with the gait's name, its criterion, and means over complete strides.
 
-    If there are no complete strides, the means follow from the period of the motion, as the column `source` states.
+    The row is missing if the skeleton has no feet. If there are no complete strides, the means follow from the period
+    of the motion, as the column `source` states.
     """
     columns = "gait, criterion, speed_m_s, strides, source, stride_length_m, stride_frequency_hz, duty_factor, "
     columns += "duty_factor_low, duty_factor_high"
@@ -471,7 +472,7 @@ def vector_field(analysis: ClipAnalysis) -> Columns:
 
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
-    """Return the mean speed of each link's tip in its parent's frame."""
+    """Return the mean speeds and mean polar rates of each link's tip in its parent's frame."""
     rows = [(limb, *means) for limb, fields in analysis.fields.items() for means in map(means_of_field, fields)]
     return ["limb", *FieldMeans._fields], rows
 
@@ -586,7 +587,7 @@ def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
 
 
 def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
-    """Return tables stacked on top of each other, or empty columns if there are none."""
+    """Return the rows of several tables as one table, or empty columns without any table."""
     return {name: np.concatenate([part[name] for part in parts]) if parts else np.empty(0) for name in names}
 
 

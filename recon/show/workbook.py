@@ -145,7 +145,7 @@ def _melted(name: str, table: pd.DataFrame) -> Iterator[pd.DataFrame]:
 
 
 def write_long(analysis: ClipAnalysis, folder: Path, decimal_comma: bool = False) -> None:
-    """Write the long table and the data dictionary as CSV, with semicolons as separators for decimal commas."""
+    """Write the long table and the data dictionary as CSV, separated by semicolons if decimals have commas."""
     tables = analysis_tables(analysis)
     separator, decimal = (";", ",") if decimal_comma else (",", ".")
     for name, table in ((LONG, long_table(tables)), (DICTIONARY, dictionary(tables))):

@@ -53,7 +53,7 @@ def draw_board(
     oversample
         Number of cells of the fine grid along each side of a pixel.
     blur_px
-        Standard deviation of the Gaussian blur, px.
+        Standard deviation of the Gaussian blur in pixels.
     noise
         Standard deviation of white noise, in grey levels from 0 to 255.
     rng
@@ -108,7 +108,7 @@ def board_poses(
     Returns
     -------
     list
-        Rotations (3, 3) and translations (3,), metres, with which all corners are in the picture.
+        Rotations (3, 3) and translations (3,) in metres with which all corners are in the picture.
     """
     size = np.array(camera.image_size_px)
     poses = []

@@ -81,13 +81,13 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
     Parameters
     ----------
     camera
-        The lens.
+        Camera with the lens of the view; its pose is ignored.
     points_m
-        Points (T, K, 3) in the world, metres.
+        Points (T, K, 3) in metres in the world.
     T_camera_world
         Pose (4, 4) of the camera, or poses (T, 4, 4) of a moving camera.
     sigma_px
-        Standard deviation of the detections' noise along each axis, px.
+        Standard deviation of the detections' noise along each axis in pixels.
     seed
         Seed of the noise.
 

@@ -117,7 +117,7 @@ def gallop(
     Parameters
     ----------
     fps
-        Frame rate, Hz.
+        Frame rate in Hz.
     n_frames
         Number of frames T.
     heading_rad

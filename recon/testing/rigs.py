@@ -126,7 +126,7 @@ def write_rig_clip(
     states
         States of the skeleton, shape (T, D).
     fps
-        Frame rate, Hz.
+        Frame rate in Hz.
     centres_m
         Centres of the V cameras in metres, shape (V, 3). All look at (0, 0, target_height_m).
     size

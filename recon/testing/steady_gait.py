@@ -188,7 +188,7 @@ class ForceErrors:
 
 
 def compare_forces(run: SteadyGait, analysis: ClipAnalysis) -> ForceErrors:
-    """Compare an analysis with the gait that was simulated.
+    """Compare the centre of mass, energies and forces of an analysis with the simulated gait.
 
     Parameters
     ----------

@@ -163,7 +163,7 @@ class SolverRecord:
 
     @property
     def optimality(self) -> Array:
-        """Return the largest component of the gradient in each frame, shape (T,)."""
+        """Return the largest absolute component of the gradient in each frame, shape (T,)."""
         return np.abs(self.gradient).max(axis=1)
 
     @cached_property
@@ -187,12 +187,12 @@ class SolverRecord:
 
     @property
     def active(self) -> dict[str, Array]:
-        """Return the number of angles outside their ranges, and of rates above their limits, in each frame (T,)."""
+        """Return the numbers (T,) of angles outside their "ranges", and of "rates" above their limits."""
         return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
 
     @property
     def _is_beyond(self) -> dict[str, Bools]:
-        """Return masks (T, 2 A) of angles outside their ranges, and of rates above their limits."""
+        """Return masks (T, 2 A) of angles outside their "ranges", and of "rates" above their limits."""
         return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:

@@ -56,7 +56,7 @@ class _FrameReport:
     iterations: int
     """Levenberg-Marquardt iterations from the best start, counted by their Jacobian evaluations.
 
-    Iterations and function evaluations include the approach with a wide loss.
+    Iterations and function evaluations include the first search with raised noise.
     """
     function_evaluations: int
     optimizer_status: int

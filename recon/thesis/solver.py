@@ -406,7 +406,8 @@ class FrameSolver:
     def _noise_px(self, start: Array) -> float:
         """Return the standard deviation of a detection in pixels.
 
-        It combines the detector's noise with the keypoints' deviation from the joints at the start's distance.
+        The variances of the detector's noise and of the keypoints about the joints, as seen at the start's distance,
+        are added.
         """
         options = self.options
         depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)

@@ -51,7 +51,7 @@ def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: flo
     camera, chain
         Camera of the clip, and the chain whose mean pose is placed on the rays.
     xy_px
-        Detections (T, J, 2), pixels; NaN if missing.
+        Detections (T, J, 2) in pixels; NaN if missing.
     fps
         Frames per second.
     """

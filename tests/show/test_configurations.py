@@ -30,7 +30,7 @@ def swinging() -> np.ndarray:
 
 
 def drawn_in(axes) -> list:
-    """Return the line collections in a panel, of which each is a limb."""
+    """Return the line collections in a panel, one for each limb."""
     return [found for found in axes.collections if isinstance(found, LineCollection)]
 
 

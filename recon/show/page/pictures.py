@@ -136,7 +136,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
 
 
 def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
-    """Return the width, px, and the quality at which `count` similar pictures fit, and the step between frames."""
+    """Return width in pixels and quality at which `count` similar pictures fit, and the step between frames."""
     allowed = [(width, quality) for width, quality in LADDER if width <= max(cut.most_px, LADDER[-1][0])]
     size = 1.0
     for width, quality in allowed:

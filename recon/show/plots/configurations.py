@@ -48,17 +48,17 @@ _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM = 160.0
-"""Largest width of the side view and of the top view, mm."""
+"""Largest width of the side view and of the top view in mm."""
 _HEIGHT_MM = 120.0
-"""Largest height of the side and top views together, mm."""
+"""Largest height of the side and top views together in mm."""
 _LEAST_MM = 18.0
-"""Smallest height of the side view, mm."""
+"""Smallest height of the side view in mm."""
 _FRONT_MM = 45.0
-"""Largest height of the front view, mm; it is never higher than the side view."""
+"""Largest height of the front view in mm, unless the side view is lower."""
 _LABELS_MM = 46.0
-"""Space for all labels and the colour bar, mm."""
+"""Space for all labels and the colour bar in mm."""
 _NUMBERS_MM = 10.0
-"""Width of the numbers at a vertical axis, mm."""
+"""Width of the numbers at a vertical axis in mm."""
 _WIDE_FRONT = 0.3
 """Fraction of the figure's width that the front view takes."""
 
@@ -287,9 +287,9 @@ VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 The animal faces right in the side and top views, and faces the reader in the front view.
 """
 _NAME_MM = 3.4
-"""Height of a marker's name in a figure, mm."""
+"""Height of a marker's name in a figure in mm."""
 _LONG_MM = 0.42 * style.WIDTH_MM
-"""Length of the animal in a figure, mm."""
+"""Length of the animal in a figure in mm."""
 _SAME = 0.01
 """Distance between markers, as a fraction of the animal's extent in a view, below which they share a label."""
 
@@ -355,7 +355,7 @@ def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None
 
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
-    """Return (right, up, text) of each label from left to right, one label for markers at one position."""
+    """Return x, y and text of each label from left to right, with one label for markers at the same position."""
     tolerance = _SAME * float(np.ptp(points, axis=0).max())
     positions: dict[int, list[str]] = {}
     for i, marker in enumerate(markers):
@@ -406,7 +406,7 @@ _SHARES = (
 
 
 def share_colours() -> ListedColormap:
-    """Return colours for information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues above."""
+    """Return colours for the fraction of the precision from the pixels, grey below `MEASURED_SHARE`, then blue."""
     low = round(256 * MEASURED_SHARE)
     greys, blues = mpl.colormaps["Greys"](np.linspace(0.1, 0.45, low)), mpl.colormaps["Blues"](np.linspace(0.5, 1, 256))
     return ListedColormap([*greys, *blues[:: -(-256 // (256 - low))]])

@@ -50,7 +50,7 @@ def stances_data(motion: Motion) -> dict[str, Any]:
 
 
 def ground_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the ground under each segment, and the number of stances of each foot."""
+    """Yield lines with the ground under each segment, and the number of stances of each foot."""
     grounds = []
     for segment in segments_data(motion):
         ground, (first, stop) = segment["ground"], segment["frames"]

@@ -85,7 +85,7 @@ def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_text(angle_rad: float | None) -> str:
-    """Return the angle between the animal's heading and the image plane as text in degrees, from its value in rad."""
+    """Return an angle in rad between the animal's heading and the image plane as text in degrees."""
     if angle_rad is None:
         return "unknown"
     if (degrees := round(math.degrees(angle_rad))) == 0:
@@ -122,7 +122,7 @@ def _shape_data(shape: SolvedShape | None) -> dict[str, Any] | None:
 
 
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the animal's size and its source."""
+    """Yield a line with the animal's size and its source."""
     sources, size_source = size_sources(trajectory_solution(motion)), given_size(motion)
     animal = data["lengths"].split(",")[0]
     if sources:

@@ -249,9 +249,9 @@ def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:
-    """Return the eye (3,) nearest to points (N, 3), slightly above them, that sees all of them, and its target (3,).
+    """Return the eye (3,) slightly above points (N, 3) that sees all of them from nearby, and its target (3,).
 
-    `axes` are those of `Scene`.
+    `axes` are `Scene.axes`, and `margin_m` is added to the distance from the target.
     """
     turns_rad = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
     right = np.stack([np.cos(turns_rad), np.sin(turns_rad)], axis=1) @ axes[:2]

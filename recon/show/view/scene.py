@@ -84,7 +84,7 @@ class Log:
     frames: Integers
     """Frame numbers, shape (T,)."""
     time_s: Array
-    """Times of the frames, seconds, shape (T,)."""
+    """Times of the frames in seconds, shape (T,)."""
 
     def send(
         self, entity: str, columns: rr.ComponentColumnList, rows: Index | Sequence[int] | slice = slice(None)
@@ -147,11 +147,11 @@ class Scene:
     axes: Array
     """Two horizontal unit vectors and the upward unit vector, in rows, shape (3, 3)."""
     low_m: Array
-    """Lower bounds of the animal over the clip along `axes`, metres, shape (3,)."""
+    """Lower bounds of the animal over the clip in metres along `axes`, shape (3,)."""
     high_m: Array
-    """Upper bounds of the animal over the clip along `axes`, metres, shape (3,)."""
+    """Upper bounds of the animal over the clip in metres along `axes`, shape (3,)."""
     size_m: float
-    """Median diagonal of the box around the animal in a frame, metres."""
+    """Median diagonal of the box around the animal in metres, over the frames."""
     camera_m: Array
     """Position of the first camera in metres, shape (3,); the mean over the frames if the camera moves."""
 
@@ -172,7 +172,7 @@ class Scene:
 
     @property
     def centre_m(self) -> Array:
-        """Return the middle of the box around the animal over the clip, metres, shape (3,)."""
+        """Return the middle of the box around the animal over the clip in metres, shape (3,)."""
         return (self.low_m + self.high_m) / 2 @ self.axes
 
 
