@@ -130,7 +130,7 @@ class IkSettings(Settings):
         return self.folder / "ik" if self.out is None else self.out
 
     def problems(self) -> Iterator[Problem]:
-        """Yield a problem for each pair of settings that exclude each other."""
+        """Yield a problem for a missing task, and for each pair of settings that exclude each other."""
         if self.has_no_task and not (self.compare or self.costs):
             yield Problem("options", "job", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:
@@ -151,7 +151,7 @@ class IkRun:
     limb: Limb
     stride: StridePath
     target_m: Array | None
-    """Target of the end effector, shape (dim,)."""
+    """Target of the end effector in the chain's base frame, shape (dim,), metres."""
     runs: Mapping[str, Mapping[str, Run]]
     """Runs of each method to the "target" and along the stride ("follow"); empty for a task that was not requested."""
     parameters: Mapping[str, ParameterFit]

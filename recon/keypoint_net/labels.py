@@ -64,7 +64,7 @@ class Labels:
         return known_points(self.xy_px)
 
     def scaled(self, scale: float) -> Labels:
-        """Return pictures and labels at another size, with the centres of pixels at whole numbers."""
+        """Return the labels with pictures and positions scaled by a factor; centres of pixels are at whole numbers."""
         pictures = tuple(resize(picture, scale) for picture in self.pictures)
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
@@ -262,7 +262,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
 
 
 def extents_px(xy_px: Array) -> Array:
-    """Return the diagonal (N,), px, of the box around the labels (N, K, 2) of each picture; NaN below two labels."""
+    """Return the diagonal (N,), px, of the box around each picture's labels (N, K, 2); NaN with fewer than two."""
     is_known = known_points(xy_px)
     points = np.where(is_known[..., None], xy_px, np.nan)
     extent_px = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)

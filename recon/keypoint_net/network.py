@@ -127,7 +127,7 @@ def require_torch() -> ModuleType:
 
 
 def choose_device(name: str) -> torch.device:
-    """Return the torch device of this name; "auto" is CUDA or MPS if available, else the CPU."""
+    """Return the torch device with a given name; "auto" means CUDA or MPS if available, else the CPU."""
     torch = require_torch()
     is_available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if name == "auto":
@@ -228,7 +228,7 @@ def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
 
 
 def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module:
-    """Return a network on a device, in the memory layout for fast convolutions."""
+    """Move a network to a device, in the memory layout for fast convolutions."""
     return network.to(device).to(memory_format=require_torch().channels_last)  # pyright: ignore[reportCallIssue]
 
 
@@ -387,7 +387,7 @@ class Spec:
 
     @property
     def reach_cells(self) -> float:
-        """Return the radius, in cells of the second stage's grid, of its window around a point of the first stage.
+        """Return the radius, in cells, of the second stage's search window around a point of the first stage.
 
         The radius is the largest error that the first stage is expected to make.
         """

@@ -578,7 +578,7 @@ def expectations(run: TrainingRun) -> list[str]:
 
 
 def measured_errors(labelled_count: int) -> str:
-    """Return a sentence on the accuracy measured with this number of labelled pictures, or the next lower one.
+    """Return a sentence on the accuracy measured for a number of labelled pictures, or for the next lower number.
 
     Below the smallest number that was measured, the sentence gives its accuracy and warns of larger errors.
     """

@@ -125,11 +125,11 @@ class Leg:
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
     def forward(self, angles_rad: ArrayLike) -> Array:
-        """Return the positions (..., 3) of the feet relative to the hip for angles (..., 3)."""
+        """Return the positions (..., 3) of the feet relative to the hip, metres, for angles (..., 3), rad."""
         return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
-        """Return the angles (..., 3) for feet (..., 3); NaN if a foot is out of reach. Joint limits are ignored."""
+        """Return the angles (..., 3), rad, for feet (..., 3), ignoring joint limits; NaN if a foot is out of reach."""
         x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
         d, swing_first = self.lateral_m, self.first == "swing"
         z2 = x * x + z * z - d * d

@@ -39,15 +39,15 @@ FRICTION = 0.8
 RATE_HZ = 100.0
 """Frames per second at which a motion is checked and changed."""
 FOOT_M = 1e-3
-"""Radius of the balls that represent point feet."""
+"""Radius of the balls that represent point feet, metres."""
 GAINS = (100.0, 2.0)
 """Stiffness and damping of a joint, N m / rad and N m s / rad."""
 TIMESTEP_S = 5e-4
-"""Time step of the simulation."""
+"""Time step of the simulation, seconds."""
 TORQUES_HZ = 500.0
-"""Rate at which the torques that the motion requires are computed."""
+"""Number of times per second at which `followed` computes the torques that the motion requires."""
 STEP_S = 1e-4
-"""Time between two velocities whose difference gives an acceleration."""
+"""Time between two velocities whose difference gives an acceleration, seconds."""
 STEP = 1e-5
 """Step of a numerical derivative with respect to the state, m or rad."""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
@@ -76,7 +76,7 @@ TORQUE = 0.05
 WITHIN = 0.02
 """Excess of a rate or an angle that gives a residual of 1, as a fraction of its limit."""
 NEAR = 3.0
-"""Weight of the base's shift, as a fraction of the standing height, and rotation, rad, in `carried`."""
+"""Weight in `carried` of the base's displacement (in standing heights) and rotation (rad)."""
 AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
 """Fraction of each limit that the optimisation in `carried` aims to stay below."""
 WIDER_RAD = 0.4
@@ -161,7 +161,7 @@ class _Demand(NamedTuple):
 
 
 def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, second_rates: Array) -> _Demand:
-    """Return the forces that states (N, 6 + J) of the robot's tree require with their first and second derivatives."""
+    """Compute the forces that a motion requires from its states (N, 6 + J) and their first and second derivatives."""
     mujoco = require_mujoco(robot.source)
     joints = [model.joint(name) for name in robot.joints]
     order = [*range(6), *(joint.dofadr[0] for joint in joints)]
@@ -520,7 +520,7 @@ class _Carrying:
         return state_rates
 
     def _over_time(self, values: Array) -> CubicSpline:
-        """Return a spline through values (K, ...) at the times, periodic for a motion that repeats."""
+        """Return a spline through the values (K, ...) of the K frames, periodic for a motion that repeats."""
         if not self.loops:
             return CubicSpline(self.time_s, values)
         time = np.append(self.time_s, self.start + self.lasts)
@@ -586,7 +586,7 @@ def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
 
 
 def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
-    """Return the fraction of frames that keep each rule, and the rule's smallest margin, for the report."""
+    """Return, for each rule, the fraction of frames that keep the rule and its smallest margin."""
     return {
         name: {"share": float(np.mean(margins[name] >= rule.least)), "least": float(margins[name].min())}
         for name, rule in RULES.items()
@@ -599,7 +599,7 @@ def least_share(motion: RobotMotion, model: MjModel) -> float:
 
 
 def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:
-    """Draw the margins (K,) of each rule over time, with a dot at the smallest.
+    """Draw the margins (K,) of each rule over time, with a dot at the smallest margin.
 
     A margin is infinite where the rule does not apply; such frames are left out.
     """

@@ -46,7 +46,7 @@ class RobotLeg:
     chain: SerialChain
     """Chain of the joints in body axes, with names and limits. Its end effector is the foot."""
     neutral_m: Array
-    """Foot of the standing leg, shape (3,), metres."""
+    """Position of the foot of the standing leg in body axes, shape (3,), metres."""
     home_rad: Array | None = None
     """Angles of the standing leg, shape (n,), rad, or None if the leg cannot stand.
 

@@ -70,7 +70,7 @@ class Reference:
     roll_pitch_yaw_rad: Array
     """Roll, pitch and yaw of the trunk, shape (N, 3), rad."""
     feet_m: Array
-    """Feet in heading axes, shape (N, 4, 3), metres, in the order of `LEGS`."""
+    """Positions of the feet in heading axes, shape (N, 4, 3), metres, in the order of `LEGS`."""
     standing: Bools
     """Whether each foot stands, shape (N, 4)."""
     leg_m: float
@@ -507,7 +507,7 @@ def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """Return the largest scale at which every foot is within reach, or half the largest if none of `SCALES` fits."""
+    """Return the largest scale at which every foot is within reach, or half the largest scale if none fits."""
     largest = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
@@ -649,7 +649,7 @@ class _Swings(NamedTuple):
 
 
 def _swings(time_s: Array, standing: Bools) -> _Swings:
-    """Compute the times since and until stance for the samples of one foot."""
+    """Compute the times since the last and until the next stance for the samples of one foot."""
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
