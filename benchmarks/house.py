@@ -375,7 +375,7 @@ def output_of(*arguments: str) -> str:
 
 
 def loaded_by_a_fit() -> list[Path]:
-    """Return the package's files that a fit of the sample from Python loads."""
+    """List the package's files that a Python script loads to fit the sample."""
     return [Path(file) for file in json.loads(output_of("-c", LOADED, str(SAMPLES)).splitlines()[-1])]
 
 

@@ -85,7 +85,7 @@ def sample_commands(samples: Path) -> Iterator[Command]:
 
 
 def recorded_commands() -> Iterator[Command]:
-    """Yield fits of each camera of each run, of neighbouring pairs and of all cameras of a run; the cheapest first."""
+    """Yield the commands that fit single cameras, neighbouring pairs and all cameras of each run, cheapest first."""
     runs = [
         (file.parent, json.loads(file.read_text())) for file in sorted(recordings("cheetah-runs").glob("*/meta.json"))
     ]

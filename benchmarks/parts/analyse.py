@@ -35,7 +35,7 @@ def fit(frames: int, folder: Path) -> None:
 
 
 def recon(*arguments: str) -> tuple[float, float, float]:
-    """Run a command; return its wall and processor time in seconds and its peak memory in MB."""
+    """Run a command, and return its wall-clock and processor time, seconds, and its peak memory, MB."""
     began = time.perf_counter()
     with subprocess.Popen([sys.executable, "-m", "recon", *arguments], stdout=subprocess.DEVNULL) as process:
         _, status, usage = os.wait4(process.pid, 0)

@@ -36,7 +36,7 @@ from recon.io.calibration import read_camera
 
 LEAP_S = 0.4
 WINDOW = 100
-"""Number of frames per file of a long recording."""
+"""Number of frames of each file that is cut from a long recording."""
 Fault = Callable[[AuditedPoints, np.random.Generator], AuditedPoints | None]
 
 

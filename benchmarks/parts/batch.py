@@ -119,7 +119,7 @@ def command(patterns: list[Path], out: Path, *more: object) -> list[str]:
 
 
 def run(patterns: list[Path], out: Path, *more: object) -> tuple[float, dict[str, dict]]:
-    """Run `recon batch`; return the seconds it took, and the rows of its summary by clip."""
+    """Run `recon batch`, and return its duration, seconds, and the row of each clip in its summary."""
     began = time.perf_counter()
     done = subprocess.run(command(patterns, out, *more), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
     seconds = time.perf_counter() - began

@@ -91,7 +91,7 @@ def runs_given(about: str | None) -> list[Run]:
 
 
 def most_different(run: Run) -> int:
-    """Return the camera whose direction from the animal differs most from that of the named camera."""
+    """Return the camera whose direction from the animal differs most from the named camera's."""
     middle = np.nanmean(run.truth_m, axis=(0, 1))
     directions = {c: view.centre_m.mean(axis=0) - middle for c, view in run.views.items()}
     unit = {c: d / np.linalg.norm(d) for c, d in directions.items()}
@@ -154,7 +154,7 @@ def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
 
 
 def as_seen(body: Body, run: Run, runs: Sequence[Run], posed: bool = False) -> Body:
-    """Return a body with the keypoint bias measured in all runs but one."""
+    """Return a body with the keypoint bias measured in all runs except `run`."""
     return with_detector(body, _detector(tuple(other for other in runs if other is not run), posed))
 
 

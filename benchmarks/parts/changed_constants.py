@@ -12,7 +12,7 @@ from recon.fit.clip_problem import TrajectoryOptions
 
 @contextmanager
 def holding(**values: Any) -> Iterator[None]:
-    """Set constants by name, such as ROBUST_C, within a `with` block."""
+    """Change constants of the solver, such as ROBUST_C, within a `with` block."""
     before = {name: getattr(constants, name) for name in values}
     try:
         for name, value in values.items():

@@ -41,7 +41,7 @@ HEADER = ("recordings", "views", "default detector", "no option", "none", SHIPPE
 
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
-    """Return the MPJPE of one view, mm, and the detector that was used."""
+    """Fit one view, and return the MPJPE, mm, and the detector that the fit assumed."""
     scene, meta = folder / "scene.json", meta_of(folder)
     motion = fit_clip(
         FitSettings(

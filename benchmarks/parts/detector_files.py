@@ -18,7 +18,7 @@ SAMPLES = samples_folder()
 
 
 def mpjpe_m(keypoints: Path, rename: str | None = None, skeleton: str = "cheetah-24") -> tuple[float, int]:
-    """Return the MPJPE of a fit, metres, over the skeleton's joints in the truth, and how many of them the file has."""
+    """Fit a keypoint file, and return the MPJPE, metres, and the number of true joints that the file has."""
     camera = SAMPLES / "camera.toml"
     detector = "acinoset" if skeleton == "cheetah-24" else None  # the keypoints are the sample's, under different names
     given = {"camera": camera, "fps": 60.0, "rename": rename, "skeleton": skeleton, "detector": detector}

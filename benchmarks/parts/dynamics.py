@@ -46,7 +46,7 @@ def trials() -> list[Path]:
 
 
 def measured(run: Path) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
-    """Return the measured forces by frame, and the frames of touch-down and lift-off by the joint of each foot."""
+    """Read the measured forces of each frame, and the frames of touch-down and lift-off of each foot."""
     stances = pd.read_csv(run / "stances.csv")
     ends = stances[["touch_down_frame", "lift_off_frame"]].to_numpy(float)
     return pd.read_csv(run / "forces.csv", index_col=0), dict(zip(stances["joint"], ends, strict=True))
@@ -127,7 +127,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
 
 
 def carry_the_body(*found: ClipAnalysis) -> str:
-    """Return as text how many strides are complete, in how many the interval contains 1, and the mean force."""
+    """Return as text the number of complete strides, how many intervals contain 1, and the mean force."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
         return "none"
@@ -136,7 +136,7 @@ def carry_the_body(*found: ClipAnalysis) -> str:
 
 
 def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
-    """Analyse every run of cheetah-runs from each camera alone, and compare its energy with that from all cameras.
+    """Analyse every run of cheetah-runs from each camera alone, and compare the energies with those from all cameras.
 
     Returns
     -------

@@ -117,7 +117,7 @@ def corrected_by(user: User, clip: SyntheticClip) -> int:
 
 
 def row(chromium: Any, clip: SyntheticClip, seed: int) -> list[str]:
-    """Return the table's row for one set of planted faults."""
+    """Plant faults, correct them on the page, and return the table row with counts and errors."""
     rng, exact = np.random.default_rng(seed), clip.keypoints
     noisy, with_faults, faults = detections(clip, rng)
     with tempfile.TemporaryDirectory() as name:

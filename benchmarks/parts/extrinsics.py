@@ -133,7 +133,7 @@ def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
 
 
 def _world_turn(found: Sequence[View], views: Sequence[View]) -> np.ndarray:
-    """Return the rotation of the estimated world that best aligns the cameras' directions with the file's."""
+    """Return the rotation of the estimated world that best aligns the cameras with the camera file."""
     turns = [own.T_camera_world[:3, :3].T @ view.T_camera_world[:3, :3] for view, own in zip(found, views, strict=True)]
     return Rotation.from_matrix(turns).mean().as_matrix()
 
@@ -284,7 +284,7 @@ def turned(view: View, degrees: float) -> View:
 
 
 def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):
-    """Return views of the run's motion on another path through the field of the cameras.
+    """Simulate views of the run's motion on another path through the field of the cameras.
 
     The detector's bias depends on the side that it sees, with the offsets `offsets_m` (SECTORS, J, 2) in the picture.
     """
@@ -300,7 +300,7 @@ def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bo
 def _detected(
     view: View, points: np.ndarray, way: np.ndarray, offsets_m: np.ndarray, fps: float, rng: np.random.Generator
 ) -> View:
-    """Return detections of points (T, J, 3) of an animal that follows a path."""
+    """Simulate the detections of points (T, J, 3), metres, of an animal that follows a path."""
     projected, valid = view.project(points)
     in_camera = view.to_camera(points)
     px_per_m = view.focal_px / np.maximum(in_camera[..., 2], 0.3)

@@ -90,7 +90,7 @@ FORMULA_FPS = 3600
 
 
 def sample_rows() -> list[dict]:
-    """Compare the samples' true joints with the formula, and their reconstructions with the truth, in a row each."""
+    """Compare the samples' true joints with the formula, and the samples' reconstructions with the truth."""
     formula = gallop(fps=float(FORMULA_FPS), n_frames=29 * FORMULA_FPS // 30 + 1)
     fine = Pose3D(formula.names, formula.truth_m, np.arange(len(formula.truth_m)))
     clean, whole = (read_pose3d(SAMPLES / f"{name}_truth.csv") for name in ("clean", "whole"))

@@ -327,7 +327,7 @@ def peer_clip(task: Task, out: int) -> PeerClip:
 
 
 def main() -> None:
-    """Print a table of the clips, and a table of the kinds of animals."""
+    """Print the errors for each clip, and for each kind of animal."""
     parser = parser_of(__doc__, "--quick", "--jobs", kind="cheetah-runs", only=("runs", "simulated", "rat"))
     parser.add_argument("--cameras", nargs="+", default=["all", "two", "one"])
     parser.add_argument("--detectors", nargs="+", default=["none"], help="none, others or acinoset")

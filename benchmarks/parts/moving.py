@@ -137,7 +137,7 @@ PAN = {
 
 
 def driven(run: Run, speed_m_s: float = SPEED_M_S) -> dict[str, View]:
-    """Return the named camera's view of the truth, once still and once driven along the animal's path."""
+    """Project the truth into the named camera, once still and once driven along the animal's path."""
     view, T = run.views[run.named], len(run.truth_m)
     known = np.flatnonzero(np.isfinite(run.truth_m).all(axis=(1, 2)))
     path = run.truth_m.mean(axis=1)

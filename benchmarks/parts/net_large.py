@@ -23,7 +23,7 @@ from recon.testing.film import FPS, film_clip, labelled_frames, render_frames
 
 SIZE_PX = (640, 480)
 LENS = 4.4
-"""Focal length relative to the film's; the animal is 403 to 474 px long."""
+"""Focal length relative to the film's camera, which makes the animal 403 to 474 px long."""
 ABOVE_PX = 40
 """Distance of the camera's optical axis above the middle of the picture, pixels."""
 

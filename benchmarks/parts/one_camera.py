@@ -44,7 +44,7 @@ class Condition:
     """Names of the detected keypoints; None for all."""
     noise_px: float = 3.0
     every: int = 1
-    """Keep one in this number of frames."""
+    """Number of frames out of which one is kept."""
     distance_m: float = 12.0
 
 

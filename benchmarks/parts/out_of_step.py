@@ -65,7 +65,7 @@ def without(source: Source, rows: np.ndarray) -> Source:
 
 
 def rows(run: Run) -> Iterator[dict]:
-    """Compare the estimated time offset of a camera with each of `OFFSETS`, in a row each."""
+    """Shift a camera by each of `OFFSETS`, and yield a row with the errors of the estimated time offset."""
     body, prior, fps = body_of(run.subject), prior_of(PRIOR), run.fps
     cameras = [run.named, most_different(run)]
     first, second = (run.sources[camera] for camera in cameras)

@@ -1,4 +1,4 @@
-"""Compare the rendered film by a panning camera with that by a still camera, from the video to the pose.
+"""Compare the rendered films of a panning and of a still camera, from the video to the pose.
 
     python benchmarks/parts/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
 

@@ -40,7 +40,7 @@ def by_aniposelib(given: dict[str, np.ndarray]) -> np.ndarray:
 def by_pose2sim(given: dict[str, np.ndarray]) -> np.ndarray:
     """Triangulate by Pose2Sim, which leaves out outlying cameras, fills gaps, and fits splines.
 
-    The settings are those of Pose2Sim's demo, except that the filter is a spline that chooses its own smoothness. The
+    The settings are taken from Pose2Sim's demo, except that the filter is a spline that chooses its own smoothness. The
     demo's cut-off of 6 Hz suits a walking person.
     """
     from Pose2Sim.common import interpolate_zeros_nans  # pyright: ignore[reportMissingImports]

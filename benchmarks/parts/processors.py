@@ -47,7 +47,7 @@ def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
 
 
 def row(name: str, folder: Path | None, first: Path) -> list[str]:
-    """Compare the tables of a fit with the tables of the first fit, byte for byte, in a table row."""
+    """Compare the tables of a fit with the tables of the first fit byte for byte, and return a table row."""
     if folder is None:
         return [name, "no fit", "", ""]
     tables = sorted(first.glob("*.csv"))

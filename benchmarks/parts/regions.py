@@ -81,7 +81,7 @@ def _mm(error_m: np.ndarray) -> np.ndarray:
 
 
 def likelihood(off: np.ndarray) -> np.ndarray:
-    """Return the mean log density of 3D errors relative to that of a Gaussian, for each of `NUMBERS`."""
+    """Return the mean log density of 3D errors relative to a Gaussian, for each of `NUMBERS`."""
     nu, k = np.array(NUMBERS)[:, None], 3
     scale = gammaln((nu + k) / 2) - gammaln(nu / 2) - k / 2 * np.log(nu - 2)
     found = (scale - (nu + k) / 2 * np.log1p(off**2 / (nu - 2))).mean(axis=1)

@@ -1,4 +1,4 @@
-"""Compare the time of whole commands with that of a Python process that only imports what each command needs.
+"""Compare the time of each command with a Python process that only imports what the command needs.
 
     python benchmarks/parts/startup.py [RUNS]
 

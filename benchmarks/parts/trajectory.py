@@ -587,7 +587,7 @@ def times(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np.ndarray]:
-    """Return views of an animal that runs in a circle, and its joints (T, J, 3), world frame.
+    """Simulate views of an animal that runs in a circle, and return them with its joints (T, J, 3), world, metres.
 
     The circle has a radius of 6 m, and the animal is 10 to 22 m from the first camera. Detections have 3 px of noise,
     and 5 % are missing. The animal makes three strides per second, in which its pose varies along the two directions of

@@ -28,7 +28,7 @@ SLOWEST_M_S = 0.9
 
 
 def on_belt(clip: Clip) -> tuple[Clip, float]:
-    """Move a clip back by its mean horizontal velocity, and return it with the speed of this belt, m/s."""
+    """Subtract a clip's mean horizontal velocity, as on a treadmill, and return clip and belt speed, m/s."""
     time_s = np.arange(len(clip.points_m)) / clip.fps
     velocity_m_s = np.polyfit(time_s, clip.points_m.mean(axis=1), 1)[0] * [1.0, 1.0, 0.0]
     moved_m = (time_s - time_s.mean())[:, None, None] * velocity_m_s

@@ -95,7 +95,7 @@ def fault(ended: Ended) -> str:
 
 
 def commands() -> dict[str, tuple[object, ...]]:
-    """Return the arguments of each command, by a name for it.
+    """Return the arguments of each tested command, keyed by a name.
 
     The commands run in the folder that `prepare` fills. The folder `out` is new for each run.
     """

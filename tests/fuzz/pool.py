@@ -92,7 +92,7 @@ def cause(error: BaseException) -> str:
 
 @dataclass
 class _Child:
-    """A child that runs the cases `first`, `first + step`, ... below `end`, and prints a line before and after each."""
+    """A child that runs the cases `first`, `first + step`, ... below `end`, and reports when each begins and ends."""
 
     first: int
     step: int

@@ -152,7 +152,7 @@ def test_chains_of_every_kind_of_joint_have_the_jacobian_of_their_end():
 
 
 def test_mobility_of_known_mechanisms():
-    """The 8U chain has eight links and the ground; the first link is free, and the other joints are universal."""
+    # The 8U chain has eight links and the ground; the first link is free, and the other joints are universal.
     skeleton = load_chain("cheetah-8u")
     joints = [2 for link in skeleton.links if link.free] + [6]
     assert mobility(len(skeleton.links) + 1, joints) == 20 == skeleton.n_state - 1

@@ -65,7 +65,7 @@ def ends(limb) -> np.ndarray:
 
 @pytest.mark.parametrize("foot", ["LF", "r_front_paw", "LH"])
 def test_chain_of_a_whole_animal_ends_at_its_foot(whole_results, foot):
-    """Compare the end of the chain with the foot's position relative to the root, in the axes of travel."""
+    # Compare the end of the chain with the foot's position relative to the root, in the axes of travel.
     results = Motion.load(whole_results)
     limb = limb_of(results, foot)
     name = results.foot_names.get(foot, foot)
@@ -109,7 +109,7 @@ def test_chain_of_the_8u_skeleton(frame_results, dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_joints_of_the_8u_chain_have_the_names_of_the_analysis(frame_results, tmp_path, dim):
-    """A stride starts in the animal's pose, so its first row has the angles of `recon analyse` under the same names."""
+    # A stride starts in the animal's pose, so its first row has the angles of `recon analyse` under the same names.
     ask = ("--method", "damped", "--follow", "stride", "--dim", dim, "--stride", "0.4333:0.735", "--no-figures")
     assert run("ik", frame_results, *ask, "--out", tmp_path / "ik").code == 0
     start, motion = pd.read_csv(tmp_path / "ik" / "follow_damped.csv").iloc[0], Motion.load(frame_results)
@@ -189,7 +189,7 @@ def test_all_methods_reach_the_target_and_follow_the_stride(dim, whole_results, 
 
 
 def test_rates_for_control_are_continuous_on_a_closed_path(compared):
-    """Every method and joint has rates over the animal's time, and on a closed path both ends have the same rates."""
+    # Every method and joint has rates over the animal's time, and on a closed path both ends have the same rates.
     motion = Motion.load(compared)
     limb = limb_of(motion, dim=2)
     stride = stride_of(motion, limb)
@@ -215,7 +215,6 @@ def test_rates_for_control_are_continuous_on_a_closed_path(compared):
 
 @pytest.mark.slow
 def test_a_comparison_has_a_figure_of_each_method(of_results):
-    """Two methods are compared here."""
     _, ran_in = of_results("recon ik results/clip --compare")
     for name in METHODS[:2]:
         assert (ran_in / "results" / "clip" / "ik" / f"follow_phase_{name}.svg").is_file()
@@ -251,7 +250,7 @@ def test_weighted_cost_factor_and_parameters_of_each_frame(folder):
 
 @pytest.mark.slow
 def test_online_parameters_come_from_the_three_frames_before(folder):
-    """The parameters are tested on the pose and the rates of the animal in the frame itself."""
+    # The parameters are tested on the pose and the rates of the animal in the frame itself.
     asked = {"follow": "stride", "compare": True, "dim": 2, "figures": False, "limits": False}
     done = run_ik(IkSettings(folder=folder, **asked, online=True))
     limb, stride, series = done.limb, done.stride, done.series
@@ -317,7 +316,7 @@ def true_stride_s(start_s: float) -> float:
     ],
 )
 def test_the_stride_has_its_true_duration_and_can_be_followed(fit, dim, request):
-    """Both skeletons, both methods of fitting and all feet with a chain are tested."""
+    # Both skeletons, both methods of fitting and all feet with a chain are tested.
     results = Motion.load(request.getfixturevalue(fit))
     feet = ["RF"] if len(results.foot_names) == 2 else list(results.foot_names)
     for foot in feet:
@@ -351,7 +350,7 @@ def test_analysis_and_both_dimensions_use_the_same_stride(fit, request, tmp_path
     ("frames", "how"), [(slice(0, 13), "return"), (slice(2, 14), "gait"), (slice(0, 8), "whole clip")]
 )
 def test_analysis_and_both_dimensions_use_the_same_frames_of_a_short_clip(frame_results, frames, how):
-    """If no stride is complete, the frames are the nearest return, or the whole clip if the foot does not return."""
+    # If no stride is complete, the frames are the nearest return, or the whole clip if the foot does not return.
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
     states[frames], joints_m[frames] = motion.states[frames], motion.solution.joints_m[frames]
@@ -370,7 +369,7 @@ def test_analysis_and_both_dimensions_use_the_same_frames_of_a_short_clip(frame_
 
 
 def test_jitter_across_the_direction_of_travel_does_not_affect_the_return(frame_results, monkeypatch):
-    """Only the motion in the plane of travel counts, because one camera hardly shows the motion across it."""
+    # Only the motion in the plane of travel counts, because one camera hardly shows the motion across it.
     monkeypatch.setattr(ClipAnalysis, "gait", None)  # the jitter would be detected as footfalls
     motion = Motion.load(frame_results)
     states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
@@ -413,7 +412,7 @@ def test_a_given_stride_is_used(frame_results, tmp_path):
 
 
 def test_duration_range_of_a_stride_in_a_clip_without_a_complete_one():
-    """The first stride of the cut gallop can last 0.31 s."""
+    # The first stride of the cut gallop can last 0.31 s.
     for frames, at_most in ((16, 0.4), (11, np.inf)):
         clip = gallop(fps=30, n_frames=frames)
         gait = pose_gait(Pose3D(clip.names, clip.truth_m, np.arange(frames)), 30)
@@ -475,7 +474,7 @@ def test_earlier_results_are_kept(compared):
 
 @pytest.mark.slow
 def test_costs_behave_as_published(frame_results, tmp_path, monkeypatch):
-    """The paths of the pose distance close; the paths of the harmonic map are singular or chaotic."""
+    # The paths of the pose distance close; the paths of the harmonic map are singular or chaotic.
     shorten_cost_study(monkeypatch)
     options = {"costs": True, "follow": "stride", "dim": 2, "figures": False, "out": tmp_path / "a"}
     solved = run_ik(IkSettings(folder=frame_results, **options))

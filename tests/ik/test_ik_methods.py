@@ -123,7 +123,7 @@ def test_extended_jacobian_solves_the_square_system(chain, full):
 
 @EACH
 def test_full_derivative_of_g_agrees_with_differences(chain):
-    """In the finite differences of G = N' grad g, the basis N does not turn."""
+    # In the finite differences of G = N' grad g, the basis N does not turn.
     cost = user_cost(lambda q: float(np.sum(np.cos(q)) + q[0] * q[2] ** 2))
     q, _ = configuration(chain)
     N = null_basis(chain.jacobian(q))
@@ -296,7 +296,7 @@ def test_alpha_is_the_given_or_the_best_factor():
 
 
 def test_no_damping_explains_any_rates_best():
-    """If dx = J dq, least norm gives the rates' part in the row space of J, and damping only reduces this part."""
+    # If dx = J dq, least norm gives the rates' part in the row space of J, and damping only reduces this part.
     chain, rng = CHAINS["planar"], np.random.default_rng(11)
     q, dq = rng.uniform(0.2, 1.0, (20, 5)), rng.normal(0.0, 2.0, (20, 5))
     dx = np.einsum("tij,tj->ti", chain.jacobian(q), dq)

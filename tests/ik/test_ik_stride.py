@@ -51,7 +51,7 @@ def test_the_gap_is_spread_over_the_path():
 
 @pytest.mark.parametrize("period", [9.3, 9.5, 20.4])
 def test_a_stride_ends_between_frames(period):
-    """Both a given stride and a return can end between two frames."""
+    # Both a given stride and a return can end between two frames.
     q = swings(40, period)
     given = find_stride(CHAIN, q, 30, (3.4 / 30, (3.4 + period) / 30))
     assert (given.start_s, given.end_s) == pytest.approx((3 / 30, (3 + period) / 30))
@@ -67,7 +67,7 @@ def test_a_stride_ends_between_frames(period):
 
 
 def test_a_return_respects_the_duration_range():
-    """The foot comes close to its position halfway through the stride, and returns to it exactly after the stride."""
+    # The foot comes close to its position halfway through the stride, and returns to it exactly after the stride.
     phase = 2 * np.pi * np.arange(50)[:, None] / 30
     q = [0.9, 0.8, -0.6] + [0.4, 0.4, 0.5] * np.sin(2 * phase + [0, 1, 2]) + 0.05 * np.sin(phase)
     half, whole = (

@@ -39,7 +39,7 @@ def test_a_broad_peak_beats_a_sharp_peak_of_less_probability():
 
 
 def test_the_raw_likelihood_is_the_probability_within_the_tolerance():
-    """For a 2D Gaussian, the probability within the tolerance r is 1 - exp(-r^2 / 2 sigma^2)."""
+    # For a 2D Gaussian, the probability within the tolerance r is 1 - exp(-r^2 / 2 sigma^2).
     sigma, radius = 2.0, 3.0
     _, within = decode(probabilities(gaussian_scores(np.array([[20.3, 19.6]]), (40, 40), sigma)), radius)
     assert float(within) == pytest.approx(1 - math.exp(-0.5 * (radius / sigma) ** 2), abs=0.01)

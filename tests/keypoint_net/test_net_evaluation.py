@@ -15,10 +15,8 @@ NAN = float("nan")
 
 
 def test_expected_calibration_error_equals_the_value_by_hand():
-    """The bins have 2 points at 0.05 (0 correct), 4 at 0.55 (3 correct) and 4 at 1.0 (3 correct).
-
-    By hand, the error is (2 * 0.05 + 4 * 0.2 + 4 * 0.25) / 10.
-    """
+    # The bins have 2 points at 0.05 (0 correct), 4 at 0.55 (3 correct) and 4 at 1.0 (3 correct). By hand, the error is
+    # (2 * 0.05 + 4 * 0.2 + 4 * 0.25) / 10.
     likelihood = np.array([0.05, 0.05, *[0.55] * 4, *[1.0] * 4])
     right = np.array([0, 0, 1, 1, 1, 0, 1, 1, 1, 0], bool)
     table = reliability(likelihood, right)
@@ -45,7 +43,7 @@ def test_calibration_stays_finite_if_all_points_are_correct():
 
 
 def test_scores_equal_the_values_by_hand():
-    """The errors are 3, 4 and 12 px, with one missed point and one unlabelled point."""
+    # The errors are 3, 4 and 12 px, with one missed point and one unlabelled point.
     label = np.array([[[0, 0], [10, 0], [0, 10]], [[0, 0], [10, 0], [NAN, NAN]]], float)
     xy = np.array([[[3, 0], [10, 4], [NAN, NAN]], [[0, 12], [10, 0.5], [5, 5]]], float)
     xy[1, 1] = [10, 0.5]

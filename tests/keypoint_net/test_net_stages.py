@@ -96,8 +96,7 @@ def test_small_animals_have_one_stage_and_large_animals_two():
 
 @pytest.mark.slow
 def test_two_stages_from_labels_to_points(clip, tmp_path):
-    """Points are predicted in pixels of the clip, and a run that is killed and resumed has the same weights."""
-
+    # Points are predicted in pixels of the clip, and a run that is killed and resumed has the same weights.
     def stop(stage: str, share: float) -> None:
         if share >= 0.8:
             raise Killed
@@ -174,7 +173,7 @@ def bright_stage() -> Any:
 
 
 def test_the_second_stage_searches_near_the_points_of_the_first():
-    """Both stages find the brightest spot. A smaller, brighter spot is too far away for the second stage."""
+    # Both stages find the brightest spot. A smaller, brighter spot is too far away for the second stage.
     picture = np.full((200, 400, 3), 100, np.uint8)
     y, x = np.mgrid[:200, :400]
     for at, level, radius in (((305.5, 97.5), 210, 6), ((60, 50), 250, 3)):

@@ -126,8 +126,7 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("at", [pytest.param(0.5, marks=pytest.mark.slow), 0.85])
 def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
-    """The run is killed between two checkpoints, before or after it begins to learn from the validation pictures."""
-
+    # The run is killed between two checkpoints, before or after it begins to learn from the validation pictures.
     def stop(stage: str, share: float) -> None:
         if share >= at:
             raise Killed
@@ -158,7 +157,7 @@ def test_the_video_is_never_written_over(clip, whole, quick, tmp_path):
 
 
 def test_no_file_of_the_user_is_replaced(clip, whole, quick, tmp_path):
-    """The user's files have the names that the commands write. Each command refuses before any work."""
+    # The user's files have the names that the commands write. Each command refuses before any work.
     train_it = ("train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", 50, "--steps", 3)
     names = (predict_module.MODEL_FILE, train_module.CHECKPOINT_FILE, *train_module.REPORT_FILES)
     require_untouched((*train_it, "--out", tmp_path / "net"), tmp_path / "net", names)
@@ -169,8 +168,7 @@ def test_no_file_of_the_user_is_replaced(clip, whole, quick, tmp_path):
 
 @pytest.mark.slow
 def test_the_message_after_ctrl_c_says_how_to_continue(clip, tmp_path, monkeypatch):
-    """The checkpoint can then be continued or replaced."""
-
+    # The checkpoint can then be continued or replaced.
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
@@ -203,7 +201,7 @@ def test_the_message_after_ctrl_c_says_how_to_continue(clip, tmp_path, monkeypat
 
 
 def test_training_and_prediction_on_cuda(clip, tmp_path):
-    """A stopped run has the same weights after it is resumed, and a CPU can read the network."""
+    # A stopped run has the same weights after it is resumed, and a CPU can read the network.
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
     settings = TrainSettings(steps=110, batch=4, seed=1)
@@ -284,7 +282,7 @@ def test_training_states_the_accuracy_for_the_number_of_labels(count: int, sente
 
 
 def test_the_stated_accuracy_equals_the_benchmark() -> None:
-    """benchmarks/results/net.json has the measured accuracy as single values or ranges."""
+    # benchmarks/results/net.json has the measured accuracy as single values or ranges.
     path = Path(__file__).parents[2] / "benchmarks" / "results" / "net.json"
     tables = json.loads(path.read_text(encoding="utf-8"))["tables"]
     measured = [

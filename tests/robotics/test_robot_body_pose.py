@@ -24,7 +24,7 @@ def test_pitch_equals_the_published_formula():
 
 
 def test_yaw_equals_the_published_formula():
-    """Compare the right front leg with the published formula, in which x is right, y forwards and a clockwise."""
+    # Compare the right front leg with the published formula, in which x is right, y forwards and a clockwise.
     width, length, a = C, A, ANGLES
     r, b = np.hypot(width, length), np.arctan(length / width)
     E, D = r * np.sin(b - a), r * np.cos(b - a)
@@ -38,7 +38,7 @@ def test_yaw_equals_the_published_formula():
 
 
 def test_roll_equals_pitch_with_width_and_length_exchanged():
-    """Right side down equals nose down with width and length exchanged."""
+    # Right side down equals nose down with width and length exchanged.
     turned = leg_targets(body_pose(np.zeros((25, 3)), ANGLES, 0.0, 0.0), HIPS, FEET)
     s, c = np.sin(ANGLES), np.cos(ANGLES)
     right = L - C * s

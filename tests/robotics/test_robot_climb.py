@@ -106,7 +106,7 @@ def test_a_leg_pulls_weakly_in_the_dead_zone_and_strongly_beyond():
 
 
 def test_fields_act_along_the_published_directions():
-    """On the right side, X points to the right and Y forwards, as published."""
+    # On the right side, X points to the right and Y forwards, as published.
     r, x, y = np.array([0.05, -0.03, -0.1]), np.array([0, -1.0, 0]), np.array([1.0, 0, 0])
     a, b = np.cross(x, r), np.cross(r, y)
     ways = {

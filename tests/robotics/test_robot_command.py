@@ -45,7 +45,7 @@ def urdf(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
 def test_solutions_of_a_leg_include_the_closed_form(name):
-    """The closed form, with the robot's own signs, is one of the four solutions of the search."""
+    # The closed form, with the robot's own signs, is one of the four solutions of the search.
     rng = np.random.default_rng(3)
     legs = load_robot(name).legs
     for leg in (legs["LF"], legs["RH"]):

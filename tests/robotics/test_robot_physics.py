@@ -28,7 +28,7 @@ def a1(retargeted):
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_bodies_velocities_and_contacts_agree_with_mujoco(a1, part, tmp_path):
-    """MuJoCo reads the A1's URDF file, while recon uses its dimensions."""
+    # MuJoCo reads the A1's URDF file, while recon uses its dimensions.
     import mujoco  # slow to import
 
     path = tmp_path / "a1.urdf"
@@ -143,7 +143,7 @@ def test_a_small_shift_of_the_base_makes_a_trot_possible(trot, carries):
 
 @pytest.mark.parametrize(("robot", "scale"), [pytest.param("a1", 0.28, marks=pytest.mark.slow), ("go2", 0.31)])
 def test_a_shift_of_the_base_makes_most_of_a_gallop_possible(whole_results, robot, scale):
-    """Fewer than half of the frames of the sample's gallop have a foot on the ground."""
+    # Fewer than half of the frames of the sample's gallop have a foot on the ground.
     gallop = retarget(reference_of(Motion.load(whole_results)), load_robot(robot), scale).stride
     model = simulated(gallop.robot)
     assert kept(check(gallop, model)[1])["forces"]["share"] < 0.1

@@ -57,7 +57,7 @@ def test_angles_and_feet_agree_in_the_robots_own_joints(name, label):
 
 
 def test_signs_of_the_a1_are_those_of_unitree():
-    """A positive hip angle moves a foot left, and a positive thigh angle back; calf angles are negative."""
+    # A positive hip angle moves a foot left, and a positive thigh angle back; calf angles are negative.
     robot = load_robot("a1")
     for leg in robot.legs.values():
         (home,) = leg.angles(leg.neutral_m[None])
@@ -68,7 +68,7 @@ def test_signs_of_the_a1_are_those_of_unitree():
 
 
 def test_signs_of_the_aibo_are_those_of_sony():
-    """A positive rotator swings forwards, a positive elevator outwards, and a positive knee bends the leg."""
+    # A positive rotator swings forwards, a positive elevator outwards, and a positive knee bends the leg.
     robot = load_robot("aibo")
     for label, leg in robot.legs.items():
         (home,) = leg.angles(leg.neutral_m[None])

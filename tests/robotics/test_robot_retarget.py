@@ -88,7 +88,7 @@ def test_a_given_stride_is_used(whole_results):
 
 
 def test_reference_of_a_whole_animal(whole):
-    """The reference of a whole animal has trunk and feet of pose3d.csv, turned to the direction of travel."""
+    # The reference of a whole animal has trunk and feet of pose3d.csv, turned to the direction of travel.
     reference, results = whole.reference, whole.analysis.motion
     at = results.names.index
     rows = whole.rows[::10] // 10
@@ -223,7 +223,7 @@ def test_a_repeated_stride_is_continuous(retargeted):
 
 
 def test_the_animal_in_the_playback_has_the_colours_of_its_sides(retargeted, tmp_path):
-    """The near side of a horse has the colour of the left side."""
+    # The near side of a horse has the colour of the left side.
     solved = retargeted("a1")
     horse = load_skeleton("horse-22")
     at = {marker: j for j, marker in enumerate(horse.markers)}
@@ -311,7 +311,7 @@ def test_the_command_writes_consistent_tables(whole_results, frame_results, tmp_
 
 
 def test_a_urdf_file_gives_the_motion_of_the_closed_form(whole, tmp_path):
-    """The URDF robot has no closed form, so the methods of `recon.ik` solve its legs."""
+    # The URDF robot has no closed form, so the methods of `recon.ik` solve its legs.
     path = tmp_path / "a1.urdf"
     shape = '<link name="trunk"><visual><geometry><box size="0.4 0.1 0.1"/></geometry></visual></link>'
     facet = np.zeros(1, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

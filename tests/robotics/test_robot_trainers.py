@@ -177,7 +177,7 @@ def test_the_command_writes_clip_and_stride_with_the_verdict(whole_results, writ
 
 
 def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_path):
-    """The result equals the output of `recon retarget` at this rate."""
+    # The result equals the output of `recon retarget` at this rate.
     robot, out = written, tmp_path / "later.npz"
     assert run("convert", robot, out, "--to", "isaaclab", "--fps", "80").code == 0
     for at_once, later in (("isaaclab.npz", out), ("stride_isaaclab.npz", tmp_path / "stride_later.npz")):

@@ -90,7 +90,7 @@ MJCF = """<mujoco model="rig"><compiler angle="radian"/><worldbody><geom type="p
 
 
 def test_chain_is_read_from_an_mjcf_file(tmp_path):
-    """The file has joints away from the origins of bodies, two joints on one body, and joints without names."""
+    # The file has joints away from the origins of bodies, two joints on one body, and joints without names.
     import mujoco
 
     path = tmp_path / "rig.xml"
@@ -116,7 +116,7 @@ def test_a_joint_without_an_axis_is_refused(tmp_path):
 
 
 def test_legs_of_an_mjcf_file_end_in_their_feet(tmp_path):
-    """In MJCF files, feet are shapes of the last link, not links of their own."""
+    # In MJCF files, feet are shapes of the last link, not links of their own.
     closed, path = load_robot("a1"), tmp_path / "a1.xml"
     spec = described(closed)
     spec.compile()
