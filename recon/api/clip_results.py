@@ -56,7 +56,7 @@ PLAYBACK = "motion.rrd"
 VIDEO_PLAYBACK = "playback.rrd"
 """Recording with the video, which `recon run` writes and `recon view` then opens."""
 MAX_PLAYED_FRAMES = 2000
-"""Largest number of frames for which a fit writes the playback by default: a minute at the viewer's usual speed."""
+"""Maximum number of frames for which a fit writes the playback by default, a minute at the viewer's usual speed."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CONFIG, MANIFEST)
 """Names of all output files for a clip of one camera. A clip of several cameras has one `REPROJECTION` per camera."""
 

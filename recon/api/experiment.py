@@ -173,7 +173,7 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
         `NAME_run_sigma`, the part of `NAME_measurement_sigma` that the cameras of a run share. Other columns are taken
         from the first camera.
     quantities : mapping
-        Whether each quantity is proportional to the animal's size.
+        For each quantity, keyed by column, whether the quantity is proportional to the size of the animal.
 
     Returns
     -------
@@ -357,7 +357,7 @@ def fit_experiment(
     strides : DataFrame
         Table of strides, with the column clip and a column for each quantity.
     quantities : mapping
-        Whether each quantity is proportional to the animal's size.
+        For each quantity, keyed by column, whether the quantity is proportional to the size of the animal.
     covariates : sequence of str
         Columns of `runs`, from which the means are subtracted.
 
@@ -484,7 +484,7 @@ def model_experiment(
     clips, strides : DataFrame
         Tables as for `runs_of_clips` and `fit_experiment`.
     quantities : mapping
-        Whether each quantity is proportional to the animal's size.
+        For each quantity, keyed by column, whether the quantity is proportional to the size of the animal.
     covariates : sequence of str
         Columns of `clips` to use as covariates.
     """

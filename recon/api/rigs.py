@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
 MOST_ZOOM = 20
-"""Largest factor on the calibrated focal length that a zoom lens can have."""
+"""Maximum factor on the calibrated focal length that a zoom lens can have."""
 
 _Cameras = tuple[tuple[Camera, "CameraTrack | None"], ...]
 """Camera of each keypoint file, with its track if it moves."""

@@ -377,7 +377,7 @@ def test_failed_clips_are_fitted_again(clips, tmp_path):
     assert (out / "a" / "crash.log").read_text() == "mine"
 
 
-# The command
+# Command line
 
 
 def args(clips: Path, out: Path, *more: object) -> list[object]:

@@ -350,7 +350,7 @@ def test_an_uncertain_acceleration_is_stated_in_words(whole):
     assert replace(whole.reference_motion, acceleration_sigma_m_s2=known).why_no_acceleration == ""
 
 
-# The command
+# Command line
 
 
 def test_command_writes_tables_figures_and_plots(of_results, whole_results, monkeypatch):

@@ -236,7 +236,7 @@ def test_a_wrong_plan_is_refused(experiment: Experiment):
         plan_experiment(read_plan(["effect=1 quantity=weight"]), experiment.variances)
 
 
-# The command
+# Command line
 
 
 def test_the_command_compares_a_herd_and_plans(

@@ -229,7 +229,7 @@ def test_marks_that_do_not_determine_up_are_refused(tmp_path):
         read_marks(path)
 
 
-# The command
+# Command line
 
 
 def film(path, pictures) -> None:

@@ -43,8 +43,8 @@ FrameLink = tuple[int, int, Array, Array, Array, Array]
 """Link from a keyframe to a frame: index of the frame, index of the keyframe, rotation (3, 3), log zooms (2,), H (5, 5)
 and g (5,).
 
-The cost is e'He - 2 g'e, where e (5,) is the deviation of the rotation (rad) and of the two log zooms from those of the
-link.
+The cost is e'He - 2 g'e, where e (5,) is the deviation of the rotation (rad) and of the two log zooms from their values
+in the link.
 """
 
 
