@@ -1,12 +1,14 @@
-"""Detect left-right swaps: in single frames, a part or a whole clip, of all keypoints or of one pair of legs.
+"""Detect left-right swaps in single frames, parts of a clip or a whole clip, of all keypoints or of one pair of legs.
 
 A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candidate stretches of frames are first found
-by two cheap signs. At the beginning and end of a swap, the keypoints of both sides jump at the same time, unless the
-legs cross there. A fit in which each keypoint of a leg may belong to either side shows which side is more likely in
-each frame. Stretches are left out if two or more other cameras see their sides as given. The most likely stretches are
-then undone one by one, and one second of the clip around each stretch is solved again. A stretch is a swap if undoing
-it makes the clip clearly more likely (`exceeds_margin`) than before, and than undoing any contradicting stretch. If two
-contradicting stretches are equally likely, neither is chosen.
+by two cheap signs. First, the keypoints of both sides jump at the same time at the beginning and the end of a swap,
+unless the legs cross there. Second, a fit in which each keypoint of a leg may belong to either side shows which side is
+more likely in each frame. Stretches are left out if two or more other cameras confirm the sides as given.
+
+The sides are then exchanged in each of the most likely stretches, and one second of the clip around the stretch is
+solved again. A stretch is a swap if the clip becomes clearly more likely (`exceeds_margin`), also compared with
+exchanging the sides in any contradicting stretch. If two contradicting stretches are about equally likely, neither is
+chosen.
 """
 
 from __future__ import annotations
@@ -25,38 +27,39 @@ from recon.clip import Keypoints, Source, View
 from recon.fit.result import Finding
 
 JUMP = -3.0
-"""Log-likelihood gain above which a swap may begin or end; crossing legs hardly jump."""
+"""Log-likelihood gain of a jump above which a swap may begin or end there; negative, as crossing legs hardly jump."""
 LIKELY = 15.0
-"""Log-likelihood gain above which the search tries a swap of a stretch of frames."""
+"""Log-likelihood gain of the cheap signs above which a swap of a stretch of frames is tried by a fit."""
 REFITTED = 3
-"""Largest number of stretches that are tried in each round of the search."""
+"""Maximum number of stretches that are tried by a fit in each round of the search."""
 STRETCHES = 4
-"""Largest number of swaps that the search finds in a clip."""
+"""Maximum number of swaps that are searched for in a clip."""
 LOOKS = -10.0
-"""Smallest log-likelihood gain at which a swap of the whole clip is tried.
+"""Log-likelihood gain from appearance above which a swap of the whole clip is tried by a fit.
 
-The user is asked to check the clip by eye if it is more likely with the swap undone, but by less than the margin, or if
-only its appearance suggests a swap (`LIKELY`), because nothing else shows a mirrored video. In 32 correct clips,
-undoing the swap is not tried or lowers the log-likelihood by 6 or more, and the gain from appearance is at most 9.
+The user is asked to look at the video in two cases, because nothing else shows a mirrored video. In one, the clip is
+more likely with the sides exchanged, but by less than the margin. In the other, only the gain from appearance suggests
+a swap (`LIKELY`). In 32 correct clips, this swap is not tried or lowers the log-likelihood by 6 or more, and the gain
+from appearance is at most 9.
 """
 LEAST_S = 0.25
-"""Shortest clip, in seconds, whose sides can be tested as a whole.
+"""Minimum duration of a clip in which a swap of the whole clip is tested, seconds; less than a stride.
 
-This is less than a stride. The clip must also show a leg.
+The clip must also show a leg.
 """
 OF_LEG = 3
-"""Number of a leg's last markers that show its side; the upper markers hardly do."""
+"""Number of markers at the end of a leg that show its side; the upper markers hardly do."""
 _STRAIGHT = 3
-"""Number of frames before and after an end of a swap over which tracks are treated as straight."""
+"""Number of frames before and after an end of a swap in which the tracks are assumed to be straight."""
 _LEAST_OFF_PX = 3.0
-"""Smallest usual deviation of tracks from a line that is assumed, in pixels."""
+"""Lower bound of the usual deviation of tracks from a line, pixels."""
 STEADY = 1.0
-"""Largest usual deviation from a line, relative to the distance between the sides, at which tracks are used."""
+"""Largest usual deviation of tracks from a line, relative to the distance between the sides, for tracks to be used."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Stretch of a clip, and the permutation (J,) that exchanges the sides of its markers."""
+    """Stretch of frames of a clip in which sides are exchanged, and the permutation (J,) that exchanges them."""
 
     rows: slice
     permutation: Index
@@ -74,12 +77,12 @@ class _Stretch:
 
 
 def with_exchanged(view: View, stretch: _Stretch) -> View:
-    """Return the view with the sides of a stretch exchanged."""
+    """Return the view with the sides exchanged in a stretch of frames."""
     return replace(view, **exchanged_rows(view, stretch.rows, stretch.permutation))
 
 
 def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> dict[str, Array]:
-    """Return the detections with the keypoints of some rows permuted by `permutation` (J,)."""
+    """Return the fields of the detections, with the keypoints in some frames permuted by `permutation` (J,)."""
     values = {"xy_px": seen.xy_px.copy(), "confidence": seen.confidence.copy()}
     for array in values.values():
         array[rows] = array[rows][:, permutation]
@@ -87,7 +90,7 @@ def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> d
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
-    """Return the permutations (J,) that exchange the sides, by kind: all markers, the fore legs, the hind legs."""
+    """Return a dictionary of the permutations (J,) that exchange the sides of all markers, or of one pair of legs."""
     permutation, none = opposites(body.markers), np.arange(len(body.markers))
     kinds = {"all": permutation}
     for name, end in (("fore", "F"), ("hind", "H")):
@@ -98,10 +101,10 @@ def pairs_of(body: Body) -> dict[str, Index]:
 
 
 def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
-    """Return the left-right swaps in one view of a clip, under a prior learned from motions.
+    """Return the left-right swaps in the view of a baseline, whose prior was learned from motions.
 
-    The search ends at the first swap that is not clear. With `is_unlike`, the prior does not know this motion, and a
-    swap of the whole clip is not tried because only the prior could show it.
+    The search ends at the first swap that is not clear. If `is_unlike` is true, the motion is unlike those of the
+    prior. A swap of the whole clip is then not tried, because only the prior could show it.
     """
     kinds, found_swaps = pairs_of(baseline.clip.body), list[_SwapTrial]()
     while len(found_swaps) < STRETCHES and "all" in kinds:
@@ -128,7 +131,7 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """An exchanged stretch, the solution of its part of the clip, and its log-likelihood gain."""
+    """Trial of a swap: the stretch with exchanged sides, the new solution around it, and the log-likelihood gain."""
 
     stretch: _Stretch
     refit: Refit
@@ -138,10 +141,10 @@ class _SwapTrial:
 
 
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
-    """Return whether another stretch could be exchanged instead of the best one and also make the clip more likely.
+    """Return whether exchanging the sides in a rival stretch, instead of the best one, also makes the clip more likely.
 
-    Such a stretch lies next to the best one, or gains nothing once the best one is undone. A stretch that is nearly the
-    same as the best one does not contradict it.
+    Such a rival lies next to the best stretch, or has no gain once the sides are exchanged in the best stretch. A rival
+    that is nearly the same as the best stretch does not contradict it.
     """
     (a, best_mask), (b, rival_mask) = (
         (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, rival)
@@ -154,7 +157,7 @@ def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) 
 
 
 def try_undone(baseline: Baseline, stretch: _Stretch) -> _SwapTrial:
-    """Exchange the sides in a stretch, and solve its part of the clip again."""
+    """Exchange the sides in a stretch, solve the second around it again, and return the trial."""
     part = _part(baseline.view, stretch.rows, baseline.clip.fps)
     refit = likelihood.refit_view(baseline.with_view(with_exchanged(baseline.view, stretch)).part(part))
     return _SwapTrial(stretch, refit, refit.gain_over(baseline.refit(part)))
@@ -169,7 +172,7 @@ def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
 
 
 def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
-    """Return the stretches in which tracks and appearance give the most evidence of a swap."""
+    """Return the stretches for which the jumps of tracks and the appearance give the most evidence of a swap."""
     if not np.isfinite(baseline.states).any():
         return []
     T, evidence = len(baseline.states), _evidence(baseline, kinds)
@@ -189,12 +192,12 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
 
 
 def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
-    """Return whether other cameras confirm the sides in a stretch of a view as given.
+    """Return whether other cameras confirm the sides as given in a stretch of a view.
 
-    Points triangulated from other cameras show the sides without a fit for each stretch.
+    Points triangulated from the other cameras show the sides without another fit.
     """
     view, clip, rows = baseline.view, baseline.clip, stretch.rows
-    # a delayed view lies between the points of two frames
+    # The pictures of a delayed view lie between two frames.
     points_m = baseline.points_elsewhere_m(slice(rows.start - 1, rows.stop + 1))
     if points_m is None:
         return False
@@ -212,15 +215,18 @@ def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
-    """Return a stretch, and the rest of the clip before or after it: either may be exchanged."""
+    """Return a stretch that reaches an end of the clip and the rest of the clip, either of which may be swapped.
+
+    For any other stretch, return the stretch only.
+    """
     remainders = [] if stop - first == T else [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
     return [(first, stop), *remainders]
 
 
 def _part(view: View, rows: slice, fps: float) -> slice:
-    """Return the rows of the second around a stretch, or around the end of a longer one.
+    """Return the slice of the second around a stretch, or around an end of a longer stretch.
 
-    For a stretch of the whole clip it is the second with the most detections.
+    For a stretch that is the whole clip, return the second with the most detections.
     """
     T, n = len(view.xy_px), max(round(likelihood.TESTED_S * fps), 4)
     inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
@@ -232,16 +238,19 @@ def _part(view: View, rows: slice, fps: float) -> slice:
 
 
 def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
-    """Return stretches of one kind that hardly overlap, most likely first, as gain, kind, and first and stop frame."""
+    """Return the most likely stretches of one kind of swap that hardly overlap, the most likely first.
+
+    Each is a tuple of the log-likelihood gain, the kind, and the first frame and the frame after the last.
+    """
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
     sums = np.concatenate([[0.0], np.cumsum(evidence)])[ends]
-    # The gain of a stretch from end a to end b is high[b] - low[a]: its evidence, and the jumps at both ends.
+    # The gain of a stretch from end a to end b, its evidence plus the jumps at both ends, is high[b] - low[a].
     low, high = sums - gain, sums + gain
     best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
     best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
-    # Only these ends can bound a likely stretch; a long clip has too many ends for the pairs below.
+    # Only ends that can bound a likely stretch are kept, because a long clip has too many pairs of ends.
     is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)
     ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
@@ -256,7 +265,10 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """Return each frame's log-likelihood gain if its keypoints are exchanged, (T,), by kind; "all" means all legs."""
+    """Return a dictionary of each frame's log-likelihood gain if the sides are exchanged, shape (T,), for each kind.
+
+    The gain of the kind "all" is that of all legs.
+    """
     legs = {name: permutation != np.arange(len(permutation)) for name, permutation in kinds.items() if name != "all"}
     in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
     permutation, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), baseline.view.xy_px
@@ -271,11 +283,11 @@ def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
 
 
 def jumps(view: View, permutation: Index) -> Array:
-    """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
+    """Return the log-likelihood gain of the tracks if the sides are exchanged from each frame on, shape (T,).
 
-    The difference between the points of a pair is assumed to follow a straight line for a few frames. The gain is
-    minus infinity if one of these frames has no detection, or if all pairs jump about as far as the distance between
-    their points.
+    The difference between the left and the right point of a pair is assumed to change linearly for a few frames. The
+    gain is minus infinity if one of these frames has no detection, or if the tracks deviate from lines by about the
+    distance between the sides.
     """
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(permutation) if j < k]
     differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
@@ -305,11 +317,11 @@ def jumps(view: View, permutation: Index) -> Array:
 
 
 PARTS = {"all": "all keypoints", "fore": "the fore legs", "hind": "the hind legs"}
-"""Swapped parts, in words."""
+"""Words for the parts of the animal that are swapped, with the kinds of swaps as keys."""
 
 
 def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
-    """Return the finding on a swap in one camera's keypoints."""
+    """Return the finding on a swap, or on a possible swap, in the keypoints of a camera."""
     stretch, numbers = trial.stretch, source.keypoints.frames
     frames = int(numbers[stretch.rows.start]), int(numbers[stretch.rows.stop - 1]) + 1
     part = next(

@@ -1,7 +1,7 @@
 """Estimate the time offsets of cameras whose clocks differ.
 
-The error ratios of rays that should meet (`recon.check.sights`) are used to search for whole frames (`search_offsets`),
-before the fit solves for the rest (`solve_time_offsets`).
+Offsets of whole frames are found first, by the error ratios of rays that should meet (`search_offsets`). The fit then
+solves for the remaining fractions of a frame (`solve_time_offsets`).
 """
 
 from __future__ import annotations
@@ -17,34 +17,38 @@ from recon.clip import Source, View, align_cameras, views_of
 from recon.fit.result import TrajectorySolution
 
 OFFSET_S = 1.0
-"""Largest time offset, in seconds, in the search for a camera that is out of step; at most half the clip."""
+"""Largest time offset that is searched for, seconds; at most half the duration of the clip."""
 MAX_OFFSET_RATIO = 0.9
-"""Largest ratio of the error ratio with a time offset to the error ratio without it at which the offset counts."""
+"""Largest ratio of the error ratios with and without a time offset for which the offset is used."""
 _OFFSET_ROWS = 200
-"""Number of frames that are compared for an offset."""
+"""Maximum number of frames from which the error ratio of a time offset is computed."""
 _COMPARED = 0.3
-"""Smallest fraction of the comparable points that must remain for a time offset."""
+"""Minimum fraction of the comparable points that must remain comparable at a time offset."""
 _OFFSET_ROUNDS = 3
-"""Largest number of rounds over the cameras in the search for time offsets."""
+"""Maximum number of rounds over all cameras in the search for whole frames."""
 FIT_ROUNDS = 5
-"""Largest number of fits in the search for time offsets."""
+"""Maximum number of fits that solve for the time offsets."""
 CLOSE_FRAMES = 0.05
-"""Largest time offset, in frames, that is left to the solver, which treats the motion as straight over this time."""
-MAX_SIGMA_FRAMES = 1.0
-"""Largest uncertainty of an estimated offset in frames.
+"""Change of a time offset in a fit below which no further fit is needed, frames.
 
-A less certain offset is refused, as is an offset that would still change by more.
+The fit assumes that the motion is straight over this time.
+"""
+MAX_SIGMA_FRAMES = 1.0
+"""Largest standard deviation of an estimated time offset that is accepted, frames.
+
+An offset that still changes by more than this in the last fit is not accepted either.
 """
 
 SolveSources = Callable[[tuple[Source, ...]], TrajectorySolution]
 
 
 def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
-    """Return the time offset of each camera from the first, in whole frames beyond the stated offset, (V,).
+    """Return the time offset of each camera from the first, in whole frames beyond the stated offset, shape (V,).
 
-    Views have the same T frames; the noise is as in `agreement_findings`. Each camera in turn gets the offset at which
-    its rays pass closest to those of the cameras before it. A few rounds with the rays of all other cameras follow. The
-    offset is 0 if no other value is clearly better, and NaN if a camera shares too few points with the others.
+    The V views have the same T frames. Each camera in turn gets the offset at which its rays pass closest to those of
+    the cameras before it. A few rounds with the rays of all other cameras follow. The offset is 0 if no other value is
+    clearly better, and NaN if a camera shares too few points with the others. `sigma_px` and `keypoint_sigma_m` are as
+    in `agreement_findings`.
     """
     sights = sights_of(views, sigma_px, keypoint_sigma_m)
     T = len(views[0].xy_px)
@@ -84,18 +88,18 @@ def solve_time_offsets(
     sigma_px: float,
     keypoint_sigma_m: float,
 ) -> tuple[tuple[Source, ...], TrajectorySolution]:
-    """Estimate the time offsets of sources; return the sources on the frames of one clip, and their solution.
+    """Return the sources with their time offsets corrected, on the frames of a single clip, and their solution.
 
     Parameters
     ----------
     sources_apart
-        Sources on their own frames.
+        Sources whose frames are those of each camera's own clock.
     later_frames
-        Offset of each camera, in frames, at which the search begins, (V,).
+        Time offset of each of the V cameras, frames, at which the search begins.
     solve
         Function that solves sources with the option `find_offsets`.
     sigma_px, keypoint_sigma_m
-        Noise, as in `agreement_findings`.
+        Standard deviations of detections and of keypoint positions, as in `agreement_findings`.
 
     Raises
     ------

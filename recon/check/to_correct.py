@@ -1,10 +1,11 @@
-"""List the detections that are worth correcting by hand, in order.
+"""List the detections that are worth correcting by hand, the most worthwhile first.
 
-The first detections are far from their expected positions or were left out: either they or the pose are wrong. Missing
-and uncertain detections follow. Both groups are sorted by how much the expected error of the pose would decrease if
-they were corrected (`recon.fit.correction_gain`); in the first group, detections that are almost certainly wrong
-(`GROSS_SIGMAS`) come before the others. In the second group a correction also improves the neighbouring frames, because
-errors persist for about `ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint nearby.
+The first group of detections are far from their expected positions, or were left out of the fit. Either they or the
+pose are wrong. Missing and uncertain detections form the second group. Both groups are sorted by how much the expected
+error of the pose would decrease after a correction (`recon.fit.correction_gain`). In the first group, detections that
+are almost certainly wrong (`GROSS_SIGMAS`) come before the others. In the second group, a correction also improves the
+neighbouring frames, because errors persist for about `ERROR_TIME_S`. Each listed detection therefore lowers the
+remaining gain of the same keypoint in the frames around it.
 """
 
 from __future__ import annotations
@@ -20,41 +21,45 @@ from recon.fit import constants
 from recon.fit.motion import Motion, Picture
 
 AGREES_SIGMAS = 2.0
-"""Distance from the expected position, in standard deviations, within which a used detection needs no check."""
+"""Distance of a detection from its expected position, in standard deviations, up to which it needs no correction."""
 GROSS_SIGMAS = 5.0
-"""Distance from the expected position, in standard deviations, beyond which a detection is almost certainly wrong."""
+"""Distance of a detection from its expected position, in standard deviations, beyond which it is surely wrong."""
 MOST_LISTED = 500
-"""Largest number of detections in the list, more than anybody corrects by hand."""
+"""Default maximum number of detections in the list, which is more than anybody corrects by hand."""
 Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
-"""Reason for a correction.
+"""Reason for which a detection is worth correcting.
 
-far: used, but not explained by the pose; left out: for a reason other than its likelihood; uncertain: further than
-`AGREES_SIGMAS` from its expected position.
+- far: it was used, but it is an outlier
+- left out: it was left out for a reason other than its likelihood
+- low likelihood: it was left out for its low likelihood
+- missing: the keypoint was not detected
+- uncertain: it is further than `AGREES_SIGMAS` from its expected position
 """
 
 
 @dataclass(frozen=True)
 class ToCorrect:
-    """A detection that is worth correcting."""
+    """Detection, or missing detection, that is worth correcting by hand."""
 
     frame: int
-    """Frame number in the keypoint file."""
+    """Number of the frame in the keypoint file."""
     camera: str
     keypoint: str
     found_px: tuple[float, float] | None
-    """Position found by the detector, or None if there is no detection."""
+    """Position that the detector found; None without a detection."""
     likelihood: float
     expected_px: tuple[float, float]
-    """Position expected from the pose."""
+    """Position of the keypoint expected from the pose."""
     ellipse_px: tuple[float, float, float]
-    """Semi-axes of the ellipse of one standard deviation about the expected position, and the angle of the longer one
-    to the x axis, in degrees.
+    """Ellipse of one standard deviation about the expected position.
+
+    The values are the semi-major and semi-minor axis, px, and the angle of the major axis to the x axis, degrees.
     """
     distance_px: float
     """Distance from the detected to the expected position; NaN without a detection."""
     reason: Reason
     error_fall_m: float
-    """Expected decrease of the pose's root mean square error after a correction, m; NaN if it cannot be computed."""
+    """Expected decrease of the pose's root mean square error after the correction; NaN if it cannot be computed."""
 
 
 def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
@@ -63,9 +68,9 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     Parameters
     ----------
     motion
-        A motion of T frames with J joints, filmed by V cameras.
+        A fitted motion of T frames and J joints, filmed by V cameras.
     limit
-        Largest number of detections.
+        Maximum number of detections that are returned.
     """
     found_px, likelihood, reason_code = (
         np.array(arrays) for arrays in zip(*map(_all_detections, motion.sources), strict=True)
@@ -109,7 +114,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
 
 
 _USED, _UNLIKELY, _LEFT_OUT = 0, 1, 2
-"""Codes for a detection: used in the fit, left out for its low likelihood, or left out for another reason."""
+"""Codes that state whether a detection was used in the fit, left out for its likelihood, or left out otherwise."""
 
 
 def _reason(code: int, is_outlier: bool, is_detected: bool) -> Reason:
@@ -121,7 +126,10 @@ def _reason(code: int, is_outlier: bool, is_detected: bool) -> Reason:
 
 
 def _all_detections(source: Source) -> tuple[Array, Array, Array]:
-    """Return all detections, used or left out: pixels (T, J, 2), likelihoods (T, J), and codes of their use (T, J)."""
+    """Return all detections, used or left out, as pixels (T, J, 2), likelihoods (T, J) and codes of use (T, J).
+
+    The codes are `_USED`, `_UNLIKELY` and `_LEFT_OUT`.
+    """
     keypoints = source.keypoints
     found_px, likelihood = keypoints.xy_px.copy(), np.where(keypoints.present, keypoints.confidence, np.nan)
     codes = np.zeros(keypoints.present.shape, dtype=int)
@@ -138,7 +146,7 @@ def _all_detections(source: Source) -> tuple[Array, Array, Array]:
 
 
 def _inside(picture: Picture) -> Bools:
-    """Return a mask of expected keypoints inside the picture, (T, J), because only these can be marked by hand."""
+    """Return a mask (T, J) of the keypoints expected inside the picture, because only these can be marked by hand."""
     width, height = picture.camera.image_size_px
     x, y = np.moveaxis(picture.reprojected_px, -1, 0)
     return (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -147,10 +155,10 @@ def _inside(picture: Picture) -> Bools:
 def _by_gain(
     gain_m2: Array, distance_px: Array, is_gross: Bools, chosen: Bools, limit: int
 ) -> list[tuple[int, int, int]]:
-    """Return the chosen detections (view v, frame t, joint j): gross errors first, both parts sorted by falling gain.
+    """Return the chosen detections as (view, frame, joint), gross errors first, both parts sorted by decreasing gain.
 
-    Detections of equal or unknown gain are in order of distance. Distance alone is a poor order, because the robust
-    loss ignores very distant detections, whose correction changes the pose little.
+    Detections with equal or unknown gains are sorted by distance. Distance alone would be a poor order, because the
+    robust loss ignores very distant detections, so that their correction changes the pose little.
     """
     keys = np.where(chosen, -distance_px, 0.0), -np.nan_to_num(gain_m2), ~is_gross, ~chosen
     order = np.lexsort([key.ravel() for key in keys])
@@ -158,7 +166,10 @@ def _by_gain(
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen detections (view v, frame t, joint j), always the one with the largest remaining gain next."""
+    """Return the chosen detections as (view, frame, joint), each with the largest gain that remains after those before.
+
+    A listed detection lowers the gain of the same keypoint within about `tau` frames.
+    """
     left_m2 = np.where(chosen, gain_m2, -np.inf)
     frames, cells = np.arange(gain_m2.shape[1]), []
     for _ in range(min(limit, int(chosen.sum()))):
@@ -175,16 +186,16 @@ def _cell(index: int, shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
-    """Return the expected decrease of the root mean square error of the joints, both poses centred, in metres."""
+    """Return the expected decrease of the joints' root mean square error for each gain, with the poses centred, m."""
     variance_m2 = np.trace(motion.solution.relative_covariance_m2[motion.solved], axis1=-2, axis2=-1)
     error_m2 = float(variance_m2.mean()) if variance_m2.size else np.nan
     return np.sqrt(error_m2) - np.sqrt(np.maximum(error_m2 - gain_m2, 0.0))
 
 
 def _ellipses(motion: Motion, cells: list[tuple[int, int, int]]) -> list[tuple[float, float, float]]:
-    """Return the ellipses of one standard deviation about expected keypoints, for cells (view v, frame t, joint j).
+    """Return the ellipses of one standard deviation about the expected keypoints (view, frame, joint) in `cells`.
 
-    An ellipse consists of the semi-major and the semi-minor axis in pixels, and the angle of the major axis in degrees.
+    An ellipse has the semi-major and the semi-minor axis, pixels, and the angle of the major axis, degrees.
     """
     solution = motion.solution
     ellipses = np.empty((len(cells), 3))

@@ -1,8 +1,8 @@
 """Check tracks of points in 2D or 3D: copied, frozen and interpolated points, jumps, swapped sides, missing frames.
 
-The checks use only the coordinates and the names of the points. Detections that are the same to the last digit were
-copied. The vector from a right point to its left counterpart turns slowly; at a swap of the sides it is suddenly
-reversed.
+The checks use only the coordinates and the names of the points. Coordinates that are equal to the last digit were
+copied. The vector from a right point to its left counterpart (side vector) turns slowly, and is suddenly reversed at a
+swap of the sides.
 """
 
 from __future__ import annotations
@@ -19,66 +19,69 @@ from recon.check.inputs import FEWEST, repeats_of
 from recon.clip import frame_ranges
 
 DIGITS = 1e-9
-"""Difference, relative to the animal's size, that counts as rounding."""
+"""Difference of coordinates, relative to the animal's size, up to which it counts as a rounding error."""
 IDENTICAL_SHARE = 0.05
-"""Largest fraction of frames in which two points may be identical; `FEWEST` frames are always allowed."""
+"""Fraction of frames above which two points with identical coordinates are reported; at least `FEWEST` frames."""
 STRUCTURAL = 0.9
-"""Fraction of frames above which two identical points of one side count as two names of one point.
+"""Fraction of frames above which two identical points of the same side count as two names of one point.
 
-Examples are hips and spine.
+For example, a file may give the hips and the lower spine the same position.
 """
 APART = 10.0
-"""Smallest usual distance or movement, in steps of the resolution, at which two points count as different."""
+"""Minimum distance of two points, or movement of a point, in rounding steps, that shows a real difference."""
 BENT = 5.0
-"""Median bend of a track, relative to its rounding, above which it is tested for straight parts."""
-MOVING = 0.0005
-"""Smallest distance, relative to the animal's size, that the other points move while a point is frozen."""
-STANCE = 1.0
-"""Value that replaces `MOVING` for feet in coordinates coarser than `COARSE`.
+"""Median bend of a track, relative to the rounding error, above which the track is tested for straight parts.
 
-Feet stand still, and coarse coordinates do not show small movements.
+The bend of a track in a frame is the second difference of the positions.
+"""
+MOVING = 0.0005
+"""Minimum median movement of the other points, relative to the animal's size, while a point is frozen."""
+STANCE = 1.0
+"""Value that replaces `MOVING` for feet in coarse coordinates (`COARSE`).
+
+Feet stand still during a stance, and coarse coordinates do not show their small movements.
 """
 COARSE = 1e-4
-"""Resolution, relative to the animal's size, above which coordinates are coarse.
+"""Rounding step, relative to the animal's size, above which coordinates are coarse.
 
-In finer coordinates, a standing foot moves as well.
+In finer coordinates, the position of a standing foot changes as well.
 """
 JUMP = 0.2
-"""Smallest jump of a point, relative to the animal's size."""
+"""Smallest jump of a point that is reported, relative to the animal's size."""
 JUMP_SPREADS = 10.0
-"""Smallest jump of a point, in units of its median distance from the path of the animal."""
+"""Smallest jump of a point that is reported, relative to the point's median distance from its interpolated track."""
 JUMP_FRAMES = 2
-"""Longest jump, in frames."""
+"""Largest number of frames after which a point that jumped has to come back."""
 GAP_FRAMES = 3
-"""Largest distance, in frames, between two known side vectors that are compared across a gap."""
+"""Largest number of frames between two known side vectors that are compared across a gap."""
 CAP = 6.0
-"""Largest log-likelihood gain of one pair of points at a swap."""
+"""Upper limit of the log-likelihood gain that a single pair of points contributes to a swap."""
 SIDE_STEP = 0.02
-"""Smallest standard deviation of a side vector's change per frame, relative to the animal's size."""
+"""Lower limit of the standard deviation of a side vector's change per frame, relative to the animal's size."""
 LEAST_PAIRS = 2
-"""Smallest number of point pairs that must show a swap at the same time."""
+"""Minimum number of pairs of points that must show a swap at the same time."""
 PX_OF_EXTENT = 1000.0
-"""Size in pixels to which 3D points are scaled for limits in pixels."""
+"""Size, pixels, to which an animal in 3D is scaled so that limits in pixels can be applied."""
 STEP_PX = 2.0
-"""Length of a step, in pixels, from which its speed can be measured."""
+"""Minimum length of a step between frames, pixels, whose change of speed is measured."""
 ONWARDS = 0.5
-"""Smallest cosine of the angle between two successive steps in about the same direction."""
+"""Minimum cosine of the angle between two successive steps that count as in the same direction."""
 LEAST_CHANGES = 8
-"""Smallest number of changes of the speed from which missing frames are tested."""
+"""Minimum number of changes of the speed required to test for missing frames."""
 CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
-"""Scales of the change of the logarithm of the speed from frame to frame that are tried."""
+"""Scales of the distribution of the changes of log(speed) per frame, over which the likelihood is averaged."""
 FREEDOM = 3
-"""Degrees of freedom of the distribution of the changes of the logarithm of the speed."""
+"""Degrees of freedom of Student's t distribution of the changes of log(speed)."""
 OUTLIERS = np.array([0.02, 0.1, 0.25])
-"""Fractions of outliers among the changes of the speed that are tried."""
+"""Fractions of outliers among the changes of log(speed), over which the likelihood is averaged."""
 OUTLIER_RANGE = 5.0
-"""Width of the range of changes over which outliers are uniformly distributed."""
+"""Width of the range of changes of log(speed) over which outliers are uniformly distributed."""
 MISSING = np.array([0.1, 0.2, 0.3, 0.4])
-"""Fractions of missing frames that are tried."""
+"""Fractions of missing frames over which the likelihood is averaged."""
 MOST_INTERVALS = 3
-"""Largest number of frame intervals that a step across missing frames may span."""
+"""Maximum number of frame intervals that a step across missing frames spans."""
 NORMALISED = 1.5
-"""Largest coordinate of keypoints given as fractions of the picture."""
+"""Largest coordinate at which keypoints count as fractions of the picture, which allows for points outside it."""
 
 
 def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
@@ -96,7 +99,7 @@ def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of the pair of points that have the same coordinates in most frames."""
+    """Yield a measure of identical points, for the two points that have the same coordinates in the most frames."""
     values, T = points.positions, len(points.frames)
     worst: tuple[float, int, int, Bools] | None = None
     for i in range(len(points.names)):
@@ -121,7 +124,7 @@ def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the longest run of frames that repeat the frame before, or how often every frame is repeated."""
+    """Yield measures of repeated frames: the longest run, and the number of repetitions if all frames are repeated."""
     repeats = repeats_of(points.positions)
     if not repeats.any():
         return
@@ -136,7 +139,7 @@ def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the longest run in which one point keeps its coordinates while most others move."""
+    """Yield a measure of frozen points: the longest run in which a point keeps its coordinates while others move."""
     values = points.positions
     is_same = np.zeros(values.shape[:2], dtype=bool)
     is_same[1:] = (values[1:] == values[:-1]).all(axis=2)
@@ -147,7 +150,7 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
             moved = np.linalg.norm(values[stop - 1] - values[first - 1], axis=1)
             moved_others = np.delete(moved, k)
             typical = float(np.nanmedian(moved_others)) if np.isfinite(moved_others).any() else 0.0
-            # In coarse coordinates, a foot stands still until the body has passed over it.
+            # In coarse coordinates, the position of a foot does not change until the body has passed over it.
             share = STANCE if points.stands[k] and points.resolution > COARSE * points.extent else MOVING
             least = max(APART * points.resolution, share * points.extent)
             if typical > least and stop - first > worst[0]:
@@ -159,7 +162,10 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the longest run of a point that moves on a straight line at an even speed while its track usually bends."""
+    """Yield a measure of interpolated points: the longest run of a point on a straight line at a constant speed.
+
+    Only points whose tracks usually bend are tested.
+    """
     values = points.positions
     if len(values) < 3:
         return
@@ -188,7 +194,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _jumps(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the largest jump of a point away from its track and back, relative to the limit."""
+    """Yield a measure of jumps: the largest jump of a point away from its track and back, relative to its limit."""
     gains = jumps_of(points)
     if not np.isfinite(gains).any():
         return
@@ -202,7 +208,7 @@ def _jumps(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def jumps_of(points: AuditedPoints) -> Array:
-    """Return the distance of each point from the line between the known positions around a jump of a few frames.
+    """Return the distance by which each point jumps away from its track and comes back, relative to the limit of jumps.
 
     Parameters
     ----------
@@ -212,9 +218,10 @@ def jumps_of(points: AuditedPoints) -> Array:
     Returns
     -------
     ndarray
-        Distances (T, K), relative to the path of the animal, divided by the limit. The limit is `JUMP` times the
-        animal's size, or `JUMP_SPREADS` times the point's median distance if that is larger. NaN where the point is
-        unknown, where there is a gap around it, and where it does not come back.
+        Ratios (T, K). The distance is that from the line between the positions before and after a jump of a few frames,
+        relative to the path of the animal. The limit is `JUMP` times the animal's size or, if larger, `JUMP_SPREADS`
+        times the point's median distance. NaN where the point is unknown, where there is a gap around it, and where it
+        does not come back.
     """
     jumps = np.full(points.known.shape, np.nan)
     relative = points.positions - _path(points.positions)[:, None]
@@ -245,7 +252,7 @@ def jumps_of(points: AuditedPoints) -> Array:
 
 
 def _path(positions: Array) -> Array:
-    """Return the path (T, C) of the animal, which adds up the median steps of its points (T, K, C)."""
+    """Return the path of the animal, shape (T, C), as the sum of the median steps of its K points (T, K, C)."""
     path = np.zeros((len(positions), positions.shape[2]))
     steps = np.diff(positions, axis=0)
     is_known = np.asarray(np.isfinite(steps).all(axis=2)).any(axis=1)
@@ -254,7 +261,7 @@ def _path(positions: Array) -> Array:
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the log Bayes factor for missing frames, from the changes of the points' speed."""
+    """Yield a measure of missing frames, their log Bayes factor, from the changes of the points' speed."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     changes = _speed_changes(points.positions * scale, points.follows)
     if np.isfinite(changes).sum() >= LEAST_CHANGES:
@@ -263,19 +270,20 @@ def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _speed_changes(tracks: Array, follows: Bools) -> Array:
-    """Return the logarithm of each step's length relative to the step before, the median over the points (T - 2,).
+    """Return the changes of log(speed): the logarithm of each step's length relative to the step before.
 
     Parameters
     ----------
     tracks
-        Points (T, K, 2 or 3), in pixels.
+        Positions of K points, pixels, shape (T, K, 2) or (T, K, 3).
     follows
-        Mask of the frames (T,) that follow the frame before.
+        Mask (T,) of the frames that follow the frame before without a gap.
 
     Returns
     -------
     ndarray
-        NaN where fewer than `FEWEST` points move on in about the same direction.
+        Median over the points of the changes of log(speed), shape (T - 2,); NaN where fewer than `FEWEST` points move
+        on in about the same direction.
     """
     steps = np.where(follows[1:, None, None], np.diff(tracks, axis=0), np.nan)
     lengths = np.maximum(np.linalg.norm(steps, axis=2), 1e-9)
@@ -295,16 +303,17 @@ def missing_gain(changes: Array) -> tuple[float, float]:
     Parameters
     ----------
     changes
-        Logarithm (N,) of each step's length relative to the step before; NaN if unknown.
+        Changes of log(speed), the logarithm of each step's length relative to the step before, shape (N,); NaN if
+        unknown.
 
     Notes
     -----
-    If no frames are missing, changes have Student's t distribution with `FREEDOM` degrees of freedom, apart from
-    outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
-    proportional to p^(n - 1), and a change also contains the logarithm of the ratio of n to the n of the step before.
-    The sum over all n is that of a hidden Markov chain (forward algorithm; L. Rabiner, *A tutorial on hidden Markov
-    models*, Proc. IEEE 77, 1989). Both likelihoods are averaged over the distribution's scale, the fraction of
-    outliers, and p, with all values equally likely.
+    If no frames are missing, changes have Student's t distribution with `FREEDOM` degrees of freedom, except for
+    outliers. If each frame is missing with the probability p, a step spans n = 1, 2 or 3 intervals with a probability
+    proportional to p^(n - 1). A change then also contains the logarithm of the ratio of n to the n of the step before.
+    The likelihood is the sum over all n, computed by the forward algorithm of a hidden Markov model (L. Rabiner, *A
+    tutorial on hidden Markov models*, Proc. IEEE 77, 1989). Both likelihoods are averaged over the scale of the
+    distribution, the fraction of outliers, and p, with all values equally likely.
     """
     known = changes[np.isfinite(changes)]
     sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIERS)
@@ -334,7 +343,7 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 
 
 def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
-    """Return the probability density of changes of the logarithm of the speed, outliers included."""
+    """Return the probability density of changes of log(speed), including outliers."""
     z_squared = (change / sigma) ** 2
     scale = gamma((FREEDOM + 1) / 2) / (gamma(FREEDOM / 2) * np.sqrt(FREEDOM * np.pi))
     density = scale / sigma * (1 + z_squared / FREEDOM) ** (-(FREEDOM + 1) / 2)
@@ -345,7 +354,7 @@ def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
 
 
 def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the clearest swap of left and right, of all points or of one pair of limbs."""
+    """Yield a measure of swapped sides, for the most likely swap of all points or of one pair of limbs."""
     partners = opposites(points.names)
     left = np.array(
         [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"], dtype=int
@@ -373,7 +382,7 @@ def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
-    """Return the log-likelihood gain (T, P) of vectors (T, P, C) being reversed relative to the frame before."""
+    """Return the log-likelihood gain of a reversal of P side vectors (T, P, C) relative to the frame before, (T, P)."""
     gains = np.zeros(vectors.shape[:2])
     floor = SIDE_STEP * points.extent
     for p in range(vectors.shape[1]):
@@ -391,7 +400,7 @@ def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
 
 
 def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
-    """Return the pairs of all points, and of the fore and hind limbs if the names distinguish them."""
+    """Return the indices of all pairs of points, and of the fore and the hind limbs' if the names distinguish them."""
     parts = {"all points": np.arange(len(left))}
     for limb, rows in points.roles.limbs.items():
         pairs = np.array([p for p, k in enumerate(left) if k in rows], dtype=int)
@@ -404,7 +413,7 @@ def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
 
 
 def _normalised(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield 1 if the coordinates go from 0 to 1 like fractions of the picture, otherwise 0."""
+    """Yield a measure of normalised keypoints: 1 if the coordinates look like fractions of the picture, otherwise 0."""
     numbers = points.positions[points.known]
     if len(numbers) and points.resolution < 1:
         is_small = (numbers >= -0.5).all() and (numbers < NORMALISED).all()
@@ -412,7 +421,7 @@ def _normalised(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the distance of the trunk below the feet in the picture, relative to the distance between them."""
+    """Yield a measure of y counted upwards: the trunk's height below the feet, relative to their distance."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return
@@ -427,7 +436,7 @@ def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def mean_of_known(values: Array) -> Array:
-    """Return the mean position (T, C) of the known points among (T, N, C); NaN if none is known."""
+    """Return the mean position of the known ones of N points (T, N, C) in each frame, shape (T, C); NaN without any."""
     known = np.asarray(np.isfinite(values).all(axis=2))
     total = np.where(known[..., None], values, 0.0).sum(axis=1)
     count = known.sum(axis=1)[:, None]
@@ -435,5 +444,5 @@ def mean_of_known(values: Array) -> Array:
 
 
 def _longest(rows: Bools) -> tuple[int, int]:
-    """Return the longest run of true rows, as its first row and the one after its last."""
+    """Return the longest run of true elements, as the index of its first element and the index after its last."""
     return max(frame_ranges(np.flatnonzero(rows)), key=lambda run: run[1] - run[0])

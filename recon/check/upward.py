@@ -1,4 +1,4 @@
-"""Estimate the upward direction from the ground under the feet of an animal, if the cameras' poses lack it.
+"""Estimate the upward direction from the ground under an animal's feet, if the camera files do not define it.
 
 The keypoints are triangulated from all cameras, and a plane is fitted to the standing feet. No body is fitted.
 """
@@ -18,22 +18,22 @@ from recon.fit import constants
 from recon.fit.terms import StanceVelocity
 
 MAX_SIGMA_RAD = np.radians(10.0)
-"""Largest accepted standard deviation of the upward direction, that of a camera which is assumed to be level."""
+"""Largest accepted standard deviation of the upward direction, as for a camera that is assumed to be level, rad."""
 POSTURE_RAD = np.radians(15.0)
-"""Standard deviation of the angle between up and the direction from the feet to the body, averaged over a clip."""
+"""Standard deviation over clips of the angle between up and the mean direction from the feet to the body, rad."""
 FOOT_SHARE = 1 / 15
 """Standard deviation of standing feet's height above the ground, as a fraction of the body's height above the feet.
 
 For a cheetah, it equals `GROUND_FOOT_M`.
 """
 MIN_STANDING = 3
-"""Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""
+"""Minimum number of positions of standing feet, over all frames, as in `recon.fit.clip_problem`."""
 
 
 class _Upward(NamedTuple):
-    """An upward unit vector (3,), a point (3,) on the ground, and the uncertainty of the direction.
+    """Upward unit vector (3,), a point on the ground (3,), m, and the standard deviation of the direction, rad.
 
-    Lengths are metres in the poses' world. The standard deviation is that about the less certain axis.
+    Both are in the world frame of the camera poses. The standard deviation is that about the less certain axis.
     """
 
     up: Array
@@ -42,16 +42,16 @@ class _Upward(NamedTuple):
 
 
 def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
-    """Return the upward direction estimated from the standing feet of an animal seen by several cameras, or None.
+    """Return the upward direction, estimated from the standing feet of an animal that several cameras see.
 
     The direction is the normal of the plane through the standing feet, which are slow feet that lie in a plane with
-    other slow feet. The body, which is above the feet, stabilises the plane if they stand on one line. The result is
-    None if the feet do not determine the plane.
+    other slow feet. The direction from the feet to the body is also used, because feet on a single line do not
+    determine a plane. Return None if the plane is too uncertain.
 
     Parameters
     ----------
     views
-        Views of the clip, in a world whose vertical is not known.
+        Views of the clip, in a world whose upward direction is not known.
     body
         The animal.
     fps
@@ -84,7 +84,7 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
 
 
 def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
-    """Return the median vector (3,) from the feet to the rest of the body, or None if they are never seen together."""
+    """Return the median vector from the feet to the rest of the body, shape (3,), m; None if never seen together."""
     rest_m = positions_m[:, np.setdiff1d(np.arange(positions_m.shape[1]), feet)]
     is_whole = np.isfinite(positions_m[:, feet, 0]).any(axis=1) & np.isfinite(rest_m[..., 0]).any(axis=1)
     if not is_whole.any():
@@ -96,11 +96,28 @@ def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
 def _fit_tilted_plane(
     feet_m: Array, slow: Array, tall_m: float, correlation_frames: float
 ) -> tuple[Array, Array, float]:
-    """Fit a plane to feet (N, 3), with weights (N,) for how slow each foot is.
+    """Return a plane fitted to the positions of slow feet, the curvature of its cost, and the number of standing feet.
 
-    The coordinates of a foot are its height and two level ones. The width within which feet count narrows from the
-    body's height `tall_m` to `FOOT_SHARE` of it. The result is the plane (3,), its height and slopes; the curvature of
-    the cost (3, 3); and how many feet stand on the plane.
+    Parameters
+    ----------
+    feet_m
+        Positions of feet as height and two horizontal coordinates, m, shape (N, 3).
+    slow
+        Weight of each position, which is larger for slower feet, shape (N,).
+    tall_m
+        Height of the body above the feet, m. Positions far from the plane lose their weight. The distance at which they
+        lose it decreases from about this height to `FOOT_SHARE` of it.
+    correlation_frames
+        Number of frames within which errors count only once.
+
+    Returns
+    -------
+    plane : ndarray
+        Height and two slopes of the plane, shape (3,).
+    curvature : ndarray
+        Curvature of the cost, shape (3, 3).
+    standing : float
+        Number of positions on the plane.
     """
     height, *across = feet_m.T
     rows = np.stack([np.ones_like(height), *across], axis=-1)

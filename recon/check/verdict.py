@@ -1,8 +1,8 @@
 """Give the verdict on a clip: use, check or do not use, with its reason and the expected errors of pose and position.
 
-The posterior is right on average, but does not distinguish good views from bad views. The expected error of the pose is
-therefore a product of powers of quantities that do (`Evidence.factors`); `benchmarks/uncertainty.py` fits the powers.
-The expected error of the position is that of the posterior.
+The fit's posterior uncertainty is right on average, but does not distinguish good views from bad views. The expected
+error of the pose is therefore a product of powers of quantities that distinguish them (`Evidence.factors`). The powers
+are fitted by `benchmarks/uncertainty.py`. The expected error of the position follows from the posterior alone.
 """
 
 from __future__ import annotations
@@ -28,31 +28,33 @@ from recon.fit.posterior import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
-"""Powers of `Evidence.factors`, fitted to recorded runs (`python benchmarks/uncertainty.py --only verdict`).
+"""Powers of `Evidence.factors` in the expected error, fitted to recorded runs.
 
-The fits of November 2026 gave 0.68, 0.14, 0.76, 0.74 and 0.45. The power of the rate depends on the frame rates that
-are fitted. With one run left out, that power is 0.34 to 0.52 for clips with all or half of their frames, and 0.29 to
-0.36 for clips with half or a quarter of them, from which the value here comes.
+The fits of November 2026 gave 0.68, 0.14, 0.76, 0.74 and 0.45 (`python benchmarks/uncertainty.py --only verdict`). The
+power of the frame rate depends on the frame rates in the fit. With one run left out, it is 0.34 to 0.52 for clips with
+all or half of their frames, and 0.29 to 0.36 for clips with half or a quarter of them. The value of 0.32 is from the
+latter.
 """
 RATE_HZ = 60.0
-"""Frame rate below which a pose is less certain than the posterior states, under a prior learned from motions."""
+"""Frame rate below which poses are less certain than the posterior states, if the prior was learned from motions."""
 SCALE = -1.30
-"""Constant term in the logarithm of the pose's expected error relative to the trunk.
+"""Constant term in the logarithm of the pose's expected error relative to the trunk's length.
 
-The fits of November 2026 gave -1.26 (-1.17 to -1.36).
+The fits of November 2026 gave -1.26 (-1.17 to -1.36; `python benchmarks/uncertainty.py --only verdict`).
 """
 SPREAD = 0.23
-"""Standard deviation of the logarithm of the pose's error if the pixels show everything, from runs left out.
+"""Standard deviation of the logarithm of the pose's error if the detections determine the whole pose.
 
-The fits of November 2026 gave 0.14 to 0.18. The larger value also holds for clips of 15 frames.
+The fits of November 2026 gave 0.14 to 0.18 in runs left out. The larger value also holds for clips of 15 frames.
 """
 SPREAD_UNSEEN = 0.45
-"""Additional standard deviation of the logarithm of the pose's error if the pixels show nothing.
+"""Additional standard deviation of the logarithm of the pose's error if the detections determine nothing.
 
-The fits of November 2026 gave 0.34 to 0.51. The error of a pose from the prior alone is the same in all frames.
+The fits of November 2026 gave 0.34 to 0.51. It is large because the error of a pose from the prior alone is the same in
+all frames, and does not average out.
 """
 USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
-"""`Evidence.factors` of a typical view."""
+"""Values of `Evidence.factors` in a typical view."""
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, which makes the poses uncertain.",
@@ -60,52 +62,52 @@ WHY = {
     "unseen": "Much of the animal is hardly ever detected, and its pose there is only the expected one.",
     "rate": "The frame rate is low, so the pose between the frames is hardly known.",
 }
-"""Reasons, by the factor that raises the expected error most."""
+"""Reason for a verdict, with the factor that raises the expected error the most as the key."""
 NOTHING_AGAINST = "No check of the clip found a fault."
-"""Reason for the verdict "use" without notes."""
+"""Reason for the verdict "use" if there are no notes."""
 _NOTHING_SPOILS = "No check{that_ran} found a fault that spoils the {what}"
 NOTHING_SERIOUS = _NOTHING_SPOILS.format(that_ran="", what="result")
-"""Beginning of the reason for the verdict "use" with notes."""
+"""Beginning of the reason for the verdict "use" if there are notes."""
 _UNCHECKED = "frame rate, swaps, lens and zoom were not checked"
-"""Quantities that are not checked without a learned prior, in words."""
+"""Clause that names the checks that need a prior learned from motions."""
 NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
-"""Reason for the verdict "use" without notes and without a learned prior."""
+"""Reason for the verdict "use" if there are no notes, and the prior was not learned from motions."""
 _MEAN_OF_NORM = 0.92
-"""Mean length of a vector of three equal normal components, in roots of their summed variance."""
+"""Mean length of a vector with three normal components of equal variance, relative to its root mean square length."""
 _LEAST_M2 = 1e-8
-"""Smallest variance, m^2; smaller values are rounding errors of a variance that is due to the size alone."""
+"""Lower limit of a variance, m^2; smaller values are rounding errors of a variance that is due to the size alone."""
 _MEAN_OF_SIGMA = 0.8
-"""Mean absolute deviation of a normal quantity from its mean, in standard deviations."""
+"""Mean absolute deviation of a normally distributed quantity, in standard deviations."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Quantities from which an expected error is computed, means over the frames with a pose."""
+    """Quantities from which the expected errors of a clip are computed, as means over the frames with a pose."""
 
     trunk_m: float
-    """Mean length of the trunk."""
+    """Length of the trunk."""
     posterior_m: float
-    """Mean error of the joints that the posterior expects, both poses centred, without the error of the size.
+    """Mean error of the joints expected from the posterior, with poses centred and without the error of the size.
 
     The error of the size moves all joints together, and is usually smaller than stated.
     """
     misfit: float
     """Prior misfit: the factor by which the prior's variances are too small; 1 without a prior."""
     distance_m: float
-    """Mean distance of the animal from the nearest camera."""
+    """Distance of the animal from the nearest camera."""
     end_on: float
-    """Cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
+    """Cosine of the angle between the trunk and the line of sight of the camera that sees the animal most sideways."""
     unseen: float
-    """Fraction of the joints' information that is not from the pixels; 0 for a method that solves frames separately."""
+    """Fraction of the information on the joints that is not from the detections; 0 for the frame method."""
     position_sigma_m: float
-    """Posterior standard deviation of the position, with the uncertainty of one camera's focal length."""
+    """Posterior standard deviation of the position, including the uncertainty of a single camera's focal length."""
 
     slowness: float = 1.0
-    """`RATE_HZ` relative to the frame rate, at least 1; 1 without a learned prior."""
+    """Ratio of `RATE_HZ` to the frame rate, but at least 1; always 1 if the prior was not learned from motions."""
 
     @property
     def factors(self) -> dict[str, float]:
-        """Return the logarithms of the factors of the relative error, to which `POWERS` are applied, by name."""
+        """Return a dictionary of the logarithms of the factors of the expected error, which `POWERS` multiply."""
         return {
             "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),
@@ -143,15 +145,15 @@ class _FrameEvidence:
     """Quantities of `Evidence` for each of the n frames with a pose and each of the V cameras."""
 
     trunk_m: Array
-    """(n,): length of the trunk."""
+    """Length of the trunk, shape (n,)."""
     posterior_m: Array
-    """(n,): see `Evidence.posterior_m`."""
+    """Value of `Evidence.posterior_m` in each frame, shape (n,)."""
     position_sigma_m: Array
-    """(n,): see `Evidence.position_sigma_m`."""
+    """Value of `Evidence.position_sigma_m` in each frame, shape (n,)."""
     distances_m: Array
-    """(V, n): distances from the cameras."""
+    """Distance of the animal from each camera, shape (V, n)."""
     end_on: Array
-    """(V, n): cosines between the trunk and the lines of sight."""
+    """Cosine of the angle between the trunk and each camera's line of sight, shape (V, n)."""
     unseen: float
 
 
@@ -180,10 +182,11 @@ def _frame_evidence(motion: Motion) -> _FrameEvidence:
 
 
 def frame_rms_m(motion: Motion) -> Array:
-    """Return the expected RMS distance of the joints from their true positions in each frame, (T,), both centred.
+    """Return the expected RMS distance of the joints from their true positions in each frame, with poses centred, (T,).
 
-    The distance varies over the frames as the expected error of the verdict varies over clips, and its mean agrees with
-    that error. Without an expected error, it is the distance that the posterior expects.
+    The mean over the frames agrees with the expected error of the verdict. The distance depends on the quantities of a
+    frame as that error depends on the quantities of a clip. Without an expected error, the distance follows from the
+    posterior alone.
     """
     verdict, posed = motion.verdict, motion.solved
     if verdict is None or verdict.pose_m is None or not posed.any():
@@ -202,14 +205,17 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
-    """Return the expected mean error of the joints, both poses centred, relative to the length of the trunk."""
+    """Return the expected mean error of the joints, with poses centred, relative to the trunk's length."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
     reach = NORMAL_90 * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
     return ExpectedError(math.exp(middle), math.exp(middle - reach), math.exp(middle + reach))
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
-    """Return the expected error of the animal's position as a mean over frames; most of it is equal in all frames."""
+    """Return the expected error of the animal's position, averaged over the frames, m.
+
+    Most of the error is equal in all frames, so the average is about as large as the error in a single frame.
+    """
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
@@ -221,7 +227,7 @@ def add_verdict(motion: Motion) -> Motion:
 
 def _verdict(motion: Motion) -> Verdict:
     if errors := [finding for finding in motion.findings if finding.severity == "error"]:
-        # expected errors do not apply to data that may belong to another animal, camera or time
+        # Expected errors do not apply to data that may belong to another animal, camera or time.
         return Verdict("do not use", _sentence_of(motion, errors[0]))
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
@@ -233,7 +239,7 @@ def _verdict(motion: Motion) -> Verdict:
         return Verdict("do not use", WHY["posterior"])
     warnings = [finding for finding in motion.findings if finding.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
-    # the factor that most exceeds its value in a good view
+    # The reason is the factor that exceeds its value in a typical view the most.
     strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
     reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion, position)
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
@@ -245,9 +251,10 @@ def _verdict(motion: Motion) -> Verdict:
 
 
 def _nothing_against(motion: Motion, position: ExpectedError) -> str:
-    """Return the reason for the verdict on a motion without errors and warnings: what was checked, and its notes.
+    """Return the reason for the verdict on a motion without errors and warnings.
 
-    A note is named if the animal may be at another position, because the verdict "use" is about the poses.
+    The reason states the number of notes and the checks that were not made. It names a note on the animal's position,
+    because the verdict "use" is about the poses.
     """
     solution = motion.solution
     are_all_checked = not (isinstance(solution, TrajectorySolution) and solution.prior == NONE)
@@ -263,45 +270,48 @@ def _nothing_against(motion: Motion, position: ExpectedError) -> str:
 
 
 def reason_in_list(reason: str | None) -> str:
-    """Return a verdict's reason for a list of clips; "" if all checks ran and none found a serious fault.
+    """Return the reason of a verdict for a list of clips, or "" if all checks ran and none found a serious fault.
 
-    The reason is compared as text, because it comes from the summary.csv of a batch.
+    The reason is compared as text, because it is read from the summary.csv of a batch.
     """
     return "" if not reason or reason == NOTHING_AGAINST or reason.startswith(NOTHING_SERIOUS) else reason
 
 
 def _largest_effect(findings: Sequence[Finding], name: str) -> tuple[float, str]:
-    """Return the largest of one of the numbers `EFFECTS`, in metres, and the code of its finding; 0 and "" if none."""
+    """Return the largest effect of the findings, m, and the finding's code; 0 and "" without an effect.
+
+    `name` is one of `EFFECTS`.
+    """
     values = ((item.numbers.get(name), item.code) for item in findings)
     return max(((v, code) for v, code in values if isinstance(v, float) and math.isfinite(v)), default=(0.0, ""))
 
 
 def _widened(error: ExpectedError, effect: tuple[float, str], unit_m: float = 1.0) -> ExpectedError:
-    """Return an expected error whose interval also contains the effect of a finding, which may or may not be real.
+    """Return an expected error with its interval widened by the effect of a finding, which may or may not be real.
 
-    The finding is named if its effect is larger than the interval's upper end without it. `unit_m` is the length that
-    the error is relative to.
+    The result names the finding if its effect is larger than the upper end of the original interval. `unit_m` is the
+    length to which the error is relative, m.
     """
     size, code = effect[0] / unit_m, effect[1]
     return replace(error, high=math.hypot(error.high, size), widened_by=code if size > error.high else "")
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
-    """Return the verdict's level, given the expected error and whether there are errors and warnings."""
+    """Return the level of the verdict, given the expected error and whether there are errors and warnings."""
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
 
 
 class _UnusableClip(Problem):
-    """Problem with a clip whose verdict forbids its use; the message tells how to use the clip anyway."""
+    """Problem with a clip whose verdict is "do not use"; the message names the option to use the clip anyway."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")
 
 
 def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
-    """Return a motion if its verdict allows its use.
+    """Return a motion unchanged if its verdict is not "do not use".
 
     Parameters
     ----------
@@ -325,12 +335,12 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
 
 
 def verdict_fields(motion: Motion) -> dict[str, Any] | None:
-    """Return the fields of the verdict for JSON; None for a motion without a verdict."""
+    """Return the fields of a motion's verdict as plain JSON types; None for a motion without a verdict."""
     return None if motion.verdict is None else asdict(motion.verdict)
 
 
 def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
-    """Return the verdict in words; an empty tuple for a motion without a verdict."""
+    """Return the lines of text that state a verdict; empty for a motion without a verdict."""
     return () if verdict is None else verdict.lines
 
 
