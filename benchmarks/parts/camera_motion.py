@@ -208,7 +208,7 @@ HEADER = (
 
 def main() -> None:
     parser = parser_of(__doc__, kind="still-videos")
-    parser.add_argument("--case", action="append", choices=CASES, help="only these")
+    parser.add_argument("--case", action="append", choices=CASES, help="only these cases")
     arguments = parser.parse_args()
     videos = sorted(arguments.folder.glob("*.mp4"))
     if not videos:

@@ -49,7 +49,7 @@ ON_SCREEN = f"""([x, y]) => {{
   const is_inside = left > 0 && top > 0 && left < box.width && top < box.height;
   return [box.left + left, box.top + top, is_inside];
 }}"""
-"""JavaScript that converts a position in the picture to the screen, and returns whether it is in the shown part."""
+"""JavaScript that converts a position in the picture to the screen, and returns whether the position is visible."""
 
 
 def recon(*arguments: object) -> None:

@@ -114,7 +114,7 @@ def methods(chain: SerialChain) -> dict[str, Method]:
         "extended Jacobian (energy)": ExtendedJacobian(energy),
         "extended Jacobian (energy), N constant": ExtendedJacobian(energy, full=False),
     }
-    if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the order of the 8U chain's joints
+    if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the 8U chain, which has the joints of the map
         every["extended Jacobian (harmonic map)"] = ExtendedJacobian(harmonic_map())
     return every
 

@@ -91,7 +91,7 @@ def kernels(frames: int, cameras: int) -> list[Kernel]:
     normal = last.normal(states)
     factor = banded.factored(normal.blocks, 1e-3)
     P, width, number = len(normal.corner), 3 * D, 8
-    # Multiply the derivatives of pixels by those of markers, then accumulate the normal equations of the states.
+    # Multiply the derivatives of pixels and of markers, then accumulate the normal equations of the states.
     by_state = 2 * 2 * cameras * J * D * 3 + 2 * 3 * J * D * (D + P)
     normal_bytes = number * (D * width + D * P + 3 * J * D)
     right = np.concatenate([normal.gradient[..., None], normal.border], axis=2)

@@ -234,7 +234,7 @@ def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
     problem, states = solved.problem, solved.estimate.states
 
     def at(states: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Return half the log determinant, the variance of the distance, and the states' derivative."""
+        """Return half the log determinant, the variance of the log distance, and the states' derivative by it."""
         middle_m = setting.body.tree.pose(states).points_m.mean(axis=1)
         by_state = np.zeros(states.shape)
         by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)

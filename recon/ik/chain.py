@@ -300,7 +300,7 @@ def joint_chain(
     sizes = np.linalg.norm(axes, axis=1)
     if not all(np.isfinite(x).all() for x in (offsets, axes, tool)) or not (sizes > 0).all():
         raise ValueError("offsets, axes and tool must be finite, and no axis may be zero")
-    # The z axis of each frame is the axis of its joint; these rotations lead back to the axes of the base.
+    # The z axis of each joint's frame is the joint's axis. `back` turns vectors from the base's axes into each frame.
     to_z = np.array([_with_z_along(axis) for axis in axes / sizes[:, None]])
     back = np.concatenate([np.eye(3)[None], to_z]).transpose(0, 2, 1)
     segments = [Segment("base", None, "fixed")]

@@ -31,7 +31,7 @@ MAX_STEP_M = 0.02
 PATIENCE = 100
 """Number of iterations within which the distance from the target must shrink by `PROGRESS`."""
 PROGRESS = 0.01
-"""Smallest reduction of the distance from the target that counts as progress, relative to the distance so far."""
+"""Smallest reduction of the distance from the target, relative to the smallest so far, that counts as progress."""
 STILL_RAD = 1e-10
 """Motion, rad, or rate, rad/s, below which a joint counts as still, because only rounding errors remain."""
 

@@ -393,7 +393,7 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
 
 
 BINS = 10
-"""Number of bins of likelihood for which the fraction of correct points is computed."""
+"""Number of likelihood bins in which the fraction of correct points is computed."""
 PCK_PX = (2.5, 5.0, 10.0)
 """Distances from the labels up to which points are correct in the PCK, the percentage of correct keypoints."""
 PCK_RELATIVE = (0.05, 0.1, 0.2)

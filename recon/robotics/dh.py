@@ -126,7 +126,7 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
             if np.linalg.norm(normal) < _PARALLEL:
                 normal = _nearest_on_axis(position_after, z_after, origin) - origin
             else:
-                # position_after - position = s z + t normal - u z_after
+                # Solve position_after - position = s z + t normal - u z_after for s, t and u.
                 along = np.linalg.solve(np.column_stack([z, normal, -z_after]), position_after - positions[j])
                 origin, normal = positions[j] + along[0] * z, normal if along[1] >= -1e-12 else -normal
         # If the normal does not determine x, keep the previous x, which makes theta 0.

@@ -138,7 +138,7 @@ class Leg:
         cosine = (n2 - r_plus_n2) / np.hypot(p, q)
         s = np.arctan2(q, p) + np.arccos(np.clip(cosine, -1.0, 1.0))
         P, Q = self.in_plane(s)
-        # U^2 = y^2 + z^2 - P^2 with atan2: asin(x / Q) would lose half the digits at 90 degrees.
+        # Use atan2 with U^2 = y^2 + z^2 - P^2, because asin(x / Q) would lose half the digits at 90 degrees.
         square = y * y + z * z - P * P if swing_first else z2
         root = np.sqrt(np.maximum(square, 0.0))
         if swing_first:

@@ -33,8 +33,8 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="the number of the first case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--case", type=int, help="only this one, in this process")
-    parser.add_argument("--real", action="store_true", help="with real files")
+    parser.add_argument("--case", type=int, help="run only this case, in this process")
+    parser.add_argument("--real", action="store_true", help="also damage files of the recordings")
     given = parser.parse_args()
     real = Path(os.environ.get("RECON_SHARED_DATA", ROOT.parent / "shared" / "data")) if given.real else None
     with tempfile.TemporaryDirectory(prefix="recon-fuzz-") as folder:

@@ -38,7 +38,7 @@ def install_and_tell(self):
     install(self)
     os.close(int(os.environ["{READY}"]))
 Interrupts.install = install_and_tell
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in what a shell runs in the background
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores SIGINT in background jobs
 main()
 """
 

@@ -55,7 +55,7 @@ def compared_in(dim: int, whole_results: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def compared(whole_results, tmp_path_factory) -> Path:
-    """Return the results of both tasks by all methods for the whole animal, in the plane. Tests must not change it."""
+    """Return the folder with the results of both tasks by all methods, in the plane; tests must not change it."""
     return compared_in(2, whole_results, tmp_path_factory.mktemp("compared") / "fit")
 
 

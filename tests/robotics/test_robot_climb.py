@@ -284,7 +284,7 @@ def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
     assert climb.settled.all()
     assert motion.rate_share.max() <= 1
     assert not motion.short.any()
-    # An independent check from the feet at these angles, and the triangle's barycentric coordinates.
+    # Check independently, by the feet at the written angles and by the barycentric coordinates of the triangle.
     for k, label in enumerate(LEGS):
         np.testing.assert_allclose(motion.points(label)[:, -1], motion.feet_m[:, k], atol=1e-9)
     for k in np.flatnonzero(climb.lifted != NONE):
@@ -346,7 +346,7 @@ def test_the_command_writes_the_plan(tmp_path, aibo):
     assert says(ended.out, "not valid: not all feet")
     report = json.loads((out / "report.json").read_text())
     found = plan(aibo, raised(load_recipe(tmp_path / "short.toml"), 0.03))
-    assert report["recipe"]["name"] == "../short.toml"  # as seen from the report
+    assert report["recipe"]["name"] == "../short.toml"  # relative to the folder of the report
     assert report["problems"] == found.problems()
     for name, row in report["least_margins"].items():
         assert row["value"] == pytest.approx(found.least[name][0])

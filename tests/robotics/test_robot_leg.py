@@ -45,7 +45,7 @@ def test_published_formulas_at_right_angles():
     assert AIBO.forward(np.array([0.0, 0.0, np.pi / 2])) == pytest.approx([0, 0.0805, -0.0785])
     # Flapped by 90 degrees the leg points outwards.
     assert AIBO.forward(np.array([0.0, np.pi / 2, np.pi / 2])) == pytest.approx([0.0785, 0.0805, 0])
-    # Swung forward by 90 degrees, down is forward.
+    # Swung forward by 90 degrees, the leg points forward.
     assert AIBO.forward(np.array([np.pi / 2, 0.0, np.pi / 2])) == pytest.approx([0, 0.0785, 0.0805])
 
 

@@ -168,7 +168,7 @@ def test_the_simulated_a1_follows_a_stride_of_the_trot(trot, carries):
     assert off_m.max() < 0.02
     assert trot.advance_m is not None
     assert trot.advance_m[0] > 0.4
-    # The robot cannot follow the motion before its base was moved.
+    # Without the shift of the base, the robot cannot follow the motion.
     assert followed(trot)[1].max() > 2 * off_m.max()
 
 
