@@ -229,7 +229,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     records = []
-    if isinstance(document.get("cameras"), dict):  # Caliscope
+    if isinstance(document.get("cameras"), dict):  # as Caliscope writes
         inside = document["cameras"]
         document = {f"cam_{key}" if str(key).isdigit() else key: table for key, table in inside.items()}
     # Caliscope's camera without a calibration has only its size
@@ -243,7 +243,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     for section, table in tables.items():
         coefficients = table.get("distortions")
         if isinstance(coefficients, list) and len(coefficients) == 1:
-            table = table | {"distortions": coefficients + [0.0] * 3}  # only k1 was estimated; the others are 0
+            table = table | {"distortions": coefficients + [0.0] * 3}  # only k1 was estimated, and the others are 0
         record = record_of(table.get("name", section), f"{section}.", table)
         require_separate_pose(path, table, record)
         records.append(record)
@@ -311,7 +311,7 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
     Lengths in the file are fractions of the picture's longer side, and centres are measured from the picture's middle.
     """
     document = parse_json(read_calibration(path), path)
-    if isinstance(document, list) and document and isinstance(document[0], dict):  # reconstruction.json
+    if isinstance(document, list) and document and isinstance(document[0], dict):  # as in reconstruction.json
         document = document[0].get("cameras")
     expected = "a table for each camera, by its name, as in OpenDroneMap's cameras.json"
     called = {"image_size_px": "width, height", "model": "projection_type"}

@@ -333,7 +333,7 @@ def _columns(rows: Mapping[str, Sequence[float]]) -> Columns:
 
 
 def _frame_of_name(name: str) -> int | None:
-    """Return the last digits of a file name: 12 for run/frame_0012.png."""
+    """Return the last number in a file name, such as 12 for run/frame_0012.png."""
     digits = re.findall(r"[0-9]+", re.sub(r"\.[A-Za-z0-9]*$", "", re.split(r"[/\\]", name.strip())[-1]))
     return frame_number(digits[-1]) if digits else None
 

@@ -110,7 +110,7 @@ SCORER = "recon"
 FMPOSE3D = "fmpose3d_"
 """Text in the name of a scorer or network that identifies FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
-# Enough to see what is wrong with a file; a file of the wrong kind has thousands of problems.
+# A file of the wrong kind can have thousands of problems, of which a few say enough.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**9
 """Largest absolute frame number (three months at 120 Hz), because larger numbers are time stamps or errors."""
@@ -365,14 +365,14 @@ def number(text: str) -> float:
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     """Return cells (N,) as floats, NaN for `MISSING`, and the indices of cells that are infinite or not numbers."""
     cells = list(cells)
-    with suppress(ValueError, TypeError):  # the usual case, and several times as fast
+    with suppress(ValueError, TypeError):  # usually all cells are numbers, and this is faster
         joined = "".join(cells)  # type: ignore[arg-type]
         if not joined:  # nothing was detected, as in most frames of a long recording
             return np.full(len(cells), np.nan), []
         if "_" not in joined and joined.isascii():
             values = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
             return values, np.flatnonzero(np.isinf(values)).tolist()
-    if all(isinstance(cell, float) for cell in cells):  # Parquet files and tables in memory
+    if all(isinstance(cell, float) for cell in cells):  # cells of Parquet files and of tables in memory
         values = np.array(cells, dtype=float)
     else:
         values = np.full(len(cells), np.inf)

@@ -72,7 +72,7 @@ def read_corrections(path: Path) -> list[Correction]:
     corrections, problems = [], []
     width = width_of([header])
     for number, cells in cut_blank(lines[1:], width):
-        if len(cells) != width:  # such as the decimal commas of a table with commas, or a line cut short
+        if len(cells) != width:  # as in a line that is cut short
             problems.append(Problem(path, f"line {number}", f"{len(cells)} cells", f"{width}, as in the header"))
             continue
         row = {name: unguarded(cell.strip()) for name, cell in zip(header[:width], cells, strict=True)}

@@ -28,9 +28,9 @@ from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, one_animal, starts_with
 
 MAX_BYTES = 1 << 28
-"""Largest size of a MATLAB file that is read in bytes."""
+"""Largest size in bytes of a MATLAB file that is read."""
 MAX_UNPACKED = 1 << 28
-"""Largest size of the unpacked elements of a MATLAB file in bytes."""
+"""Largest size in bytes of the unpacked elements of a MATLAB file."""
 MAX_DEPTH = 12
 """Largest depth of cells and structures nested in each other."""
 MAX_ITEMS = 100_000
@@ -58,7 +58,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         values, frames = label["data_3d"], label["data_frame"]
         values = values.reshape(len(values), -1, 3)
     elif "pred" in variables:
-        values, frames = variables["pred"].swapaxes(-2, -1), variables["sampleID"]  # there may be an axis of animals
+        values, frames = variables["pred"].swapaxes(-2, -1), variables["sampleID"]  # with or without an axis of animals
     else:
         expected = "labelData with data_3d (frames, 3 for each point), or pred (frames, 3, points)"
         raise InputError(Problem(path, "data_3d", "nothing", expected))

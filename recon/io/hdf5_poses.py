@@ -120,7 +120,7 @@ def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
     levels, level_labels = [], []
     for i in range(int(attribute(group, f"{name}_nlevels"))):
         level = member(group, f"{name}_level{i}")
-        level_names = np.array([*_labels(group, level), "nan"], object)  # the last entry is for the code -1
+        level_names = np.array([*_labels(group, level), "nan"], object)  # code -1, a missing label, is the last entry
         codes = numbers(member(group, f"{name}_label{i}")).ravel()
         if codes.min(initial=0) < -1:
             raise ValueError(f"{name}_label{i} has codes without a label")

@@ -58,7 +58,9 @@ def read_pose3d(
 
 
 def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
-    """Return a file's positions in metres with z up; unit and up are as in `read_pose3d`.
+    """Return a file's positions in metres with z up.
+
+    `unit` and `up` are what the user states, as described in `read_pose3d`.
 
     Raises
     ------

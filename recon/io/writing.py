@@ -121,7 +121,7 @@ def write_table(
 ) -> None:
     """Write header rows, then one row per frame with its number and values (T, C); NaN is an empty cell.
 
-    `guard` is as in `write_rows`.
+    If `guard` is true, texts are escaped so that a spreadsheet does not run them.
     """
     write_rows(path, header, (), guard)
     with path.open("a", encoding="utf-8", newline="") as file:
@@ -138,7 +138,7 @@ def write_rows(
     If `guard` is true, texts are escaped so that a spreadsheet does not run them; otherwise other programs read them
     unchanged.
     """
-    text = cache(guarded if guard else encodable)  # a column of texts repeats a few in thousands of rows
+    text = cache(guarded if guard else encodable)  # a column repeats a few texts in thousands of rows
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([text(name) for name in row] for row in header)
@@ -155,7 +155,7 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
     NaN is an empty cell. This is much faster than writing row by row.
     """
-    import pyarrow as pa  # a dependency of rerun
+    import pyarrow as pa  # installed with rerun
     from pyarrow import csv as arrow_csv
 
     table = pa.table({name: _arrow_array(_guarded_column(values)) for name, values in columns.items()})

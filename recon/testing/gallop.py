@@ -69,8 +69,9 @@ _SWING_SPEED_M_S = 14.0
 """Speed for which the amplitudes of `_SERIES` hold."""
 _SWING_POWER = 0.26
 """Exponent with which the amplitude of `_SERIES` grows with speed."""
-# Inclination of each link to the ground (rad; 0 forwards, pi/2 down), and the root's height (m), over the stride's
-# phase: mean, then cosine and sine of each harmonic. tail_base -> spine -> neck_base are T5 and T1.
+# Fourier series over the stride's phase of each link's inclination to the ground (rad, 0 forwards, pi/2 down) and of
+# the root's height (m). A series has the mean, then cosine and sine of each harmonic. T5 is the link from tail_base to
+# spine, and T1 the link from spine to neck_base.
 _SERIES: dict[str, tuple[float, ...]] = {
     "height": (0.664, -0.025, -0.026, 0.001, 0.012),
     "T5": (-0.026, -0.143, 0.022),
@@ -230,7 +231,7 @@ def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, f
 
 
 class _Run(NamedTuple):
-    """A galloping animal at T times."""
+    """States and joints of a galloping animal at T times."""
 
     state: Array
     """States without position and orientation, shape (T, D)."""
@@ -385,7 +386,7 @@ def whole_gallop(
     Parameters
     ----------
     fps, n_frames
-        As in `gallop`.
+        Frame rate in Hz, and number of frames T.
     detector
         TOML file of a detector's keypoint offsets; none by default.
 

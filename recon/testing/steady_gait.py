@@ -80,8 +80,8 @@ class SteadyGait:
         strides = time_s / self.stride_s - self.landings[foot]
         swing = np.maximum(strides % 1.0 - self.duty_factor, 0.0) / (1 - self.duty_factor)
         middle = (self.lift_off_speed + self.touch_down_speed) / 2
-        # The integral of a speed that begins and ends with the speeds of lift-off and touch-down, and is 1 in the
-        # middle.
+        # The integral of a relative speed that begins at lift_off_speed, is 1 in the middle, and ends at
+        # touch_down_speed.
         progress = self.lift_off_speed * swing + (self.touch_down_speed - self.lift_off_speed) * swing**2 / 2
         progress = progress + (1 - middle) / np.pi * (1 - np.cos(np.pi * swing))
         progress = progress / (middle + 2 * (1 - middle) / np.pi)

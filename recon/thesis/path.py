@@ -117,7 +117,7 @@ def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Pa
     T = len(points_m)
     x = np.concatenate([points_m[np.flatnonzero(is_known)[0]], np.zeros(6)])
     P = np.diag(np.repeat([_FIRST_POSITION_M**2, _FIRST_SPEED_M_S**2, ACCELERATION_M_S2**2], 3))
-    # first row: predicted; second row: updated with the frame's position
+    # row 0 is predicted from the previous frame, and row 1 is updated with the frame's position
     means, covariances = np.empty((2, T, 9)), np.empty((2, T, 9, 9))
     for t in range(T):
         if t:

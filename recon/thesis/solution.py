@@ -150,7 +150,7 @@ class FrameSolution(Solution):
             size * np.einsum("tab,tb->ta", R, values)
             for values in (path.position_m, path.velocity_m_s, acceleration_m_s2)
         )
-        # the camera moves in the frame of a treadmill's belt
+        # in the frame of a treadmill's belt, the camera moves
         camera_m_s = self.fps * np.gradient(centre_m, axis=0)
         relative_sigma = (self.size_sigma or 0.0) / size
         derivatives = position + centre_m, velocity + camera_m_s, acceleration

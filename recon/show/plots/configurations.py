@@ -48,17 +48,17 @@ _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM = 160.0
-"""Largest width of the side view and of the top view in mm."""
+"""Largest width in mm of the side view and of the top view."""
 _HEIGHT_MM = 120.0
-"""Largest height of the side and top views together in mm."""
+"""Largest height in mm of the side and top views together."""
 _LEAST_MM = 18.0
-"""Smallest height of the side view in mm."""
+"""Smallest height in mm of the side view."""
 _FRONT_MM = 45.0
 """Largest height of the front view in mm, unless the side view is lower."""
 _LABELS_MM = 46.0
-"""Space for all labels and the colour bar in mm."""
+"""Space in mm for all labels and the colour bar."""
 _NUMBERS_MM = 10.0
-"""Width of the numbers at a vertical axis in mm."""
+"""Width in mm of the numbers at a vertical axis."""
 _WIDE_FRONT = 0.3
 """Fraction of the figure's width that the front view takes."""
 
@@ -287,9 +287,9 @@ VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
 The animal faces right in the side and top views, and faces the reader in the front view.
 """
 _NAME_MM = 3.4
-"""Height of a marker's name in a figure in mm."""
+"""Height in mm of a marker's name in a figure."""
 _LONG_MM = 0.42 * style.WIDTH_MM
-"""Length of the animal in a figure in mm."""
+"""Length in mm of the animal in a figure."""
 _SAME = 0.01
 """Distance between markers, as a fraction of the animal's extent in a view, below which they share a label."""
 

@@ -21,11 +21,11 @@ COLUMNS = 3
 NARROW_COLUMNS = 2
 """Number of panels in a row of a figure as wide as a column."""
 NARROW_MM = 120.0
-"""Largest width of a figure that counts as one column wide in mm."""
+"""Largest width in mm of a figure that counts as one column wide."""
 _PANEL_MM = 42.0
-"""Height of a panel with its stance bars in mm."""
+"""Height in mm of a panel with its stance bars."""
 _AROUND_MM = 24.0
-"""Height of labels and legend around the panels in mm."""
+"""Height in mm of labels and legend around the panels."""
 _BARS = 0.16
 """Fraction of a panel's height that the stance bars below the curves take."""
 _COLOURS: dict[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}

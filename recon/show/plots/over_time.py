@@ -134,7 +134,7 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait], feet: Sequence[str]) -> N
 
 
 def _fill(colour: str, m: int) -> dict[str, Any]:
-    """Return a pale fill with the hatch of the m-th gait and an edge."""
+    """Return the fill colour, hatch and edge of the stance bars of the m-th gait."""
     return {"fc": [0.55 + 0.45 * c for c in to_rgb(colour)], "ec": colour, "hatch": HATCHES[m % len(HATCHES)]}
 
 

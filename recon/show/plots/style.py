@@ -36,11 +36,11 @@ from recon.fit.posterior import radius
 from recon.gait.stances import INTERVAL, interval_of
 
 WIDTH_MM = 180.0
-"""Width of a figure as wide as a page in mm."""
+"""Width in mm of a figure as wide as a page."""
 COLUMN_MM = 85.0
-"""Width of a figure as wide as a column in mm."""
+"""Width in mm of a figure as wide as a column."""
 PAGE_MM = 235.0
-"""Height of a page within its margins in mm."""
+"""Height in mm of a page within its margins."""
 MM = 1 / 25.4
 """One millimetre in inches."""
 PNG_DPI = 200

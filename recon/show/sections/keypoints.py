@@ -48,7 +48,7 @@ def counts(motion: Motion) -> dict[str, Any]:
 
 
 def _stacked(motion: Motion, field: str) -> Array:
-    """Return a field of all cameras' pictures as one array (V, T, J)."""
+    """Return one attribute of all cameras' pictures as an array (V, T, J)."""
     return np.stack([getattr(picture, field) for picture in motion.pictures])
 
 

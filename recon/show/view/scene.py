@@ -157,7 +157,7 @@ class Scene:
 
     @classmethod
     def from_motion(cls, motion: Motion) -> Scene:
-        """Return the geometry of a motion."""
+        """Return the geometry that the views of a motion need."""
         camera = motion.camera
         axes, centre = level_from_camera(camera.up), np.zeros(3)
         if motion.frame_of_reference == "world":
@@ -258,7 +258,7 @@ def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> 
 
     rerun's own conversion creates an object for each strip, which takes longer than the fit of a long clip.
     """
-    import pyarrow as pa  # rerun depends on pyarrow
+    import pyarrow as pa  # installed with rerun
 
     archetype, batch = rr.LineStrips3D, rr.components.LineStrip3DBatch
     if points.shape[1] == 2:

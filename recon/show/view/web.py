@@ -109,7 +109,7 @@ def _program() -> Path:
 
 
 def _file(address: str, kind: str) -> Reply:
-    """Return a file of rerun's server without links to other servers, as a policy does not stop preconnects."""
+    """Return a file of rerun's server without its links to other servers, to which browsers would preconnect."""
     content = _content(address)
     return Reply(_LINK.sub(b"", content) if kind == "text/html" else content, kind)
 
