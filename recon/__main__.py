@@ -12,7 +12,7 @@ LEAST_MB = 640
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it at any moment, even during imports."""
+    """Run the command line, which Ctrl-C ends at any moment, even during imports."""
     _open_streams()
     _require_memory()
     collect_rarely()

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 CORNER_PX = 1.0
 """Maximum x and y, in pixels, of a constant position in the picture's corner that may stand for missing points."""
 CONSTANT_SHARE = 0.005
-"""Minimum fraction of a file's points at exactly one position that then stands for missing points."""
+"""Minimum fraction of a file's points that have a position which stands for missing points."""
 CONSTANT_KEYPOINTS = 3
-"""Minimum number of keypoints at a position that stands for missing points; a single keypoint may be stuck."""
+"""Minimum number of keypoints at a position that stands for missing points, because one keypoint may be stuck."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -442,7 +442,7 @@ class View(Brief):
     """
 
     camera: Camera
-    """Lens, intrinsics and picture size; the pose is in `T_camera_world`, not here."""
+    """Lens, intrinsics and picture size; its pose is not used (see `T_camera_world`)."""
     T_camera_world: Array
     """Camera poses, shape (T, 4, 4), or (4, 4) for a still camera."""
     xy_px: Array
@@ -478,7 +478,7 @@ class View(Brief):
 
     @property
     def focal_px(self) -> Array | float:
-        """Return the geometric mean of fx and fy, pixels; (T,) for a camera that zooms."""
+        """Return the geometric mean of fx and fy, pixels, as one number or, for a camera that zooms, (T,)."""
         if self.intrinsics_px is not None:
             return np.sqrt(self.intrinsics_px[:, 0] * self.intrinsics_px[:, 1])
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))

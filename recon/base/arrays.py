@@ -25,11 +25,11 @@ LONGEST = 250
 LONGEST_PART = 75
 """Maximum number of characters in the text of an object's field."""
 SMALL = 12
-"""Maximum number of elements of an array whose values are shown; a larger array is shown by its shape."""
+"""Maximum number of elements of an array whose values are shown instead of its shape."""
 
 
 class Brief:
-    """Base class of dataclasses with large fields; its `repr` fits one line and shortens large fields."""
+    """Base class of dataclasses with large fields, which `repr` shortens to fit on one line."""
 
     def __repr__(self) -> str:
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]

@@ -29,7 +29,7 @@ from recon.base.errors import ANY_FILE, NO_FILE, InputError, Problem
 from recon.base.file_names import encodable
 
 Json: TypeAlias = Any
-"""The content of a JSON text: dictionaries, lists, strings, numbers, booleans and None."""
+"""Content of a JSON text: dictionaries, lists, strings, numbers, booleans and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
 """Maximum size of a TOML file, in bytes, because the parser is slow; a skeleton has about 10 kB."""
@@ -112,7 +112,10 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = ANY_FILE) -> None:
-    """Raise InputError unless a path is a regular file; reading a pipe, for example, could block forever."""
+    """Raise InputError unless a path is a regular file.
+
+    Reading a pipe, for example, could block forever.
+    """
     with damage_as_input_error(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))
@@ -236,11 +239,11 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
-"""Type of a standard deviation in a file; values outside the limits indicate damage."""
+"""Type of a standard deviation in a file, with limits that only a damaged value exceeds."""
 
 
 class FileTable(BaseModel):
-    """Base class for tables in files; a field that the class does not declare is an error."""
+    """Base class for tables in files, which refuses fields that the class does not declare."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

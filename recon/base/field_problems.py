@@ -26,7 +26,7 @@ _EXPECTED = {
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "a number {message}"),
     "literal_error": "{expected}",
 }
-"""Text for the expected value, by the type of pydantic's error; the error's context fills the braces."""
+"""Text for the expected value, by the type of pydantic's error, with braces for values from the error's context."""
 _Table = Mapping[str, Any] | None
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 

@@ -35,11 +35,11 @@ _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 def staged_folder(folder: str | Path) -> Iterator[Path]:
     """Yield a staging folder, whose files move into `folder` when the block ends without an exception.
 
-    Each file replaces the file of the same name in one step; other files in `folder` stay. After an exception nothing
-    is left, not even a folder that was created for them. After a kill only a hidden staging folder is left, which
-    the next run removes. Any number of processes may write into one folder at the same time. An OSError names the file
-    that was to be written, or the folder. Commands write through `recon.base.outputs.Output`, which never replaces a
-    user's files.
+    Each file replaces the file of the same name in one step, and other files in `folder` stay. After an exception
+    nothing is left, not even a folder that was created for them. After a kill only a hidden staging folder is left,
+    which the next run removes. Any number of processes may write into one folder at the same time. An OSError names the
+    file that was to be written, or the folder. Commands write through `recon.base.outputs.Output`, which never replaces
+    a user's files.
     """
     with staging_in(Path(folder)) as staging:
         yield staging / NEW
@@ -176,7 +176,7 @@ class FileState(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> FileState:
-        """Return the state of a file; of a link, the state of the link itself."""
+        """Return the state of a file, or of a link instead of its target."""
         state = os.lstat(path)
         return cls(state.st_size, state.st_mtime_ns, state.st_ino)
 
@@ -290,7 +290,7 @@ class Manifest:
         return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
 
     def require(self, *names: str) -> None:
-        """Raise InputError unless these files exist and have not changed since the run wrote them."""
+        """Raise InputError unless the named files exist and have not changed since the run wrote them."""
         raise_problems(self.changed(names))
 
     def _fault(self, name: str) -> tuple[str, str] | None:

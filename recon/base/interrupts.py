@@ -88,7 +88,7 @@ class Interrupts:
         self._raise_interrupt(number, frame)
 
     def _raise_interrupt(self, number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt in the command, if it can clean up; otherwise `_watch` tries again."""
+        """Raise KeyboardInterrupt in the command if it can clean up, or else let `_watch` try again."""
         if not self.received or self._raised or not self.in_command or _is_importing(frame):
             return
         self._raised = True

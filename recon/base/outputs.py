@@ -59,9 +59,9 @@ class WrittenFile:
     """Results folder from which the file was made, relative to the file's folder; None if it was not made from results.
     """
     manifest: str | None = None
-    """SHA-256 of the manifest of these results at that time; None without results."""
+    """SHA-256 of the results' manifest when the file was made; None without results."""
     is_named: bool = False
-    """Whether the user named the file itself, not its folder; it is then kept when its results are removed."""
+    """Whether the user named the file itself, not its folder, so that the file stays when its results are removed."""
 
 
 _Written = dict[str, tuple[WrittenFile, ...]]
@@ -206,8 +206,9 @@ class Output:
     exact: str | None = None
     """Name of the file, if the user named a single file instead of a folder."""
     has_manifest: bool = False
-    """Whether the files are results with a manifest; files made from earlier results are then removed with these
-    results.
+    """Whether the files are results with a manifest.
+
+    If results are replaced, the files that were made from them are removed.
     """
     mark: str = ""
     """Name of a file that identifies a manifest of version 0.2, which does not state its command."""
@@ -219,7 +220,7 @@ class Output:
     def require(self, names: Iterable[str] = ()) -> None:
         """Raise InputError if the folder cannot be written to, or if one of the named files may not be replaced.
 
-        Call this before any work is done; `staged` checks again.
+        Callers use this method before any work is done, and `staged` checks again.
         """
         require_usable(self.folder)
         self._require_replaceable(names, self._written(), adds=self.exact is not None)
@@ -255,7 +256,7 @@ class Output:
 
     @contextmanager
     def staged_file(self) -> Iterator[Path]:
-        """Yield a path to write the single file that the user named; it moves into the output folder as in `staged`."""
+        """Yield a path for the single file that the user named, which moves into the output folder as in `staged`."""
         assert self.exact is not None
         with self.staged(adds=True) as folder:
             yield folder / self.exact

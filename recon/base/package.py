@@ -31,7 +31,7 @@ def install_command(extra: str) -> str:
 
 
 def pip_command() -> str:
-    """Return the pip command of this Python; `pip` in a shell may belong to another Python."""
+    """Return the pip command of this Python, because `pip` in a shell may belong to another Python."""
     return f"{quoted(sys.executable)} -m pip"
 
 

@@ -39,7 +39,7 @@ Outcome = Mapping[str, Any]
 """Results of a task, by name: at least the status, and the error if the task failed."""
 _Task = TypeVar("_Task")
 Work = Callable[[_Task, Progress], Outcome]
-"""Function that does a task; it must be at the top level of a module, so that another process can import it."""
+"""Function that does a task, defined at the top level of a module, so that another process can import it."""
 Tasks = Sequence[tuple[str, _Task]]
 """Pairs of a task's name and the task."""
 STARTING = "starting"
@@ -57,7 +57,7 @@ LOG_BYTES = 20_000
 
 @dataclass(frozen=True)
 class Event:
-    """Event in the life of a task: progress or its end; on a cluster, only the beginning and the end."""
+    """Progress or end of a task; on a cluster, only its beginning or end."""
 
     kind: Literal["progress", "ended"]
     name: str
@@ -187,7 +187,7 @@ class _Process:
         self.pid, self.tasks_left = self._process.pid, TASKS_PER_PROCESS
 
     def give(self, work: Work[_Task], task: _Task) -> None:
-        """Begin a task; its events come through the channel."""
+        """Begin a task, whose events come through the channel."""
         self.tasks_left -= 1
         with suppress(OSError):  # the process is dead, which `receive` will report
             self.channel.send((work, task))

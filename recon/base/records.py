@@ -82,8 +82,8 @@ def load_record(
 ) -> _Class:
     """Return the object that `save_record` wrote, of a given class.
 
-    `expected` describes the file, for messages; `classes` are the subclasses that it may contain; `older_versions` are
-    further versions of the schema that can be read.
+    `expected` describes the file in messages, `classes` are the subclasses that the file may contain, and
+    `older_versions` are further versions of the schema that can be read.
 
     Raises
     ------
@@ -121,7 +121,7 @@ class _Layout:
     stored: str
     """Type of the stored values, single precision if this changes no bit."""
     symmetric: bool
-    """Whether the last two axes are those of symmetric matrices; only their upper triangles are then stored."""
+    """Whether the last two axes are those of symmetric matrices, of which only the upper triangles are stored."""
 
     @classmethod
     def of_array(cls, array: np.ndarray) -> _Layout:
@@ -271,6 +271,6 @@ def _validated(record_class: type[_Class], fields: object) -> _Class:
 
 @cache
 def _adapter(record_class: type) -> TypeAdapter[Any]:
-    """Return a validator for a list of objects; pydantic takes no configuration for a single object."""
+    """Return a validator for a list of objects, because pydantic takes no configuration for a single object."""
     many: Any = GenericAlias(list, (record_class,))
     return TypeAdapter(many, config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))

@@ -28,7 +28,7 @@ from pydantic.fields import FieldInfo
 from recon.base.errors import Problem, raise_problems
 
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
-"""Suffixes of files; a string with one of them is not the name of a built-in item."""
+"""Suffixes that mark a string as a file instead of the name of a built-in item."""
 
 
 def _no_bool(value: object) -> object:
@@ -71,7 +71,7 @@ File = Annotated[Path, AfterValidator(Path.absolute)]
 NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
 """Type of the name of a built-in item, or of the absolute path of a file."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-"""Type of one or more values, as a tuple; the option on the command line may be repeated."""
+"""Type of one or more values, as a tuple, whose option on the command line may be repeated."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Option:
     expected: str = ""
     """Description of the expected value for messages; if empty, it is made from the type."""
     common: bool = True
-    """Whether the setting has its own option; other settings are given by `--set name=value` and in config.toml."""
+    """Whether the setting has its own option, and not only `--set name=value` and config.toml."""
     argument: str = ""
     """Name of the argument in the help, if the setting is an argument; empty for an option."""
     metavar: str = ""
@@ -99,7 +99,7 @@ class Option:
 
 @dataclass(frozen=True)
 class SettingInfo:
-    """One setting of a class, for the command line and for messages."""
+    """Description of one setting of a class, for the command line and for messages."""
 
     field: str
     option: Option
@@ -272,7 +272,7 @@ class Settings:
 
 
 OUTPUTS = ("out", "overlay")
-"""Names of settings for paths to which a command writes; all other paths are inputs."""
+"""Names of settings for paths to which a command writes, unlike all other paths, which it reads."""
 
 
 def input_paths(settings: Settings) -> tuple[Path, ...]:

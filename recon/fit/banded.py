@@ -81,7 +81,7 @@ _NO_PIECE = Normal(*5 * (np.zeros(0),))
 
 @dataclass(frozen=True)
 class Window:
-    """A piece of n frames of a clip, after all frames before it are eliminated from the normal equations."""
+    """Piece of n frames of a clip, with all earlier frames eliminated from its normal equations."""
 
     rows: slice
     piece: Normal
@@ -120,9 +120,10 @@ class Window:
         return self._unwhiten(whites[0], None if self.following is None else whites[1])
 
     def unwhiten(self, white: Array) -> Array:
-        """Return L^-T z in the frames of this window, (n, D, ...), as `_Factor.unwhiten` describes.
+        """Return L^-T z in the n frames of this window, (n, D, ...).
 
-        `white` holds z (n + m, D, ...) for the frames of this window and of the next piece.
+        `white` is z (n + m, D, ...) in the frames of this window and of the next piece. If z is white noise, the result
+        has the covariance H^-1.
         """
         if len(white) != self.rows_with_following.stop - self.rows.start:
             raise ValueError(
@@ -261,7 +262,7 @@ def add_normal(
 
 @dataclass(frozen=True)
 class _Factor:
-    """Cholesky factor L of H, for all or the first T frames of a piece; `factored` creates it."""
+    """Cholesky factor L of H, for all or the first T frames of a piece, as `factored` returns it."""
 
     band: Array
     """L in LAPACK's lower band storage, shape ((W+1)D, TD)."""
@@ -352,7 +353,7 @@ class _Factor:
         rows = np.zeros((T, D, P))  # rows[t] is L_tt', L_t+1,t', ... at first, and Z[t, t], Z[t, later] in the end
         for j in range(D):
             rows[:, j, j:] = columns[:, j, : P - j]
-        window = np.zeros((P, P))  # Z of the frames t, later; a frame after the last one is zero
+        window = np.zeros((P, P))  # Z of the frames t, later, which is zero for frames after the last one
         covariance_later = window[: P - D, : P - D]
         if later is not None:
             covariance_later[:] = later
@@ -391,7 +392,7 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
 
 
 def _factored_of(parts: Sequence[Array], damping: Array, bounded: bool) -> _Factor:
-    """Return the Cholesky factor of H, whose blocks come in several parts in the order of time; damping is (T, D)."""
+    """Return the Cholesky factor of H plus damping (T, D), from parts of its blocks in the order of time."""
     band = lower_band(*parts)
     band[0] += damping.ravel()
     try:

@@ -34,7 +34,7 @@ class Shape:
 
     body: Body
     lengths: tuple[str, ...] = ()
-    """Names of the segments and markers with an unknown distance from the origin of the segment that carries them.
+    """Names of the segments and markers whose distance from the origin of their parent segment is unknown.
 
     Lengths on the right equal those on the left.
     """
@@ -64,7 +64,7 @@ class Shape:
     def expected_precision(self, size_sigma: float) -> Array:
         """Return the prior precision (K, K) of the unknowns.
 
-        The prior correlates the lengths through the animal's size; each length also varies slightly on its own.
+        All lengths vary together with the animal's size, and each length also varies slightly on its own.
         """
         n = len(self.lengths)
         covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
@@ -131,7 +131,7 @@ class Shape:
         ]
 
     def leader(self, name: str) -> str:
-        """Return the segment or marker whose unknowns also apply to this one: its left counterpart, or itself."""
+        """Return the name of the left counterpart of a segment or marker, whose unknowns it shares, or its own name."""
         return other_side(name) if name in self._followers else name
 
     @cached_property

@@ -25,10 +25,7 @@ _NEAREST_M = 0.3
 Closer points are given the scale at this distance, so that the scale stays finite.
 """
 _SAME_CENTRE_M = 1e-6
-"""Maximum distance of a camera from the scene's origin, m, at which it counts as being there.
-
-The value only exceeds rounding errors.
-"""
+"""Maximum distance, m, between a camera and the scene's origin that counts as zero, to allow for rounding."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +36,10 @@ class TrajectoryOptions:
     """
 
     fast: bool = False
-    """Whether the search is shorter: fewer starts, only one of them solved to the end, and looser tolerances."""
+    """Whether the search is shortened, by fewer starts, of which only one is solved to the end, and looser tolerances.
+    """
     ground: Literal["auto", "none"] = "auto"
-    """Assumption about the feet: "auto" keeps standing feet still and on one plane; "none" makes no assumption."""
+    """Whether standing feet are assumed to be still and on one plane ("auto"), or nothing is assumed ("none")."""
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise, pixels."""
     keypoint_sigma_m: float | None = None
@@ -61,10 +59,15 @@ class TrajectoryOptions:
     uncertainty.
     """
     cameras_known: bool = False
-    """Whether the poses of two cameras are exact; if not, the usual errors of the second pose add to the uncertainty.
+    """Whether the poses of two cameras are exact.
+
+    If they are not, the usual errors of the second camera's pose add to the uncertainty.
     """
     lengths_known: bool = False
-    """Whether the body's lengths and keypoint offsets are exact; if not, a fit of several cameras estimates them."""
+    """Whether the body's lengths and keypoint offsets are exact.
+
+    If they are not, a fit of several cameras estimates them.
+    """
 
     def keypoint_noise_m(self, body: Body) -> float:
         """Return the standard deviation of the distance of a body's keypoints from its markers, m."""
@@ -108,7 +111,7 @@ class ClipProblem:
     shape: FreeShape | None = None
     """Unknown lengths and keypoint offsets of `body`; None if they are known."""
     solves_shape: bool = True
-    """Whether the fit estimates an unknown shape; if not, the shape's errors only add to the uncertainty."""
+    """Whether the fit estimates an unknown shape, or its errors only add to the uncertainty."""
     shape_scale: tuple[float, float] = (1.0, 1.0)
     """Factors on the expected standard deviations of lengths and of keypoint offsets.
 
@@ -236,7 +239,7 @@ class ClipProblem:
 
     @property
     def shows_size(self) -> bool:
-        """Return whether a picture was taken from a position other than the origin.
+        """Return whether any picture was taken away from the scene's origin, so that the pictures show the size.
 
         The size scales the scene about the origin, which changes no picture that is taken from there.
         """
@@ -270,7 +273,10 @@ class ClipProblem:
 
     @property
     def correlation_frames(self) -> float:
-        """Return the correlation time of the errors in frames, 1 or more; frames within this time count as one."""
+        """Return the correlation time of the errors, in frames, 1 or more.
+
+        Frames within this time count as one frame in the uncertainty.
+        """
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
@@ -347,7 +353,7 @@ class ClipProblem:
         return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
 
     def _time_offset_unknowns(self) -> list[SharedUnknown]:
-        """Return the cameras' time offsets as shared unknowns; if they are estimated, the first is 0 by definition."""
+        """Return the cameras' time offsets as shared unknowns, without the first camera's if the fit estimates them."""
         first_view, sigma_frames = 0, self.time_offset_frames
         if self.options.find_offsets:
             first_view, sigma_frames = 1, constants.SOUGHT_OFFSET_FRAMES
@@ -365,7 +371,7 @@ class ClipProblem:
         return np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
 
     def _bias_unknowns(self) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
-        """Return each view's own keypoint bias and the common bias as shared unknowns; a bias of exactly 0 has none."""
+        """Return each view's own keypoint bias and the common keypoint bias as shared unknowns, unless they are 0."""
         own_m, common_m = self._bias_sigmas_m()
         biases = [self._lasting(terms.keypoint_bias(i), own_m) for i in range(len(self.views))] if own_m.all() else []
         return biases, [self._lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
@@ -401,7 +407,7 @@ class ClipProblem:
 
     @property
     def _single_length_sigmas(self) -> Array:
-        """Return the relative standard deviation (L,) of each length, for one camera, which cannot estimate lengths."""
+        """Return the relative standard deviations (L,) of the lengths, which a fit of one camera cannot estimate."""
         assert self.shape is not None
         share = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
         return np.full(len(self.shape.lengths), share)
@@ -422,7 +428,7 @@ class ClipProblem:
     ) -> LeastSquares:
         """Return the least-squares problem with all of its terms.
 
-        This method selects the terms; `contacts` gives those of the feet.
+        This method selects all terms except those of the feet, which `contacts` makes.
 
         Parameters
         ----------

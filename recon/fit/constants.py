@@ -12,9 +12,9 @@ ROBUST_C = 3.0
 The value is a round number; `python benchmarks/accuracy.py --only ablation` also fits with 30.
 """
 KEYPOINT_BIAS_SHARE = 0.6
-"""Standard deviation of the keypoint bias, relative to that of a keypoint about its marker in a single frame.
+"""Standard deviation of the keypoint bias, relative to the standard deviation of keypoints in a single frame.
 
-The bias stays constant over a clip. The value is an assumption for detectors that were not measured; the posterior
+The bias stays constant over a clip. The value is an assumption for detectors that were not measured. The posterior
 increases it if the detections show a larger bias.
 """
 COMMON_BIAS_SHARE = 0.4
@@ -30,9 +30,11 @@ With this factor the 90 % intervals of the benchmark's real runs contain the tru
 as noise (`python benchmarks/cameras.py --only several`).
 """
 ERROR_TIME_S = 0.16
-"""Correlation time of errors of detections, in seconds; detections within it count once in the uncertainty.
+"""Correlation time of the errors of detections, s.
 
-The value was chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints (`python
+Detections within this time count once in the uncertainty.
+
+The value was chosen in the benchmark's real runs, so that 90 % regions contain about 90 % of the joints (`python
 benchmarks/uncertainty.py --only views`).
 """
 
@@ -97,28 +99,28 @@ MOVED = 8.5
 The standard deviation is then 0.3 m (a tripod that was pushed), or 12 % of the distance if the animal is close.
 """
 MOVED_SHARE = 0.1
-"""Prior probability that the first of two cameras was moved, and the same for the second; an assumption."""
+"""Prior probability, for each of two cameras, that the camera was moved; an assumption."""
 MISPLACED = 12.0
 """Factor on the usual standard deviations for a camera that was moved after calibration, or whose clock is wrong.
 
 The standard deviations are then 6 degrees, 0.6 m and 3.5 frames. The factor is a round number.
 """
 SIZE_OF_TWO_CAMERAS = 0.03
-"""Relative standard deviation of the animal's size as two cameras measure it."""
+"""Relative standard deviation of the animal's size as measured by two calibrated cameras."""
 
 LEAST_NOISE = 0.02
 """Minimum variance of a joint's detections, relative to the expected variance.
 
-The limit applies if several cameras estimate the body's shape and the detector was not measured; it only keeps a joint
-from being followed exactly.
+The limit applies if several cameras estimate the body's shape and the detector was not measured. It keeps a fit from
+following a joint exactly.
 """
 NOISE_COUNT = 1.0
-"""Number of detections that the expected variance counts as in the estimate of a joint's noise.
+"""Weight of the expected variance in the estimate of a joint's noise, as an equivalent number of detections.
 
-The number applies under the conditions of `LEAST_NOISE`.
+The weight applies under the conditions of `LEAST_NOISE`.
 """
 LENGTH_SHARE = 0.3
-"""Standard deviation of a single length, relative to that of the size, if several cameras estimate the shape.
+"""Standard deviation of a single length, relative to the size's, if several cameras estimate the shape.
 
 The standard deviation is increased if the solution shows that the animal's lengths vary more.
 """
@@ -140,9 +142,9 @@ KNOWN_SHAPE_SCALE = (1 / 3, 1 / 2)
 A detector and a skeleton that were measured together fit each other.
 """
 SHAPE_COUNT = 8.0
-"""Number of lengths, or of offset coordinates, that the expected spread counts as in an estimate of their spread.
+"""Weight of the expected spread of lengths in its estimate from a solution, as an equivalent number of lengths.
 
-The estimate comes from a solution, in which the lengths are few.
+The weight of the expected spread of offsets is the same number of coordinates.
 """
 
 # The animal's motion
@@ -210,11 +212,14 @@ NOISE_ROUNDS = 3
 A fast fit has one round.
 """
 TOLERANCE = 1e-5
-"""Relative decrease of the cost that the next step must be expected to bring; otherwise the search ends.
+"""Relative decrease of the cost that is expected of the next step, below which the search ends.
 
 A fast fit uses ten times this value. The error from ending the search is far below the uncertainty of the joints.
 """
 ROUGH_TOLERANCE = 1e-3
-"""Value of `TOLERANCE` in all rounds but the last; they only serve to estimate noise, contacts and shape spread."""
+"""Value of `TOLERANCE` in all rounds but the last.
+
+Earlier rounds only serve to estimate noise, contacts and the spread of the shape.
+"""
 MAX_ITERATIONS = 30
 """Maximum number of iterations of one search."""

@@ -39,7 +39,7 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
 _MOST_WEIGHT = 0.99
-"""Largest weight w of a detection in the formulas of the module; larger weights are reduced to this value."""
+"""Maximum weight w of a detection in the formulas of the module, to which larger weights are reduced."""
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, which bounds the memory."""
 _FRAMES_KEPT = 5000
@@ -191,7 +191,7 @@ def _covariance_and_derivative(
 
 
 def _covariances(pieces: Iterable[Normal], ahead: int | None) -> Iterator[tuple[slice, Array]]:
-    """Yield groups of N frames with the covariance of each frame's states, (N, D, D); `ahead` is as in `eliminated`."""
+    """Yield slices of N frames and the covariances (N, D, D) of their states; `ahead` as in `eliminated`."""
     for window in eliminated(pieces, bounded=True, ahead=ahead):
         covariance, start = window.marginal_blocks()[:, 0], window.rows.start
         for first in range(0, len(covariance), _FRAMES_AT_ONCE):

@@ -44,7 +44,7 @@ _UNKNOWN_RAD = float(np.radians(10.0))
 _UNKNOWN_M = 1.0
 """Standard deviation of a camera's initial position along each axis, m, if no poses are given; an assumption."""
 LEVEL_RAD = float(np.radians(5.0))
-"""Standard deviation of a camera's tilt and roll about the level or stated ones, rad, if they were not measured."""
+"""Standard deviation of a camera's tilt and roll about the stated values, or about level, rad, if not measured."""
 _FIXED = 1e-6
 """Standard deviation, in the unknown's own unit, that is small enough to fix the unknown."""
 _SIZE_SIGMA = 1e-3
@@ -109,7 +109,8 @@ def solve_extrinsics(
         Whether the views have rough poses, with standard deviations `CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M` of
         `recon.fit.constants`.
     level_rad
-        Standard deviation of the cameras' upward directions (`Camera.up`) about each axis, rad; not used if `posed`.
+        Standard deviation of the cameras' upward directions (`Camera.up`) about each axis, rad. It is not used if
+        `posed`.
     progress
         Function that is called with the name of the stage and the fraction that is done.
 
@@ -156,14 +157,14 @@ def solve_extrinsics(
 
 
 def _with_fixed_cameras(clip: ClipProblem, posed: bool) -> ClipProblem:
-    """Return the problem with fixed cameras; the size is fixed as well, unless the views have poses."""
+    """Return the problem with fixed cameras and, if no view has a pose, with a fixed size."""
     size_sigma = clip.options.size_sigma if posed else _SIZE_SIGMA
     options = replace(clip.options, refine_cameras=False, cameras_known=True, size_sigma=size_sigma)
     return replace(clip, options=options, time_offset_frames=_TIME_OFFSET_FRAMES)
 
 
 def search_offsets(clip: ClipProblem) -> Array:
-    """Return the delay in whole frames of each camera relative to the first, beyond that of the views, (V,).
+    """Return the delay (V,), in whole frames, of each camera relative to the first, beyond the views' stated delay.
 
     The cameras need no poses, because the joints of each camera's own solution are compared with those of the first.
     The delay is NaN if they never match.

@@ -45,10 +45,10 @@ BANDS = 2
 _FRAMES_AT_ONCE = 128
 """Number of frames whose terms are evaluated at once, few enough for the processor's cache."""
 _PIECE_S = 5.5
-"""Time, in seconds, after which frames hardly influence each other, so that a long clip can be solved in pieces."""
+"""Time between frames, s, at which they hardly influence each other, so that a long clip can be solved in pieces."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
-"""Minimum further decrease of the cost for which a step is extended.
+"""Minimum expected decrease of the cost for which a step is extended.
 
 The value is a fraction of the decrease below which the search ends.
 """
@@ -67,7 +67,7 @@ def piece_of(fps: float) -> int:
 
 @dataclass(frozen=True)
 class SharedUnknown:
-    """P unknowns that all frames share, under one name, with prior means (P,) and standard deviations (P,)."""
+    """Group of P unknowns that all frames share, with a name, prior means (P,) and standard deviations (P,)."""
 
     name: str
     mean: Array
@@ -150,7 +150,10 @@ class LeastSquares:
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
-        """Return the sum of the squared residuals; terms that are not linear count only in the frames `rows`."""
+        """Return the sum of the squared residuals.
+
+        Terms that are not linear count only in the frames `rows`.
+        """
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
         jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
         for span in self.spans(states, self.expected() if shared is None else shared, jacobian, rows):
@@ -166,7 +169,7 @@ class LeastSquares:
         return sum(self.costs(states, shared).values())
 
     def normal(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> Normal:
-        """Return the normal equations at given values of the unknowns, for the frames `rows`; the others are fixed."""
+        """Return the normal equations of the frames `rows` at given values of the unknowns, with other frames fixed."""
         start, stop, _ = rows.indices(len(states))
         (whole,) = self._pieces(states, shared, [stop], start)
         return whole
@@ -187,14 +190,14 @@ class LeastSquares:
         T, stops = len(states), self._stops(len(states))
         if len(stops) == 1:
             return slice(0, T), self.normal(states, shared)
-        i = next(i for i, stop in enumerate(stops) if stop > T // 2)  # i is at least 1
+        i = next(i for i, stop in enumerate(stops) if stop > T // 2)  # the first piece ends before the middle, so i > 0
         start, stop = stops[i - 1], stops[i]
         # the terms of the previous frame read the first frame of the piece
         _, piece = self._pieces(states, shared, [start, stop], start - _FRAMES_AT_ONCE)
         return slice(start, stop), piece
 
     def _stops(self, T: int) -> list[int]:
-        """Return the ends of the pieces of T frames; the last piece is up to twice as long as the others."""
+        """Return the ends of the pieces of T frames, of which the last is up to twice as long as the others."""
         return [*range(self.piece, T - self.piece, self.piece), T]
 
     def _pieces(
@@ -202,7 +205,8 @@ class LeastSquares:
     ) -> Iterator[Normal]:
         """Yield the normal equations piece by piece, from frame `start` on.
 
-        `stops` are the ends of the pieces; all but the last are multiples of `_FRAMES_AT_ONCE` after the start.
+        `stops` are the ends of the pieces, of which all but the last are multiples of `_FRAMES_AT_ONCE` after the
+        start.
         """
         shared = self.expected() if shared is None else shared
         (T, D), empty = states.shape, np.zeros(0)
@@ -392,7 +396,7 @@ def _no_markers(states: Array) -> TreePose:
 
 
 def _best_length(decrease: float, slope: float) -> float:
-    """Return the factor on a step that minimises the cost along it, as a parabola; at most `_LONGEST`."""
+    """Return the factor, at most `_LONGEST`, on a step that minimises a parabola through the costs along it."""
     bend = -decrease - slope  # the cost at length x is slope x + bend x^2
     return min(-0.5 * slope / bend, _LONGEST) if bend > 0 else _LONGEST
 

@@ -36,7 +36,7 @@ More of its precision then comes from the pixels than from the prior.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture(Brief):
-    """Detections of one camera in T frames, and the pose's J joints in that camera's frame and picture."""
+    """Detections of one camera in T frames, and the J joints of the pose in the camera's frame and pictures."""
 
     source: Source
     T_reference_camera: Array
@@ -126,7 +126,7 @@ class Motion:
     The array is None if the method cannot compute the decrease (`recon.fit.correction_gain`).
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
-    """Seconds that each part of the fit took, by name; `solution.stage_s` has the stages of the solver."""
+    """Seconds that each part of the fit took, by name, apart from the solver's stages (`solution.stage_s`)."""
 
     def __repr__(self) -> str:
         """Return one line of text with the clip, the animal and the verdict."""
@@ -140,7 +140,7 @@ class Motion:
         return html_of(self)
 
     def derived(self, make: Callable[[Motion], _T]) -> _T:
-        """Return the result of a function of this motion, such as its analysis; the function is called only once."""
+        """Return the result of a function of the motion, such as its analysis, and call the function only once."""
         if make not in self._derived:
             self._derived[make] = make(self)
         return self._derived[make]
@@ -215,7 +215,7 @@ class Motion:
     def plot(self) -> Figure:
         """Return a matplotlib figure of the animal's poses from the side, evenly spaced over the clip.
 
-        `figure.savefig("side.pdf")` saves the figure; a notebook shows it.
+        `figure.savefig("side.pdf")` saves the figure, and a notebook shows it.
         """
         from recon.fit.motion_forms import figure_of
 
@@ -395,7 +395,7 @@ class Motion:
 
     @property
     def clip_frames(self) -> int:
-        """Return the number of frames of the clip, including those far from any detection."""
+        """Return the number of frames of the clip, including frames far from any detection."""
         return int(self.frames[-1] - self.frames[0]) + 1
 
     @cached_property
@@ -500,7 +500,7 @@ class Motion:
 
     @property
     def segments(self) -> tuple[MotionSegment, ...]:
-        """Return the parts of the clip that have a pose, each with its ground; the whole clip if there are none."""
+        """Return the parts of the clip with a pose, each with its ground, or the whole clip if no part has a pose."""
         return self.solution.segments or (MotionSegment(slice(0, len(self.frames)), None),)
 
     # The frame of reference of the camera file
@@ -579,7 +579,10 @@ class Motion:
 
     @property
     def flags(self) -> tuple[tuple[str, ...], ...]:
-        """Return the flags of each frame, (T,); in a frame without a pose, a flag gives the reason."""
+        """Return the flags of each frame, (T,).
+
+        In a frame without a pose, a flag gives the reason.
+        """
         return self.solution.flags
 
     @property

@@ -34,7 +34,7 @@ EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to the motion in a results folder of `recon fit`."""
 _FIT_FILES = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
-"""Files of a fit; if one of them exists without the manifest, the run was interrupted."""
+"""Files of a fit, each of which shows an interrupted run if the manifest is missing."""
 
 
 def _chain() -> type:
@@ -48,7 +48,7 @@ def _trajectory_solution() -> type:
 
 
 def _frame_solution() -> type:
-    # The frame method is optional; its results can be read if it is installed.
+    # Results of the frame method can be read only if this optional package is installed.
     from recon.thesis.solution import FrameSolution
 
     return FrameSolution
@@ -67,7 +67,7 @@ _CLASSES_BY_PATH = {
 
 
 Motion: TypeAlias = Any
-"""`recon.fit.motion.Motion`, which imports this module and cannot be imported here."""
+"""Stand-in for the class `recon.fit.motion.Motion`, whose module imports this one."""
 
 
 def load(motion_class: type[Motion], folder: Path) -> Motion:

@@ -2,12 +2,12 @@
 
 The detections of two cameras do not determine all errors of their poses. A turn of one camera about the vertical is
 visible only in the animal's apparent size, and it often remains unclear which of the two cameras is turned. The errors
-have heavy tails. About each axis of each camera, the rotation is that of a good calibration or, with probability
-`constants.TURNED_SHARE`, much larger; and one of the two cameras may have been moved. A hypothesis states about which
-axes the cameras are turned, and whether one of them was moved. Under each hypothesis, the likelihood and the prior of
-the errors are Gaussian, so the marginal likelihood and the posterior of the errors have a closed form. The poses are
-then the mean over all hypotheses, which has the smallest expected error. If it is unclear which of the two cameras is
-turned, each is turned by half.
+have heavy tails. About each axis of each camera, the rotation error is small, as after a good calibration, or much
+larger, with probability `constants.TURNED_SHARE`. One of the two cameras may also have been moved. A hypothesis states
+about which axes the cameras are turned, and whether one of them was moved. Under each hypothesis, the likelihood and
+the prior of the errors are Gaussian, so the marginal likelihood and the posterior of the errors have a closed form. The
+poses are then the mean over all hypotheses, which has the smallest expected error. If it is unclear which of the two
+cameras is turned, each is turned by half.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class PairPoses:
 
 @dataclass(frozen=True, eq=False)
 class WeighedPair:
-    """Hypotheses about the errors of two cameras' poses, with the precision of these errors in a problem."""
+    """Hypotheses about the errors of two cameras' poses in a problem, with the marginal precision of the errors."""
 
     poses: PairPoses
     columns: Index

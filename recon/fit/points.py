@@ -24,7 +24,7 @@ _SIZE_ROUNDS = 20
 _RETRIES = 2
 """Number of times that frames with a large error are solved again, starting from their neighbours."""
 _DAMPING = (1e-12, 1e12)
-"""Minimum and maximum damping of a step; a frame that reaches the maximum is not improved further."""
+"""Minimum and maximum damping of a step; the search of a frame ends at the maximum."""
 
 
 def solve_points(
@@ -132,7 +132,7 @@ def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float
 
 
 class _NormalEquations(NamedTuple):
-    """Normal equations of N frames, each with D unknowns of its own, and of the size that they share."""
+    """Normal equations of N frames with D unknowns each, and of the size that all frames share."""
 
     hessian: Array
     """Curvature of the cost with respect to the states, shape (N, D, D)."""

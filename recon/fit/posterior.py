@@ -4,7 +4,7 @@
 frames, B that between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s with x eliminated
 (`recon.fit.banded`). If s moves by ds, x follows by -Y ds. The covariance of s is S^-1. The covariance of a frame is a
 block of H^-1, with s fixed, plus Y S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the
-ground may determine it further. `curvature` computes these parts; `posterior` adds them up frame by frame.
+ground may determine it further. `curvature` computes these parts, and `posterior` adds them up frame by frame.
 
 **2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p with respect to the frame's
 unknowns, and let a be the derivative of these unknowns with respect to the size (`state_by_size`). With q = p + size J
@@ -17,8 +17,8 @@ and q minus their means over the joints.
 
 **3. Persistent errors.** The cost treats the errors of neighbouring frames as independent, but they are correlated. All
 variances are therefore multiplied by `variance_factor`, the correlation length in frames. A keypoint bias is constant
-over the whole clip. The bias is not an unknown of the solution but of the posterior; its expected variance is increased
-if the detections show a larger one (`_bias_scale`). The noise of the detections is then estimated again
+over the whole clip. The bias is not an unknown of the solution but of the posterior. Its expected variance is increased
+if the detections show a larger bias (`_bias_scale`). The noise of the detections is then estimated again
 (`with_reestimated_noise`), because otherwise the bias would count twice.
 
 **4. Information fraction.** The variance of a joint or an angle is compared with its variance without the pixels, which
@@ -71,7 +71,7 @@ The number is smaller, because lengths and offsets add many derivatives to each 
 _BIAS_ROUNDS = 10
 """Number of rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
-"""Number of unknowns that the expected variance of the keypoint bias counts as in its estimate."""
+"""Weight of the expected variance of the keypoint bias in its estimate, as an equivalent number of unknowns."""
 _NOISE_ROUNDS = 2
 """Maximum number of rounds that estimate the noise of detections about their keypoint bias."""
 _EXPLAINED = 0.05
@@ -113,7 +113,7 @@ class Posterior:
     joint_by_size_m: Array
     """Derivatives q of the joints with respect to the size (see the module), shape (T, J, 3)."""
     size_precision: float
-    """Precision of the size due to the pixels; 0 if they do not determine it."""
+    """Precision of the size due to the pixels; 0 if the pixels do not determine it."""
     shared_sigma: dict[str, Array]
     """Standard deviations (P,) of the estimated shared unknowns, and of lengths and offsets, by name.
 
@@ -159,7 +159,7 @@ class Curvature:
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
         """Yield the windows with the derivatives of their n frames with respect to the shared unknowns.
 
-        The first array is Y (n, D, P) for the P unknowns other than the size, whose change moves the frames by -Y; the
+        The first array is Y (n, D, P) for the P unknowns other than the size, whose change moves the frames by -Y. The
         second array is the derivative (n, D) with respect to the size.
         """
         n_size = len(self.shared_precision) - len(self.covariance_root)  # the size comes first
@@ -180,7 +180,7 @@ class _SharedCurvature(NamedTuple):
     precision: Array
     """Precision of the unknowns, shape (P, P), for the estimated variance of the common keypoint bias."""
     gradient: Array
-    """Gradient of the cost with respect to these unknowns, shape (P,)."""
+    """Gradient of the cost with respect to the unknowns, shape (P,)."""
     expected_precision: Array
     """Contribution of each unknown's prior to its precision, shape (P,)."""
     excess_bias_m2: Array | float
@@ -357,7 +357,7 @@ class _EquationsByNoise:
     """Normal equations of a short clip, which can be rescaled to another noise of the detections."""
 
     whole: Normal | None
-    """Normal equations of all terms; None for a long clip, for which they would be too large."""
+    """Normal equations of all terms; None for a long clip, which needs too much memory."""
     undetected: Normal | None
     """Normal equations of all terms except the detections; None for a long clip."""
 
@@ -400,7 +400,7 @@ def posterior(
     Parameters
     ----------
     problem
-        The problem; its nuisance unknowns are freed.
+        The problem, whose nuisance unknowns are freed.
     body
         The body, with J joints and D unknowns per frame.
     estimate
@@ -446,7 +446,7 @@ def posterior(
 
 
 def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
-    """Add the covariance Y S^-1 Y' due to the shared unknowns other than the size to that of the states, in place."""
+    """Add the covariance due to the shared unknowns other than the size, Y S^-1 Y', to the states' covariance."""
     for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         lasting = _times_root(by_others[rows], root)
@@ -613,7 +613,7 @@ class PriorMisfit:
     """Deviation of a motion from its prior, compared with the deviation expected if the prior fits."""
 
     level: float
-    """Sum of the prior's squared residuals, relative to the sum expected if the prior fits; then it is about 1."""
+    """Sum of the prior's squared residuals, relative to its expectation; about 1 for a prior that fits."""
     freedom: float
     """Number of unknowns of the motion that the pixels determine."""
 
@@ -624,7 +624,7 @@ class PriorMisfit:
 
     @property
     def unlike(self) -> bool:
-        """Return whether the misfit is too large for a motion like those of the prior."""
+        """Return whether the misfit is too large for a motion like the prior's motions."""
         variance = 2.0 / (9.0 * self.freedom)  # a chi square's cube root is nearly normal (Wilson and Hilferty)
         by_chance = (1.0 - variance + constants.MISFIT_SIGMAS * variance**0.5) ** 3
         return self.level >= max(constants.MISFIT_LEVEL, by_chance)
@@ -645,7 +645,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 DEGREES_OF_FREEDOM = 7.0
 """Degrees of freedom nu of Student's t, most likely for the errors of real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
-"""Variance, m^2, that is added to covariances, which are singular for a pose relative to its own middle."""
+"""Variance, m^2, added to covariances, because the covariance of a pose relative to its own middle is singular."""
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:

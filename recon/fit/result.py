@@ -23,7 +23,7 @@ Number = float | int | str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding of a check; `recon.check.codes.CODES` has the severity and the text of each code."""
+    """Problem or remark that a check found, with a code whose text is in `recon.check.codes.CODES`."""
 
     code: str
     severity: Severity
@@ -32,7 +32,7 @@ class Finding:
     camera: str | None = None
     """Name of the camera that the finding is about; None for all cameras, or for the clip."""
     numbers: dict[str, Number] = field(default_factory=dict)
-    """Evidence, as numbers or texts, by name; the end of a name gives the unit (rad, m, s, px)."""
+    """Evidence as numbers or texts, by names that end in the unit (rad, m, s, px)."""
 
     def names(self, number: str) -> tuple[str, ...]:
         """Return the names in the evidence under a key; empty if the evidence has none."""
@@ -239,9 +239,9 @@ class ReferencePath(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Brief):
-    """An animal's motion over T frames, as every method returns it.
+    """Motion of an animal over T frames, as every fitting method returns it.
 
-    The animal has J markers, D unknowns per frame and F feet; there are V views. Positions are in the world frame
+    The animal has J markers, D unknowns per frame and F feet, and V cameras saw it. Positions are in the world frame
     (`recon.geometry.frames`), metres; NaN in frames without a pose.
     """
 
@@ -258,7 +258,7 @@ class Solution(Brief):
     states: Array
     """Unknowns of each frame, for lengths times `size` and a root position in the world, shape (T, D)."""
     size: float
-    """Factor on the skeleton's lengths; the median over frames if a method estimates one for each."""
+    """Factor on the skeleton's lengths, the median over the frames if a method estimates a size for each."""
     joints_m: Array
     """Joints in the world, shape (T, J, 3); NaN without a pose."""
     covariance_m2: Array
@@ -274,7 +274,7 @@ class Solution(Brief):
     weight: Array
     """Weight of each detection, 0 to 1, shape (V, T, J); NaN if missing."""
     flags: tuple[tuple[str, ...], ...]
-    """Flags of each frame, shape (T,); in a frame without a pose, a flag gives the reason."""
+    """Flags of each frame, shape (T,), including the reason in a frame without a pose."""
     alternative_m: Array
     """Mean distance between the joints of the two best solutions, both centred, m, shape (T,).
 
@@ -348,15 +348,15 @@ class TrajectorySolution(Solution):
     size_prior_sigma: float
     """Prior standard deviation of the animal's size about 1."""
     size_from: tuple[str, ...]
-    """Sources of the size: "prior", and "views" and "ground" if they determine it."""
+    """Sources of the size: always "prior", and also "views" or "ground" if these determine the size."""
     data_share: Array
     """Information fraction of the joints, the part of their precision from the pixels, 0 to 1, shape (J,)."""
     alternative_cost: float
-    """Cost of the second-best solution minus that of the best solution."""
+    """Difference in cost between the second-best and the best solution."""
     prior: str
     status: Literal["converged", "not_converged"]
     cost_by_term: dict[str, float]
-    """Cost of each term by its name: half the squared norm of its residuals, under the robust loss."""
+    """Cost of each term by its name, half the squared norm of its residuals under the robust loss."""
     iterations: int
     starts: int
     """Number of starts of the search that were tried."""
@@ -389,5 +389,5 @@ class TrajectorySolution(Solution):
 
     @property
     def second_cameras(self) -> list[SecondCamera]:
-        """Return the tests of the second camera, one per segment that has a test."""
+        """Return the tests of the second camera, for all segments that have one."""
         return [segment.second_camera for segment in self.segments if segment.second_camera is not None]

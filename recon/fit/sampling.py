@@ -28,7 +28,7 @@ from recon.geometry.kinematics import ROOT
 def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int = 0) -> list[TrajectorySolution]:
     """Return motions drawn from the posterior, as solutions.
 
-    Each draw has its own states, joints and size; everything else, including the contacts, is copied from the solution.
+    Each draw has its own states, joints and size. Everything else, including the contacts, is copied from the solution.
     The problem is set up again at the solution, with each joint's mean noise over the segments. A segment has no pose
     if one of its frames diverged, because it cannot be set up again. Errors of the track of a single moving camera are
     not drawn.

@@ -38,7 +38,7 @@ POSED_OFFSET_SIGMA_M = 0.02
 FIXED_SIZE_SIGMA = 1e-4
 """Relative standard deviation of the animal's size, so small that the size is fixed and only lengths change."""
 _PRIOR_COUNT = 8
-"""Number of views that the expected spread of a keypoint's bias counts as in its estimate."""
+"""Weight of the expected spread of a keypoint's bias in its estimate, as an equivalent number of views."""
 ROUNDS = 8
 """Maximum number of rounds of solving the clips and changing the shape."""
 CLOSE_ENOUGH = 0.05
@@ -61,7 +61,7 @@ class ShapeFit:
     noise_m: dict[str, float]
     """Standard deviation of a keypoint in a single frame, m, for each marker of the left side and the middle."""
     spread_m: dict[str, float]
-    """Standard deviation of the keypoint bias along each axis, m, which is constant within one clip and camera.
+    """Standard deviation of the keypoint bias along each axis, m, by marker; the bias is constant in a clip and camera.
 
     The bias is given for each marker of the left side and the middle.
     """

@@ -147,7 +147,7 @@ def _shared_fields(
 
 
 def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Posterior:
-    """Return the posterior of a segment for the estimated body; `unshaped` is the problem with the expected body."""
+    """Return the posterior of a segment for the estimated body, from the problem `unshaped` with the expected body."""
     problem = _with_free_world(_with_expected_shape_spread(unshaped, segment.problem))
     return posterior_with_reestimated_noise(problem, body, segment.estimate, unshaped.correlation_frames)
 
@@ -168,7 +168,7 @@ class _ClipArrays:
         return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
 
     def fill(self, name: str, rows: slice, values: Array) -> None:
-        """Set the named array's values in the frames `rows`; the array `values` may be kept and rounded in place."""
+        """Set the named array in the frames `rows` to values, an array that may be kept and rounded in place."""
         if name in SINGLE:
             _round_to_single(values)
         if values.shape == self.shapes[name]:  # a copy of a whole clip would be large
@@ -266,7 +266,7 @@ def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> Lea
 
 
 def _with_free_world(problem: LeastSquares) -> LeastSquares:
-    """Return the problem without the ground if all cameras' poses are uncertain; a fixed plane would fix the world."""
+    """Return the problem without the ground, which would fix the world, if all cameras' poses are uncertain."""
     names = [unknown.name for unknown in (*problem.shared, *problem.nuisance)]
     if extrinsic_correction(0) not in names:
         return problem
@@ -428,7 +428,7 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 
 
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
-    """Return the minimum, over a segment's windows, of a second solution's extra cost; infinite if there is none.
+    """Return the minimum extra cost of a second solution in any window of a segment, infinite if there is none.
 
     The mean distance between the joints of the two solutions, both centred, is written to `distance_m` (T,).
     """
@@ -457,7 +457,7 @@ def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
 def _frame_flags(
     clip: ClipProblem, joints_m: Array, weight: Array, alternative_m: Array, out_of_sight: Bools
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the flags of each frame, (T,); `weight` has the shape (V, T, J)."""
+    """Return the flags of each frame, (T,), from joints (T, J, 3), weights (V, T, J) and further masks."""
     detected = clip.present().sum(axis=1)
     trusted = np.where(np.isfinite(weight), weight, 0.0).max(axis=0).sum(axis=1)
     usual_trusted = np.percentile(trusted[detected > 0], 90) if detected.any() else 0.0

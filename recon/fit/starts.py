@@ -2,7 +2,7 @@
 
 The mean pose, moving at constant velocity, is fitted to the viewing rays for many headings. The best of these starts
 are then refined while the noise decreases (`approach`). For a given heading, the position that brings a shape nearest
-to the rays of one frame is the solution of a small least-squares problem; its distance follows from the size of the
+to the rays of one frame is the solution of a small least-squares problem. The distance follows from the size of the
 shape. The path over a window shows whether the animal comes nearer or goes away, which a single frame cannot show.
 """
 
@@ -38,7 +38,7 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
     joints_m
         Points of the shape, (..., J, 3), metres.
     rays
-        Unit vectors from the camera, (..., J, 3), NaN if missing; at least two of the J rays must be known.
+        Unit vectors from the camera, (..., J, 3), NaN if missing. At least two of the J rays must be known.
 
     Returns
     -------
@@ -94,9 +94,9 @@ def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
 def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[Array, Array]:
     """Return the normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays.
 
-    The first three arguments are the results of `_off_rays`; `weight` (..., J) holds the weights of the joints, over
-    which the equations are summed. The residual is q - c d. Its derivative with respect to the point is S = (I - d d' -
-    (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r.
+    The first three arguments are the results of `_off_rays`. The equations are summed over the joints with `weight`
+    (..., J). The residual is q - c d. Its derivative with respect to the point is S = (I - d d' - (q - c d) q') / r, so
+    that S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r.
     """
     square = weight * _dot(near, near)  # weight / r^2
     along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
@@ -189,9 +189,9 @@ def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
 
 
 APPROACH_HZ = 30.0
-"""Frame rate of the approach, Hz; clips with a higher rate are thinned to about this rate."""
+"""Frame rate of the approach, Hz, to which clips with a higher rate are thinned."""
 _HEADINGS = 18
-"""Number of headings that are tried; a fast fit tries half as many."""
+"""Number of headings that are tried; half of it in a fast fit."""
 _APART_RAD = 0.5
 """Angle between two headings, rad, below which only the better one is a start."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
@@ -201,7 +201,7 @@ _SAME_M = 0.05
 ALTERNATIVE_COST = 20.0
 """Maximum extra cost at which a second solution is reported."""
 _HOPELESS = 2.0
-"""Factor on the cost up to which a second solution is reported; a start with a higher cost is given up early.
+"""Factor on the maximum cost of a reported second solution, above which the search from a start is given up early.
 
 `python benchmarks/accuracy.py --only starts` counts the starts that are given up, and the minima that would be lower
 without the limit.
@@ -213,10 +213,11 @@ _RAYS = 16
 _MIN_RAYS = 2
 """Minimum number of rays in a frame that determine the position of a shape."""
 _WORSE = 0.2
-"""Maximum misfit of a start above the best start's misfit, for several cameras; worse starts are not tried.
+"""Maximum difference between the misfits of a start and of the best start, for several cameras.
 
-The heading is often ambiguous for one camera, but not for several. `python benchmarks/accuracy.py --only starts` counts
-the starts that are left out, and those of them that would lead to a lower minimum.
+Starts with a larger misfit are not tried. The heading is often ambiguous for one camera, but not for several. `python
+benchmarks/accuracy.py --only starts` counts the starts that are left out, and those of them that would lead to a lower
+minimum.
 """
 
 

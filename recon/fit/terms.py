@@ -30,12 +30,12 @@ from recon.geometry.frames import euler_rotation_with_jacobian
 from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 SIZE = "size"
-"""Name of the shared unknown that is a factor on all lengths; the factor is 1 if it is not an unknown."""
+"""Name of the shared unknown that is a factor on all lengths of the animal."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
 """Name of the shared unknowns (3J,) of the keypoint bias common to all cameras, m, in the frames of the markers'
 segments.
 
-If the body's shape is unknown, the fit estimates the bias; if not, the bias only adds to the uncertainty.
+The fit estimates the bias if the body's shape is unknown. Otherwise the bias only adds to the uncertainty.
 """
 LENGTHS = "segment lengths"
 """Name of the shared unknowns (L,) that are logarithms of factors on lengths, the same on both sides."""
@@ -567,7 +567,7 @@ class StanceVelocity:
     `by_size` (n, F, 3) is the derivative of velocities with respect to the size about `at`, m/s, with fixed states. It
     is held fixed during a search. By default, velocities are proportional to the size. In the picture of one moving
     camera, the velocities relative to the camera are proportional to the size instead. A smaller animal then has slower
-    feet if the camera is slow, which is no evidence of its size; `contacts` therefore gives `by_size`.
+    feet if the camera is slow, which is no evidence of its size. Therefore `contacts` gives `by_size`.
     """
 
     feet: Index

@@ -9,7 +9,7 @@ distance below the camera if they determine it. The steps to the minimum are:
 1. Starts. The prior's mean pose runs straight through about a second of the clip, in 18 headings, and is fitted to the
 viewing rays (`recon.fit.starts`). The best headings, and the best one mirrored in depth, start the clip.
 2. Approach, at a lower frame rate. Each start is solved with one Gaussian of poses and with noise that is large at
-first; only the two best starts are solved down to the final noise.
+first. Only the two best starts are solved down to the final noise.
 3. The mixture of poses replaces the Gaussian, flattened at first, still at the lower frame rate.
 4. Rounds. Each round estimates the noise of every joint in every view from its residuals (maximum likelihood under the
 robust loss), and contacts and the ground from the feet, and solves for the minimum again. The size is free where
@@ -18,7 +18,7 @@ several views show it. If the motion is unlikely under the prior in the first ro
 5. Result. The posterior covariance is computed from the banded factor, and all segments are combined
 (`recon.fit.solution`).
 
-Steps 1 and 2 work on windows of about a second; the later steps solve each segment as a whole. A clip is split into
+Steps 1 and 2 work on windows of about a second, and the later steps solve each segment as a whole. A clip is split into
 segments where nothing is detected for longer than `BRIDGED_S`.
 """
 
@@ -55,7 +55,7 @@ WINDOW_S = 1.0
 STARTS_END = 0.2
 """Fraction of the solver's time after which the starts are done, for the progress bar."""
 ROUNDS_END = 0.8
-"""Fraction of the solver's time after which the rounds are done, for the progress bar; the posterior takes the rest."""
+"""Fraction of the solver's time after which the rounds are done and the posterior begins, for the progress bar."""
 FLATTENED_SHARE = 0.1
 """Fraction of the time between starts and posterior that step 3 takes, for the progress bar."""
 _TEMPERATURES = (8.0, 3.0)
@@ -81,7 +81,7 @@ def solve_trajectory(
     """Return the motion of a body from detections of its markers by one or more cameras.
 
     The solution is deterministic. It uses one core, because the matrices are small and threads of the numerical library
-    would wait for each other. Frames too far from any detection have NaN states and the flag "no data"; frames whose
+    would wait for each other. Frames too far from any detection have NaN states and the flag "no data". Frames whose
     pose is too far away to be visible have the flag "diverged". Detections outside the camera's picture are left out
     (`Camera.sees`). A search that does not converge is reported by the solution's `status`, not as an exception.
 
@@ -134,7 +134,7 @@ def _segments(usable: Bools, fps: float) -> list[slice]:
 
 
 def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[SegmentFit]:
-    """Solve every segment of a clip; segments are separated by long gaps without detections."""
+    """Solve the segments of a clip, which long gaps without detections separate."""
     segments = _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps)
     return [
         _solve_segment(clip.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(segments)))
