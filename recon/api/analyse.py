@@ -63,8 +63,8 @@ class AnalyseSettings(Settings):
     all_figures: bool = False
     """Write all figures: also poses, vector fields, phase portraits, information, forces, and the body-fixed frame."""
     tables_format: Annotated[Literal["csv", "xlsx", "long"], Option(name="--format")] = "csv"
-    """Additional tables. xlsx: analysis.xlsx, a workbook. long: analysis_long.csv, one tidy table with all numbers, and
-    its data dictionary.
+    """Additional tables: xlsx for a workbook, analysis.xlsx, or long for analysis_long.csv, one tidy table with all
+    numbers, and its data dictionary.
     """
     decimal_comma: bool = False
     """Use decimal commas, and semicolons between columns, in the table of --format long."""

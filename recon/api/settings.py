@@ -192,9 +192,9 @@ class FitSettings(Settings):
     fast: Annotated[bool, _RARE_TRAJECTORY] = False
     """Save time by starting from fewer directions."""
     form: Annotated[Literal["deadband", "printed"], _FRAME] = "deadband"
-    """Penalties on ranges and rates: deadband for only beyond the limit, printed for two-sided as published."""
+    """Penalties on ranges and rates: deadband to penalise only values beyond the limit, printed as published."""
     reprojection: Annotated[Literal["robust", "printed"], _FRAME] = "robust"
-    """Cost of reprojection errors: robust for robust and weighted, printed for the cost as published."""
+    """Cost of reprojection errors: robust for a robust and weighted cost, printed for the cost as published."""
     angle_prior: Annotated[Literal["gaussian", "none"], _FRAME] = "gaussian"
     """Priors of angles and heading: gaussian or none."""
     camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
@@ -345,7 +345,7 @@ class FitSettings(Settings):
         folder
             Folder to which paths are made relative, as in `plain`.
         sha256
-            Digests of the input files by role, which are written next to the settings.
+            Digests of the input files, as `input_digests` returns them, which are written next to the settings.
         """
         values = {name: value for name, value in self.plain(folder).items() if value is not None}
         plain = to_encodable(values)
