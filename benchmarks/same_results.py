@@ -113,7 +113,7 @@ def needed(commands: list[Command], words: list[str]) -> list[Command]:
 
 
 def run_commands(plan: Path) -> None:
-    """Run a list of commands in this process, each of which writes into its own folder below the working folder."""
+    """Run a list of commands in this process; each command writes into its own folder below the working folder."""
     from importlib import import_module
 
     for target in (*PLAYBACKS, *FIGURES):

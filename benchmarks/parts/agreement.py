@@ -2,11 +2,11 @@
 
     python benchmarks/parts/agreement.py [FOLDER]
 
-FOLDER has one folder for each run, as in `cheetah_runs.py`; by default it is the cheetah-runs of
-$RECON_SHARED_DATA, or of ../shared/data. Each run is first checked unchanged, which compares every camera with the
-others. Then one of its cameras is turned by 5 degrees about each of its axes, or shifted in time by 10 frames, or the
-files of two cameras are exchanged, for every camera and every pair. A case counts as correct if the findings name the
-change and the right camera, and contain nothing else except findings on the unchanged run.
+FOLDER has one folder for each run, as in `cheetah_runs.py`; by default it is the cheetah-runs of $RECON_SHARED_DATA, or
+of ../shared/data. Each unchanged run is checked first, so that every camera is compared with the others. Then one of
+its cameras is turned by 5 degrees about each of its axes, or shifted in time by 10 frames, or the files of two cameras
+are exchanged, for every camera and every pair. A case counts as correct if the findings name the change and the right
+camera, and contain nothing else except findings on the unchanged run.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class Film:
 def film(video: Path, pan: Pan, seed: int = 0) -> Film:
     """Cut a pan along the longer side out of a still video.
 
-    If the video has too few frames, it is played forwards and backwards in turn.
+    If the video has too few frames, it is played forwards and backwards alternately.
     """
     stills = [picture for _, picture in read_frames(video)]
     if stills[0].shape[0] > stills[0].shape[1]:

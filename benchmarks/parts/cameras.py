@@ -4,7 +4,7 @@
 
 Each run is a folder as in `cheetah_runs.py`. "Two" means the named camera and the camera that sees the animal from the
 most different direction. The keypoint bias is measured in the other runs, with all their cameras and the poses of the
-reference, as by `recon subject fit --no-lengths --offsets --poses`; one table also shows the result without the poses.
+reference, like `recon subject fit --no-lengths --offsets --poses`. One table also shows the result without the poses.
 The shipped detector file, which was measured on all runs, is printed at the end. Errors are over all 24 joints. FOLDER
 is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
@@ -208,7 +208,7 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
 
 
 def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -> list[dict]:
-    """Leave out each camera in turn, and compare the pose from the other cameras with the camera's detections.
+    """Leave out each camera once, and compare the pose from the other cameras with the camera's detections.
 
     The truth is projected into the camera and compared with the same detections. `known` states the source of the
     keypoint bias, as in `body_with_bias`.

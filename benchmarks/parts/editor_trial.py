@@ -8,7 +8,7 @@ next entry, and Shift-click sets the keypoint. The script clicks within about 1 
 position, which a user would see in the picture. Then `recon fit --corrections` fits the clip again. The error is
 defined as in `planted_faults.py`.
 
-No person is timed. The time is that of the keystroke-level model (S. Card, T. Moran, A. Newell, Communications of the
+No person is timed. The times come from the keystroke-level model (S. Card, T. Moran, A. Newell, Communications of the
 ACM 23, 1980): 0.28 s for a key, 1.1 s to point, 0.2 s for a click, 1.35 s to prepare mentally. Each correction includes
 two preparations, one to find the keypoint and one to decide. The script needs Chromium and the package playwright.
 """

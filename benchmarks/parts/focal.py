@@ -4,10 +4,10 @@
 
 Each run is a folder as in `cheetah_runs.py`. Every camera is used alone with its focal length multiplied by a factor;
 the lens distortion stays the same. The table has means over all views: MPJPE over all 24 joints after removing each
-pose's middle; the logarithm of the animal's estimated over its true distance; and the speed relative to that with the
-true focal length. Then all cameras of each run are used with the last focal length 10 % too long, fixed or with `--set
-focal-sigma=0.1`. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in
-one thread.
+pose's middle; the logarithm of the animal's estimated over its true distance; and the speed relative to the speed with
+the true focal length. Then all cameras of each run are used with the last focal length 10 % too long, fixed or with
+`--set focal-sigma=0.1`. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script
+runs in one thread.
 """
 
 from __future__ import annotations

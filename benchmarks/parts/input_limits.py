@@ -16,7 +16,7 @@ of data/samples. Wrong ones are every n-th view with a case of `wrong_inputs.py`
   over its feet than `SLIDE_LEGS_S`
 - feet, m/s: the speed of standing feet along the trunk
 - body over feet: in leg lengths per second, for clips whose feet move backwards by more than `SLIDE_SHARE`
-- feet on the ground: the speed of the feet that are lowest, relative to that of standing feet, for clips whose feet
+- feet on the ground: the speed of the lowest feet, relative to the speed of standing feet, for clips whose feet
   seem to slide
 - jolts: the terms of the fit's cost, named in `JOLTS`, that a jolt of the body's path raises
 """

@@ -2,9 +2,9 @@
 
     python benchmarks/parts/joined_cameras.py [FOLDER]
 
-The runs are in FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Each view is fitted separately, and the
-views of a run become one clip as in `recon compare --design`. The true speed is that of the reference joint in the
-reconstruction of all cameras. Intervals are 90 % intervals. The animals have the mean size of their species, as the
+The runs are in FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Each view is fitted separately, and the views
+of a run become one clip as in `recon compare --design`. The true speed is the speed of the reference joint in the
+reconstruction from all cameras. Intervals are 90 % intervals. The animals have the mean size of their species, as the
 fits assume.
 """
 

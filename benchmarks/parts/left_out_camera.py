@@ -77,7 +77,7 @@ RAT_BIAS_M = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A clip whose cameras are left out in turn."""
+    """A clip whose cameras are left out one after the other."""
 
     kind: str
     name: str

@@ -10,7 +10,7 @@ misfit.
 - cheetah: the real views of `trajectory.py` with the subject's lengths and the detector acinoset, with a prior from the
   segments that `running-cheetah` leaves out as too slow, and with `running-cheetah` itself
 - segments: the segments of `running-cheetah`, seen from the side with 2 px of noise, with the prior from the slow
-  segments and with a prior from the other ten segments, each left out in turn. Findings with this second prior are
+  segments and with a prior from the other ten segments, for each segment left out. Findings with this second prior are
   false alarms
 
 Without the recordings of $RECON_SHARED_DATA nothing is measured. The script runs in one thread.

@@ -4,10 +4,10 @@
 
 Both films show the same animal in the same world, from the same position through the same lens at the same times; one
 camera turns to follow the animal, and shakes. The labels of each film, of the same frames, train a separate network,
-which predicts the points of all frames. The camera's rotation is estimated from the film, as by `recon run
---camera-motion turns`, with the tilt of the first picture given. The still camera's pose is that of its calibration.
-Errors are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the
-script only draws the film.
+which predicts the points of all frames. The panning camera's rotation is estimated from the film, like `recon run
+--camera-motion turns`, with the tilt of the first picture given. The still camera's pose is its calibrated pose. Errors
+are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the script
+only draws the film.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 Every view of every run is solved once, frame by frame (`path=free`). Paths with other accelerations and correlation
 times are estimated from the solutions, which takes little time. The score of a choice compares the peak speed of the
 path with the true one: the fraction of views within `WITHIN`, minus the difference between the 90 % intervals' coverage
-and 90 %. Each run is left out in turn. The table has the best choice on the other runs, and the results of this choice
+and 90 %. Each run is left out once. The table has the best choice on the other runs, and the results of this choice
 and of the frame method's default parameters on the run that was left out.
 """
 

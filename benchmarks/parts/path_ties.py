@@ -4,7 +4,7 @@
 
 Every view of every run is solved frame by frame once, and then again with each tie, the standard deviation of the
 reference joint about its path (`--set path-sigma-m`). The path, and with it the speed, is the same for all ties. Each
-run is left out in turn. The choice on the other runs is the tightest tie whose median error in pixels exceeds that of
+run is left out once. The choice on the other runs is the tightest tie whose median error in pixels exceeds the error of
 frames without a tie by `MORE_PX` at most.
 """
 

@@ -3,11 +3,11 @@
     python benchmarks/parts/short.py [--runs 5] [--clips 20]
 
 Each command is timed as a whole process, and the fastest of RUNS runs counts, because other load only adds time. The
-time of a fit's imports is that of a process that only imports the modules of the fit without a playback. The time of
-the playback is the additional time of the fit with a playback, including the import of rerun. The time of a clip of a
-batch is the mean over CLIPS perturbed copies of a sample (60 frames), which one process fits one after the other, after
-a first clip that is not timed. The process keeps freed memory and collects garbage rarely, as the processes of a batch
-do.
+time of a fit's imports is measured in a process that only imports the modules of the fit without a playback. The time
+of the playback is the additional time of the fit with a playback, including the import of rerun. The time of a clip of
+a batch is the mean over CLIPS perturbed copies of a sample (60 frames), which one process fits one after the other,
+after a first clip that is not timed. The process keeps freed memory and collects garbage rarely, as the processes of a
+batch do.
 """
 
 from __future__ import annotations

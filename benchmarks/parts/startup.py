@@ -53,7 +53,7 @@ def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
 def compared(
     arguments: Sequence[str], imports: str, runs: int, folder: str
 ) -> tuple[float, float, float, float, float]:
-    """Time `recon ARGUMENTS` and Python with the imports in turn, and return medians over the pairs.
+    """Time `recon ARGUMENTS` and Python with the imports alternately, and return medians over the pairs.
 
     The medians are the wall-clock and processor seconds of `recon ARGUMENTS`, the wall-clock seconds of Python, and the
     ratios of the wall-clock times and of the processor times.

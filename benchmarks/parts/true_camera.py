@@ -8,7 +8,7 @@ the verdict is "use" although the error of pose or position is above the upper e
 keypoints are fitted with the right file. No test can gain more than the right file does, because a test has to search
 for the right camera.
 
-The log-likelihood is that of the detections, the motion, the ground's height and slope, and the animal's size. Errors
+The log-likelihood covers the detections, the motion, the ground's height and slope, and the animal's size. Errors
 within the correlation time count once. Pairs are compared with their poses as given. Gains above 3 (twenty times as
 likely) could be called clear.
 """

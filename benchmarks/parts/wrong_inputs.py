@@ -7,7 +7,7 @@ with each of `CASES` put into its files or settings. Cases of two cameras use ea
 uses every n-th view only. Errors are in the world of the camera file, and pose errors are centred. A case whose name
 begins with "right" is a correct input. The columns are:
 
-- doubled: clips whose error in pose or position is at least twice that of the same clip with the correct input
+- doubled: clips whose error in pose or position is at least twice the error of the same clip with the correct input
 - named: clips in which a finding states the cause, or something equally true of the wrong input
 - wrong cause named: clips with a finding of `CAUSES` that is wrong, and that the clip with the correct input lacks
 - beyond the bound: an error is above the upper end of the stated interval

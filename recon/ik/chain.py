@@ -46,7 +46,7 @@ class SerialChain:
     tree: Tree
     """The tree, with one branch and one marker: the end effector."""
     columns: Index
-    """Columns of the tree's state that hold the joints, shape (n,)."""
+    """Indices of the joints among the unknowns of the tree's state, shape (n,)."""
     names: tuple[str, ...]
     """Names of the joints, (n,)."""
     groups: tuple[tuple[int, ...], ...]

@@ -2,9 +2,9 @@
 
 The reference has the animal's size and timing. In its world, z is up, the ground is at 0, and x is the direction of
 travel. The base is the middle of the trunk. Height, pitch and roll of the base are deviations from their means, because
-a robot has a standing pose of its own. The roll is measured from the lines between the hips and between the shoulders.
-Height, angles and heading are smoothed over `SMOOTH_S`, because errors of a fit last a few frames and a heavy body does
-not move that fast.
+a robot stands in its own pose. The roll is measured from the lines between the hips and between the shoulders. Height,
+angles and heading are smoothed over `SMOOTH_S`, because errors of a fit last a few frames and a heavy body does not
+move that fast.
 
 Feet are in heading axes (x forward, y left, horizontal). Horizontally, a foot's position is relative to the base and
 to the middle of the foot's path, which is halfway between the foremost and the rearmost position along x, and the mean
@@ -376,7 +376,7 @@ class RobotMotion(KeptMotion):
     def states(self, time_s: Array, derivative: int = 0) -> Array:
         """Return the states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives.
 
-        The states are values of cubic splines through the samples, of which there are ten for each frame of the clip.
+        The states are values of cubic splines through the samples. Each frame of the clip has ten samples.
         """
         states = self._spline(time_s, derivative)
         if self.advance_m is not None and derivative < 2:

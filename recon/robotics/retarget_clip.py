@@ -176,7 +176,7 @@ def _write_samples(
 def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[str, Any]]:
     """Change clip and stride until they keep every rule of `physics.RULES`, and return the motions and the change.
 
-    The changes of duration and size in `physics.CHANGES` are tried in turn, each with the base moved by
+    The changes of duration and size in `physics.CHANGES` are tried one after the other, each with the base moved by
     `physics.carried`. The first change after which every rule is kept is used. If there is none, the change after which
     the rules are kept in most frames is used.
     """

@@ -3,8 +3,8 @@
     python tests/fuzz/stress_fits.py [--fits 400] [--seed 0] [--only WORD ...]
 
 Both methods, every built-in skeleton and four cameras are fitted to clips that are damaged in one way each (`SPOILT`).
-A result is written as by `recon fit`, without the playback, and must pass the checks of `faults`. The script prints
-what failed, and ends with 1 if anything did. Warnings are errors.
+Each result is written like `recon fit` does, without the playback, and must pass the checks of `faults`. The script
+prints what failed, and ends with 1 if anything did. Warnings are errors.
 """
 
 from __future__ import annotations
@@ -319,7 +319,7 @@ def clip_of(case: Case) -> tuple[Keypoints, Camera]:
 
 
 def cases(count: int, seed: int) -> list[Case]:
-    """Return `count` cases that use each way to damage a clip in turn, with random skeletons and settings."""
+    """Return `count` cases that cycle through the ways to damage a clip, with random skeletons and settings."""
     rng = np.random.default_rng(seed)
     fits = [("frame", name) for name in builtin_chains()] + [("trajectory", name) for name in builtin_names()]
     chosen = []
