@@ -321,8 +321,11 @@ def _cleaned(
     body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
 ) -> Source:
     """Return the source of a file as `cleaned_source` does, if the file has enough keypoints of the body."""
-    _require_keypoints_of(body, file)
-    return cleaned_source(settings, fps, file, clip_camera, late_frames)
+    _, source = collect_problems(
+        lambda: _require_keypoints_of(body, file),
+        lambda: cleaned_source(settings, fps, file, clip_camera, late_frames),
+    )
+    return source
 
 
 def cleaned_source(

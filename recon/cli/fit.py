@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -37,20 +38,39 @@ def fit(settings: FitRunSettings, options: _FitOptions, console: Console, progre
 
     Exit code 0: finished, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.api.clip_results import read_config, read_settings, replaced_files, run_clip
-    from recon.io.formats import read_keypoints
+    from recon.api.clip_inputs import prepare
+    from recon.api.clip_results import replaced_files, run_clip
 
     out, config = settings.out, settings.config
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, such as results/clip1")]
     try:
-        fitted = read_settings(None, options) if config is None else read_config(config, options)
+        fitted = _read(config, options)
     except InputError as error:
-        read = (partial(read_keypoints, path, options.get("individual")) for path in options.get("keypoints") or ())
-        raise InputError(
-            (*problems_of(lambda: collect_problems(*read)), *error.problems, *([] if out else no_out))
-        ) from None
+        of_files = _problems_of_files(config, options, {problem.field for problem in error.problems})
+        raise InputError((*of_files, *error.problems, *([] if out else no_out))) from None
     if out is None:
-        raise InputError(no_out)
+        raise InputError((*problems_of(lambda: prepare(fitted)), *no_out))
     for path in [] if config is None else replaced_files(config, options, fitted):
         say(console, f"note: {path} is not the file for which {config} was written: its content differs")
     return answer_of_fit(run_clip(fitted, out, settings.overwrite, progress), out)
+
+
+def _read(config: Path | None, options: Mapping[str, Any]) -> FitSettings:
+    from recon.api.clip_results import read_config, read_settings
+
+    return read_settings(None, options) if config is None else read_config(config, options)
+
+
+def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: Container[str]) -> Iterable[Problem]:
+    """Return the problems with a fit's files, if the values of the settings `wrong` cannot be used."""
+    from recon.api.clip_inputs import prepare
+    from recon.io.formats import read_keypoints
+
+    try:
+        rest = _read(config, {name: value for name, value in options.items() if name not in wrong})
+    except InputError:
+        rest = None
+    if rest is None or "method" in wrong:  # the rest does not determine the skeleton or the cameras
+        read = (partial(read_keypoints, path, options.get("individual")) for path in options.get("keypoints") or ())
+        return problems_of(lambda: collect_problems(*read))
+    return [problem for problem in problems_of(lambda: prepare(rest)) if problem.field not in wrong]

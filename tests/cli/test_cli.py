@@ -481,6 +481,14 @@ BAD_INPUT: dict[str, tuple[list[str], list[Refusal]]] = {
         ["{clip}", "--frames", "100:200"],
         [("{clip}", "frames", "100:200", "0 to 29")],
     ),
+    "an empty range, and keypoints of another animal": (
+        ["{in}/wings.csv", "--frames", "10:5"],
+        [("{in}/wings.csv", "bodyparts", "wing_neck_base, wing_spine"), ("--frames", "frames", "'10:5'", "A < B")],
+    ),
+    "frames outside the clip, and keypoints of another animal": (
+        ["{in}/wings.csv", "--frames", "100:200"],
+        [("{in}/wings.csv", "bodyparts", "wing_neck_base, wing_spine"), ("{in}/wings.csv", "frames", "100:200")],
+    ),
     "frames that are no range": (["{clip}", "--frames", "9"], [("--frames", "frames", "'9'", "A:B")]),
     "unknown skeleton": (
         ["{clip}", "--skeleton", "zebra"],
