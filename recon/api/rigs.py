@@ -144,10 +144,18 @@ def cameras_with_z_up(cameras: _Cameras, up: str) -> _Cameras:
     if not np.linalg.norm(direction) > 0:
         expected = f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0"
         raise InputError(Problem("--set up", "direction", repr(up), expected))
+    without_pose = ", ".join(camera.name for camera, _ in cameras if not camera.has_extrinsics)
+    with_z_up = ", ".join(camera.name for camera, _ in cameras if camera.has_extrinsics and camera.world_z_up)
+    problems = [
+        *([("no pose", without_pose, "cameras with poses")] if without_pose else []),
+        *(
+            [("a file that states z up", with_z_up, "no --set up, or a file without this statement")]
+            if with_z_up
+            else []
+        ),
+    ]
     raise_problems(
-        Problem("--set up", f"camera {camera.name}", reason, "poses that do not say which way is up")
-        for camera, _ in cameras
-        for reason in (["no pose"] if not camera.has_extrinsics else ["a pose with z up"] if camera.world_z_up else [])
+        Problem("--set up", "up", f"{up}, but {fault} for {names}", expected) for fault, names, expected in problems
     )
     return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
 

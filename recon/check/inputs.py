@@ -26,10 +26,12 @@ from recon.check.likelihood import (
     CLEAR,
     Baseline,
     baseline_of,
+    common_picture_finding,
+    finding_of_pictures,
     frame_rate_finding,
     lens_findings,
     log_tail,
-    other_picture_finding,
+    other_pictures,
     unit_square_finding,
     with_calibration_at_either_end,
 )
@@ -111,26 +113,30 @@ def input_findings(
     elsewhere: list[Finding] = []
     rates: Sequence[Finding] = ()
     with one_thread():
-        other_pictures = _other_pictures(motion, clip, named)
+        pictures = _other_pictures(motion, clip, named)
         if has_learned_prior and not is_explained:
             for number, source in enumerate(motion.sources):
-                if number not in other_pictures:
+                if number not in pictures:
                     baseline = baseline_of(ground_clip, number, solution.states, solution.size)
                     trials = swaps(baseline, _is_unlike_prior(solution, motion.fps)) if seek_swaps else ()
                     exchanged += [swap_finding(trial, source, motion.body) for trial in trials]
                     if len(motion.sources) == 1 and not exchanged:
                         moves = _explain_by_only_view(motion, ground_clip, baseline, moves)
-        if possible and has_learned_prior and not (is_explained or other_pictures):
+        if possible and has_learned_prior and not (is_explained or pictures):
             baseline = baseline_of(clip, 0, solution.states, solution.size)
             elsewhere += other_camera_finding(baseline, solution.noise_px[0], possible)
-        if len(motion.sources) > 1 and not (other_pictures or has_copies):
+        if len(motion.sources) > 1 and not (pictures or has_copies):
             names = [source.camera.name for source in motion.sources]
             drifting += drift_findings(ground_clip, solution, names, motion.fps)
-        if _feet_glide(moves) or not (is_explained or other_pictures):
+        if _feet_glide(moves) or not (is_explained or pictures):
             rates = _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
-    if other_pictures or _has_error(rates):
+    if pictures or _has_error(rates):
         moves = []  # the impossible motion may be a consequence of a fault found above
-    return (*copied, *exchanged, *other_pictures.values(), *elsewhere, *drifting, *rates, *moves)
+    of_pictures: list[Finding] = []
+    for item in pictures.values():
+        if item not in of_pictures:  # a cause that all cameras have in common is stated once
+            of_pictures.append(item)
+    return (*copied, *exchanged, *of_pictures, *elsewhere, *drifting, *rates, *moves)
 
 
 def _has_error(findings: Sequence[Finding]) -> bool:
@@ -162,16 +168,23 @@ def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | Non
 
     The keys are the views' indices.
     """
-    findings = {}
+    findings, baselines, trials = {}, [], []
     for number, source in enumerate(motion.sources):
         camera, named_camera = source.camera.name, named[number]
         if named_camera is not None:
             findings[number] = finding("other_camera_named", camera=camera, given=camera, other=named_camera)
             continue
         baseline = baseline_of(clip, number, motion.solution.states, motion.solution.size)
-        picture = unit_square_finding(baseline) or other_picture_finding(baseline)
+        picture = unit_square_finding(baseline)
+        if picture is None:
+            baselines.append(baseline)
+            trials.append(other_pictures(baseline))
+            picture = finding_of_pictures(source.camera, *trials[-1])
         if picture is not None:
             findings[number] = picture
+    if len(motion.sources) > 1 and len(findings) == len(trials) == len(motion.sources):
+        common = common_picture_finding(baselines, trials)
+        findings = findings if common is None else dict.fromkeys(findings, common)
     return findings
 
 

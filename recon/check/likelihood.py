@@ -12,6 +12,7 @@ Left-right swaps are in `recon.check.swaps`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -291,6 +292,13 @@ outliers, and below 0 if the picture or the world is turned by 90 degrees, so an
 effect on these clips.
 """
 
+MEETING = 2.0
+"""Error of triangulated points, relative to the smallest under any cause, up to which the cameras' rays meet.
+
+In a clip of three cameras whose world, or whose keypoints, are upside down, the error under any wrong cause that moves
+the rays is six times as large, or more. Level cameras around an animal hardly distinguish some of the causes.
+"""
+
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
 """Codes of findings on camera files whose poses, or only rotations, are given from camera to world."""
 _Alternative = tuple[str, dict[str, Any], View]
@@ -311,21 +319,64 @@ def unit_square_finding(baseline: Baseline) -> Finding | None:
 
 def other_picture_finding(baseline: Baseline) -> Finding | None:
     """Return a finding if the keypoints are clearly more likely to be from another picture, otherwise None."""
+    return finding_of_pictures(baseline.view.camera, *other_pictures(baseline))
+
+
+def other_pictures(baseline: Baseline) -> tuple[list[_Alternative], list[float]]:
+    """Return the hypotheses of other pictures of a view, and their log-likelihood gains over the view as given."""
     view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
     alternatives = (
         [*_turned(view), *_smaller(view)] if feet_below_trunk(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
     )
     if not alternatives:
-        return None
+        return [], []
     as_given = baseline.refit(part)
-    ratios = [
+    return alternatives, [
         refit_view(baseline.with_view(candidate).part(part)).gain_over(as_given) for _, _, candidate in alternatives
     ]
-    return _likeliest_finding(view.camera, alternatives, ratios)
 
 
-def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], ratios: Sequence[float]) -> Finding | None:
+def common_picture_finding(
+    baselines: Sequence[Baseline], trials: Sequence[tuple[Sequence[_Alternative], Sequence[float]]]
+) -> Finding | None:
+    """Return the finding of the cause that all cameras of a clip have in common, or None without such a cause.
+
+    The cameras share a world and usually a detector, so one cause in all of them is likelier than another in each. The
+    log-likelihood gains are summed over the cameras, and only those causes count under which the cameras' rays meet:
+    no other world changes how well the rays meet, but other pictures do.
+
+    Parameters
+    ----------
+    baselines
+        The views of all cameras of the clip.
+    trials
+        The hypotheses and their log-likelihood gains for each camera, from `other_pictures`.
+    """
+    by_cause = [
+        {(code, *numbers.items()): (view, gain) for (code, numbers, view), gain in zip(*trial, strict=True)}
+        for trial in trials
+    ]
+    common = [cause for cause in by_cause[0] if all(cause in causes for causes in by_cause)]
+    rows = best_seen(baselines[0].view, baselines[0].clip.fps)
+    errors_px = []
+    for cause in common:
+        error_px = triangulate_views([causes[cause][0].part(rows) for causes in by_cause]).error_px
+        known_px = error_px[np.isfinite(error_px)]
+        errors_px.append(float(np.median(known_px)) if len(known_px) else math.inf)
+    limit_px = MEETING * min(errors_px, default=math.inf)
+    meeting = [cause for cause, error_px in zip(common, errors_px, strict=True) if error_px <= limit_px]
+    alternatives = [(cause[0], dict(cause[1:]), by_cause[0][cause][0]) for cause in meeting]
+    sums = [sum(causes[cause][1] for causes in by_cause) for cause in meeting]
+    of_first = finding_of_pictures(baselines[0].view.camera, alternatives, sums)
+    return None if of_first is None else replace(of_first, camera=None)
+
+
+def finding_of_pictures(
+    camera: Camera, alternatives: Sequence[_Alternative], ratios: Sequence[float]
+) -> Finding | None:
     """Return a finding on the likeliest alternative, or on a contradiction that several alternatives explain."""
+    if not alternatives:
+        return None
     best = int(np.argmax(ratios))
     if not ratios[best] > CLEAR:
         return None

@@ -178,8 +178,10 @@ def test_up_turns_the_cameras(runs, tmp_path, up, turned):
 def test_up_is_refused_if_known_or_not_a_direction(runs):
     with refusal(("--set up", "direction", "'upwards'", "first-camera")):
         prepare(settings(runs, 1, 2, up="upwards"))
-    with refusal(("--set up", "camera cam1", "no pose")):
+    with refusal(("--set up", "up", ["z", "no pose for cam1"], "cameras with poses")):
         prepare(settings(runs, 1, camera=None, hfov_deg=60.0, image_size_px=(1920, 1080), up="z"))
+    with refusal(("--set up", "up", ["-z", "states z up for cam1, cam2"], "no --set up")):
+        prepare(settings(runs, 1, 2, up="-z"))
 
 
 def test_a_copied_camera_entry_is_reported(runs, tmp_path):

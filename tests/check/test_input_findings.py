@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from example_run import BODY, CAMERA, FPS, POSES, PRIOR, plain, run, seen, truth
 from recon import FitSettings, fit_clip, samples_folder
 from recon.animal.body import opposites, other_side
 from recon.animal.prior import prior_from_body
+from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_inputs import prepare
 from recon.check import likelihood
 from recon.check.codes import finding
@@ -54,6 +56,7 @@ from recon.fit.triangulation import triangulate_views
 from recon.geometry.frames import euler_rotation, inverse, rigid
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
+from recon.testing.rigs import random_clip
 
 T = 40
 NAMED = (None,)
@@ -462,6 +465,28 @@ def test_an_animal_that_runs_upside_down(code, axis, changed):
 
 
 @pytest.mark.parametrize(
+    ("changed", "numbers", "code"),
+    [
+        (lambda v: replace(v, T_camera_world=v.T_camera_world @ UPSIDE_DOWN), {"axis": "-z"}, "world_not_z_up"),
+        (lambda v: replace(v, xy_px=[0, v.camera.image_size_px[1] - 1] + [1, -1] * v.xy_px), {}, "keypoints_y_up"),
+    ],
+)
+def test_a_cause_that_all_cameras_have_in_common(changed, numbers, code):
+    """The cause is one under which the rays meet, although each camera alone prefers another one."""
+    views, _ = random_clip(load_skeleton("dog-27"), 0.0, 3, 0)
+    baselines = [SimpleNamespace(view=changed(one), clip=SimpleNamespace(fps=FPS)) for one in views]
+    gains = {("world_not_z_up", "-z"): 450.0, ("keypoints_y_up", None): 500.0, ("picture_upside_down", None): 400.0}
+    trials = []
+    for baseline in baselines:
+        alternatives = [*likelihood._turned(baseline.view)]
+        trials.append((alternatives, [gains.get((c, n.get("axis")), -100.0) for c, n, _ in alternatives]))
+    found = likelihood.common_picture_finding(baselines, trials)
+    assert found is not None
+    assert (found.code, found.camera) == (code, None)
+    assert found.numbers.items() >= numbers.items()
+
+
+@pytest.mark.parametrize(
     ("gains", "code", "causes"),
     [
         ({"x": 500.0}, "world_not_z_up", None),
@@ -490,7 +515,7 @@ def test_a_contradiction_with_several_causes(gains, code, causes):
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     alternatives = [*likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))]
     ratios = [gains.get(n.get("axis", "270" if n.get("degrees") == 270 else c), -100.0) for c, n, _ in alternatives]
-    found = likelihood._likeliest_finding(posed, alternatives, ratios)
+    found = likelihood.finding_of_pictures(posed, alternatives, ratios)
     assert (found and found.code) == code
     if causes:
         assert found is not None
