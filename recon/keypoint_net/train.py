@@ -428,11 +428,11 @@ With `USUAL_PICTURES`, the network has an error of 1.1 px in `python benchmarks/
 USUAL_PICTURES = 40
 """Number of labelled pictures of a useful network, in the benchmark of `USUAL_STEPS`."""
 MEASURED_ERRORS = (
-    (5, "on a made-up film, of an animal 101 px long", "1.8 px"),
-    (10, "on a made-up film, of an animal 101 px long", "1.2 px"),
-    (20, "on a made-up film, of an animal 101 px long", "1.1 px"),
-    (40, "on a made-up film, of an animal 101 px long", "1.1 px"),
-    (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
+    (5, "on a rendered film of an animal 101 px long", "1.8 px"),
+    (10, "on a rendered film of an animal 101 px long", "1.2 px"),
+    (20, "on a rendered film of an animal 101 px long", "1.1 px"),
+    (40, "on a rendered film of an animal 101 px long", "1.1 px"),
+    (40, "on a rendered film of an animal 440 px long", "0.8 px"),
     (150, "on a video of a horse, in a different light from that of the labels", "3.1 px"),
 )
 """Number of labelled pictures, film and animal, and median error in pictures without labels, in ascending order.

@@ -278,12 +278,16 @@ def _notes(done: Retargeting) -> list[str]:
             feet = ", ".join(label for label, short in zip(LEGS, part.short.T, strict=True) if short.any())
             share = 100 * part.short.any(axis=1).mean()
             notes.append(
-                f"{name}: {feet} out of reach for {share:.0f} % of the time; these positions were moved into reach"
+                f"{name}: {feet} would be out of reach for {share:.0f} % of the time and were moved into reach; "
+                "a smaller --scale avoids this"
             )
         fast = [joint for joint, share in zip(part.robot.joints, part.rate_share, strict=True) if share > 1 + 1e-9]
         if fast:
             worst = part.rate_share.max()
-            notes.append(f"{name}: {', '.join(fast)} at up to {worst:.1f} times the rate limit")
+            joints = ", ".join(fast)
+            notes.append(
+                f"{name}: {joints} move at up to {worst:.1f} times the rate limit; a larger --slower avoids this"
+            )
         if part.slip_m.max() > SLIP_M:
             notes.append(f"{name}: feet slip by up to {1000 * part.slip_m.max():.1f} mm in stance")
     if min(part.apart_m for part in parts.values()) < LEGS_APART * done.clip.robot.stand_m:
