@@ -53,7 +53,7 @@ def _open_streams() -> None:
 def _require_memory() -> None:
     try:
         from resource import RLIM_INFINITY, RLIMIT_AS, getrlimit
-    except ImportError:  # Windows
+    except ImportError:  # Windows has no such module
         return
     limit = getrlimit(RLIMIT_AS)[0]
     if limit != RLIM_INFINITY and limit < LEAST_MB << 20:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CORNER_PX = 1.0
 """Maximum x and y, in pixels, of a constant position in the picture's corner that may stand for missing points."""
 CONSTANT_SHARE = 0.005
-"""Minimum fraction of a file's points that have a position which stands for missing points."""
+"""Minimum fraction of a file's points at one position for this position to stand for missing points."""
 CONSTANT_KEYPOINTS = 3
 """Minimum number of keypoints at a position that stands for missing points, because one keypoint may be stuck."""
 
@@ -150,7 +150,7 @@ cell, or at the constant position for missing points (`CleaningReport.constant_p
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LeftOut(Brief):
-    """N detections of a file that the fit does not use."""
+    """Record of N detections in a file that the fit does not use."""
 
     names: tuple[str, ...] = ()
     """Names of the keypoints, to which the array `keypoint` refers."""
@@ -468,7 +468,7 @@ class View(Brief):
 
     @property
     def rotation(self) -> Array:
-        """Return R_camera_world (3, 3), or (T, 1, 3, 3) for a moving camera, to multiply arrays with a joint axis."""
+        """Return the rotation R_camera_world, (3, 3) or, for a moving camera and arrays of joints, (T, 1, 3, 3)."""
         return self.T_camera_world[:3, :3] if self.is_still else self.T_camera_world[:, None, :3, :3]
 
     @cached_property
@@ -511,7 +511,7 @@ class View(Brief):
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """Return the view with its camera's poses corrected by three Euler angles, rad, and a shift, m, (6,).
+        """Return the view after a correction (6,) of its camera's poses by three Euler angles, rad, and a shift, m.
 
         Points in the camera frame become X_new = R(angles) X + shift.
         """

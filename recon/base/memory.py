@@ -1,4 +1,4 @@
-"""Save time: keep freed memory in the process, and run the garbage collector rarely."""
+"""Save time by keeping freed memory in the process and by running the garbage collector rarely."""
 
 from __future__ import annotations
 

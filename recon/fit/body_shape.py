@@ -193,7 +193,7 @@ class FreeShape:
         return replace(body, keypoint_offset_m=offsets)
 
     def derivatives(self, shared: Mapping[str, Array], states: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the markers that the detector sees, for states (N, D).
+        """Return the derivatives of the detected markers with respect to the shape, for states (N, D).
 
         Returns
         -------

@@ -41,7 +41,7 @@ from recon.fit.terms import SIDESLIP, SIZE, offset_values
 _MOST_WEIGHT = 0.99
 """Maximum weight w of a detection in the formulas of the module, to which larger weights are reduced."""
 _FRAMES_AT_ONCE = 128
-"""Number of frames whose derivatives are computed at once, which bounds the memory."""
+"""Number of frames whose derivatives are computed at once, to limit the memory."""
 _FRAMES_KEPT = 5000
 """Maximum number of frames of a clip whose normal equations are kept in memory, 19 kB a frame, for the derivative."""
 _RELATIVE_STEP = 1e-4
@@ -113,7 +113,7 @@ def _segment_gain(
     parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
 
     def curvature(frames: slice) -> Array:
-        """Return G of some frames, (N, D, D)."""
+        """Return the matrix G of the module in some frames, (N, D, D)."""
         jacobian = clip.body.tree.pose_with_jacobian(states[frames]).jacobian
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
         return flat.swapaxes(1, 2) @ flat
@@ -134,7 +134,7 @@ def _segment_gain(
 
 
 def _of_points(by_state: Array, of_states: Array) -> Array:
-    """Return covariances (N, J, 3, 3) of points with derivatives (N, J, 3, D), from those of the states, (N, D, D)."""
+    """Propagate the states' covariances (N, D, D) to points with derivatives (N, J, 3, D), and return (N, J, 3, 3)."""
     N, J, _, D = by_state.shape
     moved = (by_state.reshape(N, 3 * J, D) @ of_states).reshape(N, J, 3, D)
     return moved @ by_state.swapaxes(2, 3)

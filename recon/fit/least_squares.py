@@ -289,10 +289,10 @@ class LeastSquares:
         return current
 
     def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, bool, float]:
-        """Return a point of lower cost along a damped step, whether it is the whole step or more, and the next damping.
+        """Return an estimate of lower cost along a step, whether it is the whole step or more, and the next damping.
 
-        The point is None if no damping leads to a lower cost. A step is extended only if this lowers the cost by more
-        than `_BEYOND` times `enough`.
+        The estimate is None if no damping leads to a lower cost. A step is extended only if this lowers the cost by
+        more than `_BEYOND` times `enough`.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
@@ -317,7 +317,7 @@ class LeastSquares:
         return None, False, damping
 
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
-        """Return the point at a fraction of a step, with its cost.
+        """Return the values of the unknowns after a fraction of a step, with their cost.
 
         If there are several cameras, which determine the animal's position in the world, this position changes linearly
         along the step (`with_step`). With one camera, the root at nominal size changes linearly instead, because the
@@ -375,7 +375,7 @@ class LeastSquares:
 
     @cached_property
     def _linear_kinds(self) -> Array:
-        """Return the different blocks of the linear terms' curvature, (2 BANDS + 1, BANDS + 1, D, D).
+        """Return the distinct blocks of the linear terms' curvature, (2 BANDS + 1, BANDS + 1, D, D).
 
         They belong to the first frames of a clip, to any middle frame, and to the last frames.
         """

@@ -259,7 +259,7 @@ class Motion:
 
     @property
     def method(self) -> str:
-        """Return the method of fitting: trajectory or frame."""
+        """Return the fitting method, "trajectory" or "frame"."""
         return self.solution.method
 
     @property
@@ -400,7 +400,7 @@ class Motion:
 
     @cached_property
     def time_s(self) -> Array:
-        """Return the time since frame 0 of the file, (T,), seconds."""
+        """Return the time of each frame since frame 0 of the first keypoint file, (T,), seconds."""
         return self.frames / self.fps
 
     @cached_property

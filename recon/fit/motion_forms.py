@@ -116,7 +116,7 @@ def _refit_command(folder: Path) -> str:
 
 
 def _no_motion(folder: Path) -> Problem:
-    """Describe the error of a folder that contains no motion."""
+    """Return the problem with a folder that contains no motion."""
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"

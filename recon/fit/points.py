@@ -16,7 +16,7 @@ MIN_MARKERS = 8
 _BLOCK = 512
 """Number of frames that are solved together, to limit the memory of the Jacobians."""
 _ITERATIONS = 300
-"""Maximum number of steps to the pose of a frame."""
+"""Maximum number of Levenberg-Marquardt steps for the pose of a frame."""
 _TOLERANCE = 1e-10
 """Change of every angle (rad) and position (m) in a step below which a frame counts as converged."""
 _SIZE_ROUNDS = 20
@@ -139,9 +139,7 @@ class _NormalEquations(NamedTuple):
     gradient: Array
     """Gradient of the cost with respect to the states, shape (N, D)."""
     size_hessian: Array
-    """Second derivatives by the size's logarithm and each state or, in the last column, twice by the size's, shape (N,
-    D + 1).
-    """
+    """Curvature between the size's logarithm and each state and, last, of the size itself, shape (N, D + 1)."""
     size_gradient: Array
     """Gradient of each frame's cost with respect to the size's logarithm, shape (N,)."""
 

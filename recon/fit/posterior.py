@@ -387,7 +387,7 @@ class _EquationsByNoise:
 def posterior_with_reestimated_noise(
     problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float
 ) -> Posterior:
-    """Return the posterior at a minimum after the noise of detections is estimated again."""
+    """Estimate the noise of the detections again at a minimum, and return the posterior covariances."""
     problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     return posterior(problem, body, estimate, variance_factor, normal)
 
@@ -395,7 +395,7 @@ def posterior_with_reestimated_noise(
 def posterior(
     problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float, normal: Normal | None = None
 ) -> Posterior:
-    """Return the posterior at a minimum.
+    """Return the posterior covariances of a clip at the minimum of its least-squares problem.
 
     Parameters
     ----------
@@ -403,9 +403,7 @@ def posterior(
         The problem, whose nuisance unknowns are freed.
     body
         The body, with J joints and D unknowns per frame.
-    estimate
-        The minimum.
-    variance_factor
+    estimate The minimum of the problem. variance_factor
         Factor on all variances, the correlation time of the errors in frames, which the cost ignores.
     normal
         The normal equations with the nuisance unknowns, if they have been computed already.

@@ -178,7 +178,7 @@ class MotionSegment(Brief):
     """
 
     rows: slice
-    """Rows of the clip that the segment covers."""
+    """Slice of the clip's frames that the segment covers."""
     ground: Ground | None
     """Ground under the feet, in the world; None if no foot stood."""
     prior_misfit: float | None = None
@@ -230,7 +230,7 @@ class ReferencePath(Brief):
     acceleration_m_s2: Array
     """Accelerations of the reference joint, shape (T, 3)."""
     covariance: Array
-    """Covariances of position, velocity and acceleration, m and s, shape (T, 9, 9), at a fixed size."""
+    """Covariances of position, velocity and acceleration, in units of m and s, shape (T, 9, 9), at a fixed size."""
     centre_m: Array
     """Position of the camera, from which the size scales the path, shape (T, 3) or (3,)."""
     size_sigma: float

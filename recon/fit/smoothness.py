@@ -38,7 +38,7 @@ _CLOSE = 0.03
 _LEAST_FRAMES = 10
 """Minimum number of frames required to estimate the standard deviations."""
 _LEAST_DETERMINED = 1.0
-"""Minimum number of accelerations that the detections must determine to estimate a standard deviation."""
+"""Minimum number of accelerations determined by the detections for a standard deviation to be estimated."""
 
 
 def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Array], scale: Array) -> Array:

@@ -191,7 +191,7 @@ def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
 APPROACH_HZ = 30.0
 """Frame rate of the approach, Hz, to which clips with a higher rate are thinned."""
 _HEADINGS = 18
-"""Number of headings that are tried; half of it in a fast fit."""
+"""Number of headings that are tried, of which a fast fit tries half."""
 _APART_RAD = 0.5
 """Angle between two headings, rad, below which only the better one is a start."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)

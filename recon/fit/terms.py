@@ -32,8 +32,9 @@ from recon.geometry.kinematics import ROOT, YAW, TreePose
 SIZE = "size"
 """Name of the shared unknown that is a factor on all lengths of the animal."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""Name of the shared unknowns (3J,) of the keypoint bias common to all cameras, m, in the frames of the markers'
-segments.
+"""Name of the shared unknowns (3J,) of the keypoint bias that all cameras have in common, m.
+
+The bias is given in the frames of the markers' segments.
 
 The fit estimates the bias if the body's shape is unknown. Otherwise the bias only adds to the uncertainty.
 """
@@ -45,7 +46,7 @@ _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
 def time_offset(view: int) -> str:
-    """Return the name of the shared unknown for a camera's time offset, frames: the delay of its pictures."""
+    """Return the name of the shared unknown for the delay of a camera's pictures, in frames."""
     return f"time offset {view}"
 
 
@@ -70,7 +71,7 @@ def focal_scale(view: int) -> str:
 
 
 def size_of(shared: Mapping[str, Array]) -> float:
-    """Return the animal's size from the values of the shared unknowns, or 1 if the size is not unknown."""
+    """Return the animal's size from the values of the shared unknowns, or 1 if the size is fixed."""
     return float(shared.get(SIZE, _ONE)[0])
 
 
@@ -114,7 +115,7 @@ class Span:
 
     @property
     def own_rows(self) -> slice:
-        """Return the rows of the frames that belong to this span."""
+        """Return the slice of the span's own frames, without the last frame if the next span begins with it."""
         return slice(0, len(self.states) - (not self.is_last))
 
 
@@ -181,7 +182,7 @@ class Term(Protocol):
 
     @property
     def stencil(self) -> tuple[int, ...]:
-        """Return the offsets (S,) of the frames that a row reads."""
+        """Return the offsets (S,), from a row's own frame, of the frames that the row reads."""
         ...
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
@@ -362,7 +363,7 @@ class Reprojection:
     name: str = "reprojection"
 
     def on_own_markers(self, count: int) -> tuple[Integers, Reprojection]:
-        """Return the rows of the markers that this term reads, which are all markers, and the term itself."""
+        """Return the indices of the markers that the term reads, which are all markers, and the term itself."""
         return np.arange(count), self
 
     @property
@@ -526,7 +527,7 @@ class Heading:
     stencil: tuple[int, ...] = (0, 1)
 
     def on_own_markers(self, count: int) -> tuple[Integers, Heading]:
-        """Return the rows of the markers that this term reads, and the term for these markers alone."""
+        """Return the indices of the markers that the term reads, and the term for these markers alone."""
         return np.array([self.rear, self.front]), replace(self, rear=0, front=1)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
@@ -580,7 +581,7 @@ class StanceVelocity:
     stencil: tuple[int, ...] = (0, 1)
 
     def on_own_markers(self, count: int) -> tuple[Integers, StanceVelocity]:
-        """Return the rows of the markers that this term reads, and the term for these markers alone."""
+        """Return the indices of the markers that the term reads, and the term for these markers alone."""
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
@@ -640,7 +641,7 @@ class OnGround:
     stencil: tuple[int, ...] = (0, 1)
 
     def on_own_markers(self, count: int) -> tuple[Integers, OnGround]:
-        """Return the rows of the markers that this term reads, and the term for these markers alone."""
+        """Return the indices of the markers that the term reads, and the term for these markers alone."""
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:

@@ -166,7 +166,7 @@ def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array
 
 
 def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) -> Array:
-    """Return the middles (T, J, 3) of the shortest lines between rays; NaN if parallel or behind a camera."""
+    """Return the middles (T, J, 3) of the shortest lines between rays, NaN for parallel or diverging rays."""
     line = centre_b - centre_a
     cosine = np.sum(ray_a * ray_b, axis=-1)
     along_a, along_b = np.sum(ray_a * line, axis=-1), np.sum(ray_b * line, axis=-1)

@@ -299,7 +299,7 @@ class _Quiet(LeastSquares):
 
 @pytest.mark.slow
 def test_no_direction_leads_below_the_minimum():
-    """scipy's solver does not leave the minimum, either."""
+    """scipy's solver stays at the minimum."""
     problem = whole_problem()
     found = problem.minimise(some_states(), 1e-10, 200)
     assert found.converged
