@@ -488,7 +488,7 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
         )
         raise InputError(Problem(path, "likelihood", f"{low:g} to {high:g}{cause}", "numbers from 0 to 1"))
     if low < 0 or high > 1:
-        notes = (*notes, f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1.")
+        notes = (*notes, f"Likelihoods range from {low:g} to {high:g}, but should lie between 0 and 1.")
     return Keypoints(
         stored.names,
         stored.values,

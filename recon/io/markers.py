@@ -58,7 +58,8 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
     raise_problems(common.first_problems(problems, path))
     notes = ()
     if header.get("NumFrames") != str(len(values)):
-        notes = (f"The header announces {header.get('NumFrames', 'no number of')} frames, the file has {len(values)}.",)
+        stated = header.get("NumFrames", "no number of")
+        notes = (f"The header states {stated} frames, but the file has {len(values)}.",)
     unit = header.get("Units") or None
     extra: dict[str, Any] = {"unit": UNIT_NAMES.get(str(unit), unit), "up": "y" if UP_TEXT in cells[0] else None}
     xyz = values[:, 2:].reshape(len(values), len(names), 3)

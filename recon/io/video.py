@@ -167,20 +167,20 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
         short, long = np.percentile(1e3 * np.diff(times_s), [0, 100])
         return (
             f"the frames of {name} are uneven in time ({short:.0f} to {long:.0f} ms apart), but a fit assumes even "
-            f"times: speeds are wrong. {counted}; convert the video to a constant frame rate, then detect keypoints"
+            f"times, so speeds are wrong. {counted}. Convert the video to a constant frame rate, then detect keypoints"
         )
     if missing:
         gaps = [f"{count} before frame {frame + first_frame}" for frame, count in missing.items()]
         rest = ", ..." if len(gaps) > MOST_GAPS else ""
         gap_frame = next(iter(missing)) + first_frame
         return (
-            f"the time stamps of {name} show missing frames ({', '.join(gaps[:MOST_GAPS])}{rest}): speeds are wrong "
-            f"there. {counted}; fit the parts between the gaps separately, the first with --frames :{gap_frame}"
+            f"the time stamps of {name} show missing frames ({', '.join(gaps[:MOST_GAPS])}{rest}), where speeds are "
+            f"wrong. {counted}. Fit the parts between the gaps separately, the first with --frames :{gap_frame}"
         )
     if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:
         return (
-            f"{name} states {stated} frames, but {decoded} can be decoded: it is cut short, or it lacks frames and "
-            f"speeds are wrong there; its time stamps do not show where. {counted}; copy the video again"
+            f"{name} states {stated} frames, but {decoded} can be decoded. Either the video is cut short, or frames "
+            f"are missing at unknown times, where speeds are wrong. {counted}. Copy the video again"
         )
     return None
 

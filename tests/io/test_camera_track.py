@@ -59,9 +59,6 @@ def refuses(text: str, path: Path, *expected: tuple[object, ...]) -> None:
         read_camera_track(path)
 
 
-# Reading
-
-
 def test_a_table(tmp_path):
     poses, frames = turning(6), np.array([3, 4, 5, 6, 8, 9])
     track = read_camera_track(write_track(tmp_path / "track.csv", frames, poses))
@@ -285,9 +282,6 @@ def test_files_of_other_kinds(tmp_path):
         read_camera_track(tmp_path)
 
 
-# Settings
-
-
 def test_settings_that_do_not_fit(runs, tmp_path):
     track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
     given: dict[str, Any] = {"keypoints": runs / "run_cam1.csv", "fps": FPS}
@@ -341,9 +335,6 @@ def test_a_batch_finds_tracks_next_to_its_manifest_and_notices_changes(runs, tmp
     before = identity(clip.settings)
     assert set(before["inputs"]) == {"keypoints", "camera", "camera_track"}
     assert "camera_track" not in before["settings"]
-
-
-# Clips
 
 
 def test_frames_without_a_pose_have_no_detections(runs, tmp_path):

@@ -92,9 +92,6 @@ def files_3d(tmp_path_factory) -> dict[str, Path]:
     return paths
 
 
-# Round trips
-
-
 def pairs(formats: Sequence[Format]) -> list[tuple[Format, Format]]:
     """Return pairs of formats: each format to the next and to itself, and the last to the first."""
     return [pair for i, one in enumerate(formats) for pair in ((one, one), (one, formats[(i + 1) % len(formats)]))]
@@ -181,9 +178,6 @@ def test_frame_numbers_far_apart(tmp_path):
     c3d = next(f for f in FORMATS if f.name == "c3d")
     with refusal(("C3D", "frames", 10**9 + 1)):
         c3d.write(a_pose(np.array([0, 10**9])), tmp_path / "a")
-
-
-# Independent readers, 2D
 
 
 @pytest.mark.parametrize("name", ["deeplabcut.csv", "deeplabcut.h5"])
@@ -299,9 +293,6 @@ def test_plain_csv_by_csv(files_2d):
     assert rows[3]["x"] == rows[3]["y"] == ""
 
 
-# Independent readers, 3D
-
-
 def test_parquet_by_pandas(files_3d):
     table = pd.read_parquet(files_3d["parquet.parquet"])
     assert list(table.columns) == ["frame", "joint", "x_m", "y_m", "z_m"]
@@ -363,9 +354,6 @@ def test_npz_by_numpy(files_3d):
         assert file["names"].tolist() == list(a_pose().names)
         assert file["frames"].tolist() == FRAMES.tolist()
         assert float(file["fps"]) == FPS
-
-
-# Choice of formats, and refused conversions
 
 
 def test_choice_of_format():
@@ -487,9 +475,6 @@ def test_folder_of_results(results, tmp_path):
         convert(ConvertSettings(source=results, out=tmp_path / "b.nwb", **given))
     with refusal((tmp_path, "folder", "no motion.npz", "recon fit")):
         convert(ConvertSettings(source=tmp_path, out=tmp_path / "b.nwb"))
-
-
-# The command line
 
 
 def run(*arguments: str | Path):

@@ -14,8 +14,6 @@ from format_files import NAN, refuses, save
 
 from recon.io.positions import read_pose3d
 
-# 3D files of other programs
-
 
 def test_real_trc(shared_data):
     """A real TRC file has commas instead of tabs, millimetres, and fewer frames than its header states."""

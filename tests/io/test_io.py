@@ -81,9 +81,6 @@ def assert_same(keypoints: Keypoints, columns: dict[str, np.ndarray]) -> None:
     assert not columns
 
 
-# Real files
-
-
 def test_real_csv_of_one_animal(shared_data):
     path = shared_data / "importer-files" / "deeplabcut" / "deepof_single.csv"
     keypoints = read_keypoints(path)
@@ -191,9 +188,6 @@ def test_an_h5_file_that_is_cut_off_is_refused(shared_data, tmp_path, name):
         path = tmp_path / "cut.h5"
         path.write_bytes(whole[:length])
         refuses(path, ("file", "cut off", "whole"))
-
-
-# Contents of the files
 
 
 def test_single_animal(tmp_path):
@@ -442,9 +436,6 @@ def test_invalid_frame_numbers_and_times_are_refused(tmp_path, clock, cells, exp
     refuses(save(tmp_path, text), expected)
 
 
-# Invalid files
-
-
 def test_no_file(tmp_path):
     refuses(tmp_path / "none.csv", ("file", "no such file"))
     refuses(tmp_path, ("file", "a folder"))
@@ -536,9 +527,6 @@ def test_all_bad_cells_are_named_up_to_ten(tmp_path):
 def test_problems_of_different_kinds_come_together(tmp_path):
     path = save(tmp_path, SINGLE.replace("5,6", "5,six").replace("\n2,0", "\ntwo,0") + "3,1\n")
     refuses(path, ("line 5, nose/y", "'six'"), ("row 3 below the header", "'two'"), ("line 7", "2 cells", 7))
-
-
-# H5
 
 
 def frame_of(names: list[str] | None, *columns: tuple[str, ...], index=(0, 1, 2), dtype=float) -> pd.DataFrame:
@@ -649,9 +637,6 @@ def test_a_long_file_is_read_to_its_last_value(tmp_path):
     frame.to_csv(path)
     keypoints = read_keypoints(path)
     np.testing.assert_array_equal(keypoints.xy_px[:, 24, 1], frame[("p24", "y")])
-
-
-# 3D positions
 
 
 def test_pose3d(tmp_path):

@@ -22,8 +22,6 @@ from recon.io.common import NoChoiceError, Pose3D
 from recon.io.formats import FORMATS, read_keypoints
 from recon.io.positions import read_pose3d
 
-# SLEAP
-
 NODES, TRACKS = ["nose", "tail", "ear"], ["a", "b"]
 XY = np.random.default_rng(0).uniform(0, 100, (5, 2, 3, 2))  # frame, track, node, xy
 SCORE = np.random.default_rng(1).uniform(0, 1, (5, 2, 3))
@@ -224,9 +222,6 @@ def test_movement_problems(tmp_path, change, expected):
     refuses(tmp_path / "a.nc", expected, individual="a")
 
 
-# NWB
-
-
 def test_real_nwb(shared_data):
     folder = shared_data / "importer-files" / "ndx-pose"
     for name in ("0.3.0_poseestimation_one_camera.nwb", "0.3.0_poseestimation_two_cameras.nwb"):
@@ -290,8 +285,6 @@ def test_nwb_problems(tmp_path):
     refuses(nwb_file(tmp_path / "b.nwb", shorten), counts, individual="a")
 
 
-# COCO
-
 COCO = {
     "images": [
         {"id": 5, "file_name": "v/img012.png", "width": 64, "height": 48},
@@ -346,9 +339,6 @@ def test_coco_problems(tmp_path, change, expected):
     refuses(save(tmp_path / "a.json", json.dumps(COCO | change)), expected)
 
 
-# MMPose; other tests read complete files of its demo
-
-
 def mmpose_file(path: Path, frames: object, names: object = ("nose", "tail")) -> Path:
     meta = {"keypoint_id2name": dict(enumerate(names)) if isinstance(names, tuple) else names}
     return save(path, json.dumps({"meta_info": meta, "instance_info": frames}))
@@ -400,9 +390,6 @@ def test_mmpose_with_tracks(tmp_path):
 )
 def test_mmpose_problems(tmp_path, frames, names, expected):
     refuses(mmpose_file(tmp_path / "a.json", frames, names), expected)
-
-
-# Broken files of every format
 
 
 def written(folder: Path) -> list[tuple[Path, object]]:
@@ -482,9 +469,6 @@ def test_every_format_is_on_its_page():
         assert f"`{f.suffixes[0]}`" in page
 
 
-# OpenPose, a file for each frame
-
-
 def openpose_files(folder: Path, frames: dict[int, list[np.ndarray]], name: str = "run_{:012d}_keypoints.json") -> Path:
     folder.mkdir(exist_ok=True)
     for number, people in frames.items():
@@ -522,9 +506,6 @@ def test_openpose_with_two_persons_and_other_lists(tmp_path):
     refuses(path, ("pose_keypoints_2d", "17 and 25", "17, 18, 25, 26"))
     nameless = path.rename(path.with_name("run.json"))
     refuses(nameless, ("file", "without a number", "run_000012_keypoints.json"))
-
-
-# DANNCE, sleap-anipose
 
 
 def dannce_file(path: Path, packed: bool = True, **changes) -> Path:

@@ -18,8 +18,6 @@ from recon.io.positions import read_pose3d
 from recon.io.times import frames_of_times, nearest_frames
 from recon.io.writing import frames_of_text, frames_text
 
-# Plain CSV
-
 TABS = """\
 frame|nose x (px)|nose y (px)|nose conf|tail x (px)|tail y (px)|tail conf
 6|||0|5|6|
@@ -104,9 +102,6 @@ def test_plain_csv_problems(tmp_path, text, expected):
 def test_column_maps_that_are_wrong(text, found):
     with refusal(*(("--columns", "map", one) for one in found)):
         parse_map(text)
-
-
-# Frame numbers
 
 
 def test_frames_of_times():

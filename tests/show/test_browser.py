@@ -459,8 +459,6 @@ def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
     assert got[2] == len(motion.frames)
 
 
-# The editor of recon fix
-
 EDITOR = "document.querySelector('main.fix').editor"
 PLACED = """([position, x, y]) => {
   EDITOR.go(position);

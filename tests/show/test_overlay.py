@@ -259,9 +259,6 @@ def test_command(folder, video, tmp_path):
     assert CliRunner().invoke(app, [*args, "--overwrite", "-q"]).stdout == ""
 
 
-# Stills
-
-
 def test_every_still_has_its_animal(folder):
     drawn, rows, *_ = page_pictures(Motion.load(folder), 0, PageSettings(folder=folder), 20)
     tiles = draw_tiles(drawn, rows)
@@ -309,9 +306,6 @@ def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
     assert pictures is not None
     np.testing.assert_allclose([picture.mean() for picture in pictures], levels, atol=8)
     assert drawn.frames[rows].tolist() == [12 if offset_s > 0 else 10, 17]
-
-
-# Several cameras
 
 
 @pytest.fixture(scope="module")

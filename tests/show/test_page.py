@@ -272,9 +272,6 @@ def test_figures_are_embedded_as_vectors_unless_these_are_large():
     assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
 
 
-# A batch
-
-
 @pytest.fixture(scope="module")
 def batch(folder, tmp_path_factory) -> Path:
     """Return the folder of a batch of five clips, of which three have verdicts, one failed, and one is unsolved."""

@@ -32,9 +32,6 @@ def unpacked(packed: dict[str, Any]) -> np.ndarray:
     return np.where(units == nothing, np.nan, packed["offset"] + packed["unit"] * units)
 
 
-# Data
-
-
 def test_a_page_has_the_poses_of_the_motion(small_trajectory):
     data = player_data.player_data(small_trajectory, None)
     joints_m = unpacked(data["scene"]["joints_m"]).reshape(8, 24, 3)
@@ -130,9 +127,6 @@ def test_a_finding_names_its_keypoints_and_camera(small_trajectory):
     assert (item["frames"], item["camera"], item["keypoints"]) == ([12, 15], "cam1", ["l_front_paw"])
 
 
-# Quality
-
-
 def test_the_page_and_the_numbers_name_the_same_worst_keypoint(two_cameras):
     """The worst keypoint has the largest median distance in any camera, whatever its few largest distances are."""
     joint, few = (two_cameras.names.index(name) for name in ("l_shoulder", "nose"))
@@ -167,9 +161,6 @@ def test_the_worst_keypoint_comes_first_with_its_stuck_position(small_trajectory
     assert (rows["l_front_paw"]["swapped"], rows["l_front_paw"]["stuck"]) == (3, None)
     assert (rows["r_eye"]["used"], rows["r_eye"]["missing"], rows["r_eye"]["median_px"]) == (0, 8, None)
     assert rows["nose"]["median_px"] == pytest.approx(0, abs=0.1)
-
-
-# Pictures
 
 
 def noise(count: int, size_px: tuple[int, int]) -> list[np.ndarray]:
@@ -219,9 +210,6 @@ def test_a_small_animal_is_followed():
     shown = cv2.imdecode(np.frombuffer(strip.encoded[0], np.uint8), cv2.IMREAD_COLOR)
     assert shown.shape[:2] == (cut.size_px[1], cut.size_px[0])
     assert shown.max() > 240
-
-
-# Scripts
 
 
 def test_a_script_has_each_module_once_after_those_that_it_imports():

@@ -184,9 +184,6 @@ def test_nothing_is_off_the_page_and_no_texts_overlap(figures, monkeypatch):
     assert "\n".join(problems) == ""
 
 
-# Writing figures
-
-
 @pytest.mark.usefixtures("laid_out")
 def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
     def written(folder):
@@ -224,9 +221,6 @@ def test_lines_differ_in_more_than_colour():
     assert all(style.look(i)["linestyle"] != style.look(i + 1)["linestyle"] for i in range(27))
 
 
-# Nothing to draw
-
-
 def test_figures_without_data_say_so():
     t, nan = times(31), np.full((31, 4, 3), np.nan)
     nothing = point_kinematics(t, nan[:, 0])
@@ -245,9 +239,6 @@ def test_figures_without_data_say_so():
         assert "no data" in texts(figure), i
     still = gait(still_tracks())
     assert "no stances" in texts(plots.footfall({"ground": replace(still, stances=(), strides=())}, FPS))
-
-
-# Composites
 
 
 @pytest.mark.parametrize("heading", [2.0, *(pytest.param(h, marks=pytest.mark.slow) for h in (0.0, -2.5))])
@@ -326,9 +317,6 @@ def test_composites_choose_among_the_known_poses():
     assert len(thick_lines(side)) == 4 * 3
 
 
-# Speed
-
-
 def test_speed_and_acceleration():
     known = point_kinematics(times(8), path(8), (Errors(np.full((8, 3), 0.001)),))
     points = 2 * path()
@@ -356,9 +344,6 @@ def test_speed_and_acceleration():
     np.testing.assert_allclose(rings[1], [gap.peak_speed_time_s, gap.peak_speed_m_s])
     assert "second: peak 2.80 m/s at 1.400 s, 2 m/s²" in texts(figure)
     assert above.get_ylabel() == "speed (m/s)"
-
-
-# Vector fields
 
 
 def test_arrows_are_velocities_to_one_scale():
@@ -398,9 +383,6 @@ def test_long_clips_leave_out_arrows_evenly():
 def test_lines_through_many_frames_have_no_dots():
     assert style.dots(500, 2.0) == {"marker": "o", "ms": 2.0}
     assert style.dots(501, 2.0) == {}
-
-
-# Phase portraits
 
 
 def test_portraits_in_degrees():
@@ -519,9 +501,6 @@ def test_portraits_fit_on_a_page(figures):
     assert all(min(axes.bbox.width, axes.bbox.height) / 100 / style.MM > 18 for axes in figure.axes[:26])
 
 
-# Footfall
-
-
 @pytest.mark.usefixtures("laid_out")
 def test_bars_show_when_feet_stand():
     figure = plots.footfall(gaits(), FPS)
@@ -579,9 +558,6 @@ def test_a_band_that_is_wider_than_the_curve_leaves_it_a_third_of_its_panel():
     top, highest = axes.get_ylim()[1], wide.acceleration_m_s2.max()
     assert (wide.acceleration_m_s2 + radius(INTERVAL) * wide.acceleration_sigma_m_s2).max() > 10 * highest
     assert highest / top > 0.3
-
-
-# Inverse kinematics
 
 
 def test_paths_in_the_plane():

@@ -94,9 +94,6 @@ def test_to_plain():
     assert to_plain(given) == {"a": None, "b": [2, True, False], "p": "x", "f": 0.3}
 
 
-# Frame method
-
-
 def test_frames(small_motion):
     assert list(small_motion.flags) == [(), (), (), ("no data",), ("outliers",), ("few points",)]
 
@@ -238,9 +235,6 @@ def test_console_summary(report):
     assert "neck_base" in lines
     assert "0.203 m" in lines
     assert 10 <= len(summary_lines(report)) <= 16
-
-
-# Trajectory method
 
 
 def test_frames_of_a_trajectory(small_trajectory, two_cameras):
@@ -598,9 +592,6 @@ def test_lines_of_a_trajectory(trajectory):
     assert 10 <= len(summary_lines(trajectory)) <= 19
 
 
-# Several cameras
-
-
 @pytest.fixture(scope="module")
 def several(two_cameras):
     first, second = two_cameras.sources
@@ -659,9 +650,6 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert dict(lines)["size"].endswith("the positions of the cameras")
     sentences = " ".join(several["assumptions"]["sentences"])
     assert says(sentences, "measured by ", ": 1.00 ± ", "cameras stand still")
-
-
-# Both methods
 
 
 @pytest.mark.parametrize("method", ["report", "trajectory", "several"])

@@ -44,9 +44,6 @@ def off_m(rig: Armature, joints: bones.Joints) -> float:
     return bones.largest_error_m(joints, rig.joints, rig.pose.xyz_m)
 
 
-# Contents of the written files
-
-
 def test_rig_joints_are_those_of_the_skeleton():
     """Joints are at the skeleton's positions, and are interpolated in a missing frame."""
     body = load_skeleton("cheetah-24")
@@ -198,9 +195,6 @@ def test_names_with_blanks_are_refused(write, tmp_path):
     with refusal((kind, "name", ["'left ear'", "' '"])):
         write(rig, tmp_path / "a")
     assert list(tmp_path.iterdir()) == []
-
-
-# Rigs of results
 
 
 @pytest.mark.parametrize("extension", bones.READERS)

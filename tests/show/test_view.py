@@ -284,9 +284,6 @@ def test_a_motion_without_any_pose_can_be_written(small_motion: Motion, tmp_path
     assert all(not recording.values(entity, 12) for entity in recording.frames)
 
 
-# The trajectory method
-
-
 @pytest.fixture(scope="module")
 def played(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("view") / "motion.rrd"
@@ -433,9 +430,6 @@ def test_a_trajectory_without_any_pose_can_be_written(small_trajectory: Motion, 
     recording = Recording(tmp_path / "motion.rrd")
     assert recording.values("/no_data", 12) == ["no data"]
     assert all(not recording.values(entity, 12) for entity in WHOLE)
-
-
-# Several cameras
 
 
 def moving(motion: Motion) -> Motion:

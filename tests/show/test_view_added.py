@@ -38,9 +38,6 @@ def by_frame(of: list[dict[str, Any]], component: str) -> dict[int, Any]:
     return {row["frame"]: row[component] for row in of if "frame" in row and component in row}
 
 
-# An analysis
-
-
 @pytest.fixture(scope="module")
 def found(whole_analysis: ClipAnalysis) -> ClipAnalysis:
     return whole_analysis
@@ -120,9 +117,6 @@ def test_without_masses_there_are_no_forces(found: ClipAnalysis, tmp_path: Path)
     data = rows(tmp_path / "motion.rrd")
     assert "/analysis/speed" in data
     assert not {"/analysis/forces", "/world/forces"} & {*data}
-
-
-# A video
 
 
 @pytest.fixture(scope="module")
