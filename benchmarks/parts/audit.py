@@ -5,7 +5,7 @@
 The files are the cheetahs' views and 3D poses, the plate trials, windows of a dog's motion capture and of a rat's 3D
 poses, a horse's hand labels and DeepLabCut's examples, all of $RECON_SHARED_DATA. A fault is planted if the file allows
 it: a swap needs both sides, and gravity needs a flight. For each fault, the script prints the fraction of files in
-which the audit names it, with the limits of `recon.check.audit` and with limits chosen without the recording. It also
+which the audit names it, with the limits of `recon.check.audit` and with limits chosen on the other recordings. It also
 prints the unchanged files that have findings. Real detectors also make the faults `points_jump` and `sides_swap`, so
 the 3D truth of the views decides whether such a finding on an unchanged file is right.
 """

@@ -3,9 +3,9 @@
     python benchmarks/parts/bone_lengths.py
 
 Each run of $RECON_SHARED_DATA/cheetah-runs is fitted alone, with all its cameras; subjects.json has the lengths. The
-script prints each bone's error and standard deviation, the fraction of 90 % intervals that contain the length, and the
-same fraction if the standard deviation of the model (`recon.fit.shape.MODEL_SIGMA`) is the maximum-likelihood value of
-the other runs.
+script prints each bone's error and standard deviation, and the fraction of 90 % intervals that contain the length. The
+fraction is also printed with the model's standard deviation (`recon.fit.shape.MODEL_SIGMA`) estimated from the other
+runs by maximum likelihood.
 """
 
 from __future__ import annotations

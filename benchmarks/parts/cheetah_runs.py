@@ -3,9 +3,9 @@
     python benchmarks/parts/cheetah_runs.py FOLDER [--csv TABLE.csv] [--set robust_c=6 ...]
 
 Each run is a folder with camN.csv (DeepLabCut), scene.json (AcinoSet), truth.csv and meta.json (subject, fps, cameras,
-monocular_camera). Every view is fitted like `recon fit` with default settings: with the published link ratios, with the
-lengths measured for the subject, and, for the named camera, without the Gaussian priors. FOLDER is by default the
-cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
+monocular_camera). Every view is fitted with the default settings and the published link ratios, and again with the
+lengths measured for the subject. The view of the named camera is also fitted without the Gaussian priors. FOLDER is by
+default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
 """
 
 from __future__ import annotations

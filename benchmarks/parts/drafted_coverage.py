@@ -5,8 +5,8 @@
 A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) are seen by simulated
 cameras. The skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in
 skeleton (for the rat: --skeleton). A later part is fitted from one, two and six cameras. The table has the fractions of
-joints whose pose and position are inside the stated 90 % regions, and their errors in mm. Keypoints have 2 px of
-noise and a constant bias, whose standard deviation along each axis is 2.5 % of the body's length.
+joints whose pose and position are inside the stated 90 % regions, and their errors in mm. Keypoints have 2 px of noise
+and a constant bias, whose standard deviation along each axis is 2.5 % of the body's length.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ Each run is a folder as in `cheetah_runs.py`, used with all its cameras and thei
 with the same camera file are clips of one rig. The tables compare the relative rotations of all pairs of cameras, the
 upward direction, and the distances from the first camera with the camera file. The tables also have the MPJPE over all
 24 joints of a fit with the estimated cameras, after removing each pose's middle and one rotation of the world. The
-keypoint bias is measured in the other runs. This is repeated with other detections: the truth's projections plus parts
-of the detector's deviations from them. At the end, several clips are simulated, in which a run's motion crosses the
-field of its cameras at other positions, in the same direction or in any direction. FOLDER is by default the
+keypoint bias is measured in the other runs. The rigs are also estimated from other detections, which are the truth's
+projections plus parts of the detector's deviations. At the end, several clips are simulated, in which a run's motion
+crosses the field of its cameras at other positions, in the same direction or in any direction. FOLDER is by default the
 cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 

@@ -5,9 +5,9 @@
 FOLDER is by default the dog-mocap of $RECON_SHARED_DATA, or of ../shared/data; without it, only the gallops are used.
 The second camera is 40 degrees to the side of the first. The gallops have the noise that the skeleton states: each
 keypoint has a bias over the whole clip, and jitters. The dog's clips have a detector's noise and the dog's own
-proportions. The script prints, for each joint and for all joints, the RMS error, the stated standard deviation (root
-mean square) and the fraction of frames inside the 90 % band; and how often the intervals of the greatest and the least
-angle over the stride, and of their phases, contain the true ones.
+proportions. For each joint and for all joints, the script prints the RMS error, the stated standard deviation (root
+mean square) and the fraction of frames inside the 90 % band. It also prints how often the intervals of the greatest and
+the least angle over the stride, and of their phases, contain the true values.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.
 meta.json. Every view is fitted like `recon frame`. The true peak speed is the largest speed of the reference joint in
 the frames, from the spline through the reconstruction of all cameras. A speed counts as stated if
 `ClipAnalysis.why_no_speed` is None. --quick uses only the camera named in meta.json. --rows shows rows that --csv
-wrote, for example of runs that were measured at the same time. The last lines are the summary, also with each run left
-out, because the numbers of the method were chosen on all runs.
+wrote, for example of runs that were measured at the same time. The last lines summarise all runs, and all runs except
+one, because the parameters of the method were chosen on all runs.
 """
 
 from __future__ import annotations

@@ -2,16 +2,16 @@
 
     python benchmarks/parts/gait.py [FOLDER] [--held-out]
 
---held-out shows how `SPEED_ERROR`, the fraction of a foot's stated speed error by which a standing foot seems to move,
-is chosen. For each of three kinds of recordings, it is chosen on the stances of the other two and tested on the third.
+--held-out shows how `SPEED_ERROR` is chosen, the fraction of a foot's stated speed error by which a standing foot seems
+to move. The choice is made on the stances of two of three kinds of recordings, and tested on the third kind.
 
-In the samples, speeds and stance events of the true joints and of reconstructions are compared with the formula at
-3600 fps. Each real run is a folder with truth.csv and meta.json (fps). The script prints the runs' gaits, and the mean
+In the samples, speeds and stance events of the true joints and of reconstructions are compared with the formula at 3600
+fps. Each real run is a folder with truth.csv and meta.json (fps). The script prints the runs' gaits, and the mean
 magnitudes of the links' motion relative to their parents. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA,
 or of ../shared/data; without runs, only the samples are measured. Three more recordings come from the same folder: the
-plate-trials, in which single views and the multi-camera reconstruction are compared with the force plates' stances; the
-dog-mocap, with walks, runs and a turn, by its markers and by one camera from the side; and the horse-side, which is
-labelled by hand.
+plate-trials, in which stances of single views and of the multi-camera reconstruction are compared with the force
+plates; the dog-mocap with walks, runs and a turn, of which the markers and one side camera are analysed; and the
+horse-side, which is labelled by hand.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@
 There are two groups of animals, with two runs of each animal and six strides per run. The standard deviations of
 animals, runs, strides and measurement are known, and all clips share a lens error. The table has the estimated variance
 components relative to the truth, as means over the herds, and how often 90 % intervals contain the effect and the mean
-of the first group. For the power, the simulated effect is the effect that, according to
-the plan, should be found in 80 % of such herds, and `reached` is the fraction of herds in which it was found.
+of the first group. To test the planned power, the simulated effect has the size that should be found in 80 % of such
+herds, and `reached` is the fraction of herds in which it was found.
 
 The designs are balanced, so the interval of the effect is exact without the lens error. Its coverage then differs from
 90 % only by chance, with a standard deviation of 1 % for 1000 herds.

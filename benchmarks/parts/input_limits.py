@@ -5,17 +5,18 @@
 Each row has one statistic that a check compares with a constant, over the clips of one case. A constant is justified if
 the statistic of correct clips does not reach it. Correct clips are all views of the cheetah-runs and plate-trials of
 $RECON_SHARED_DATA, or of ../shared/data, each alone; parts of its dog-mocap as in `standing.py`; and the rendered film
-of data/samples. Wrong ones are every n-th view with a case of `wrong_inputs.py`. The statistics are:
+of data/samples. Wrong clips are every n-th view with a case of `wrong_inputs.py`. The statistics are:
 
 - long steps: the fraction of the steps between frames that exceed `LONG` times the steps around them
 - long steps by themselves: the fraction of the long steps that exceed `ALONE` times both their neighbours, for clips
   with more long steps than `SHARE_LONG`
 - feet below trunk: `feet_below_trunk`, which does not depend on a fit
 - zoom: the logarithm of the zoom per second that fits best, up to `LARGEST` times `ZOOM`
-- feet backwards: the backward speed of standing feet, relative to the body's speed over them, if the body is faster
-  over its feet than `SLIDE_LEGS_S`
+- feet backwards: the backward speed of standing feet, relative to the speed of the body over the feet, for clips in
+  which the body moves faster over its feet than `SLIDE_LEGS_S`
 - feet, m/s: the speed of standing feet along the trunk
-- body over feet: in leg lengths per second, for clips whose feet move backwards by more than `SLIDE_SHARE`
+- body over feet: the speed of the body over the feet, leg lengths per second, for clips whose feet move backwards by
+  more than `SLIDE_SHARE`
 - feet on the ground: the speed of the lowest feet, relative to the speed of standing feet, for clips whose feet
   seem to slide
 - jolts: the terms of the fit's cost, named in `JOLTS`, that a jolt of the body's path raises

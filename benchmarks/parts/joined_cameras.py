@@ -4,8 +4,8 @@
 
 The runs are in FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Each view is fitted separately, and the views
 of a run become one clip as in `recon compare --design`. The true speed is the speed of the reference joint in the
-reconstruction from all cameras. Intervals are 90 % intervals. The animals have the mean size of their species, as the
-fits assume.
+reconstruction from all cameras. Intervals are 90 % intervals. The fits assume that the animals have the mean size of
+their species.
 """
 
 from __future__ import annotations

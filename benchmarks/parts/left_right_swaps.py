@@ -5,9 +5,9 @@
 Each run is a folder as in `cheetah_runs.py`, or with one calibration file for each camera. Every view is changed in its
 file or in the settings of `recon fit`, and fitted. Errors are means of the joints' distances, both poses centred. By
 default FOLDER is the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without runs, nothing
-is measured. --views n uses every n-th view only. --folds prints the margin of swaps that is chosen on all runs but one,
-for each run. --others lists the findings in unchanged clips of other animals: dogs as in `dog.py`, with the prior of
-the other clips and with independent angles, and a horse's hand labels with a guessed camera. These clips come from the
+is measured. --views n uses every n-th view only. For each run, --folds prints the margin of swaps that is chosen on all
+other runs. --others lists the findings in unchanged clips of other animals: dogs as in `dog.py`, with a prior from the
+other clips and with independent angles, and a horse labelled by hand, with a guessed camera. These clips come from the
 dog-mocap and the horse-side of $RECON_SHARED_DATA.
 """
 

@@ -4,9 +4,9 @@
 
 Each run is a folder as in `cheetah_runs.py`. There are three tests:
 
-- pan: the detections of every view are converted to those of a camera that turns about its centre and an upright axis,
-  so that the animal stays in the middle of the picture. The rays are turned back and projected through the same lens.
-  Points outside the lens model's range are left out of both views
+- pan: the detections of every view are converted to detections of a camera that turns about an upright axis through its
+  centre, so that the animal stays in the middle of the picture. The rays are turned back and projected through the same
+  lens. Points outside the lens model's range are left out of both views
 - with errors: as `pan`, but with white and drifting errors of the camera poses, whose size is stated
 - driven: the truth is projected into the named camera without noise, once still and once driven at 10 m/s along the
   animal's path

@@ -6,8 +6,8 @@ The motions come from the runs in FOLDER, by default the cheetah-runs of $RECON_
 degrees, 1920 x 1080) stands at the side of the middle of each run. Except for the condition that a row changes, there
 are all keypoints, 3 px of noise, the run's own frame rate and a distance of 12 m. The fits use the lengths of the
 expected animal and the built-in prior, which was learned from the same runs. They know nothing else about the truth.
-MPJPE is the mean distance of the joints, both poses centred, and PA-MPJPE the same after the best rotation and scale of
-each frame. "distance" is the relative error of the mean distance from the camera.
+MPJPE is the mean distance of the joints, both poses centred, and PA-MPJPE is the mean distance after the best rotation
+and scale of each frame. "distance" is the relative error of the mean distance from the camera.
 """
 
 from __future__ import annotations

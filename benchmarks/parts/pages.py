@@ -15,10 +15,10 @@
 - `pages` writes the pages of the rendered film with its video, of a sample of 60 frames, and of twenty such samples in
   a row, forwards and backwards
 - `summary` writes the page of a batch of copies of one result
-- `run` goes from the rendered film to the page with a network that `recon train` made on this film, and its
-  time is compared with the time of one command per stage, and of a second run
+- `run` times `recon run` from the rendered film to the page, with a network that `recon train` made on this film, and
+  compares this time with one command per stage, and with a second run
 
-If Chromium is on the path, it opens the pages, and the number of its console messages is printed.
+If Chromium is on the path, the pages are opened in it, and the number of console messages is printed.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     python benchmarks/parts/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
 
 Both films show the same animal in the same world, from the same position through the same lens at the same times; one
-camera turns to follow the animal, and shakes. The labels of each film, of the same frames, train a separate network,
-which predicts the points of all frames. The panning camera's rotation is estimated from the film, like `recon run
+camera turns to follow the animal, and shakes. For each film, a separate network is trained on labels of the same
+frames, and predicts the points of all frames. The panning camera's rotation is estimated from the film, like `recon run
 --camera-motion turns`, with the tilt of the first picture given. The still camera's pose is its calibrated pose. Errors
 are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the script
 only draws the film.

@@ -5,8 +5,8 @@
 `peer_runs.py` makes the environment and runs this script with its Python, so nothing of recon is imported here. Each
 in_NUMBER.npz in FOLDER has pixels without lens distortion (C, T, K, 2), the cameras' focal lengths (C,) and poses as
 rotation vectors and translations (C, 3), the frame rate, pairs of keypoints with a constant distance (N, 2), and
-recon's triangulation: positions (T, K, 3), and which detections they come from (C, T, K). out_NUMBER.npz gets the
-positions (T, K, 3) of each program, NaN if unknown, and its processor time in seconds.
+recon's triangulation: positions (T, K, 3), and a mask (C, T, K) of the detections that were used. out_NUMBER.npz gets
+the positions (T, K, 3) of each program, NaN if unknown, and its processor time in seconds.
 """
 
 from __future__ import annotations

@@ -12,10 +12,10 @@ recon fits as `recon fit` does, with the built-in skeleton and without the keypo
 The truth is a trajectory estimate of a skeleton from all cameras. This favours programs that have a skeleton, and the
 joints are inside the body, where a detector's keypoints need not be. "without offsets" is the MPJPE after each joint's
 mean offset over the run is subtracted, in a frame that turns with the trunk. "median" is the median of all joints'
-centred errors, which a few gross errors do not change. "delivered" is the fraction of the truth's joints that have a
-position; errors are over these joints. "two" cameras are the named camera and the camera with the most different
-direction. Times are processor times, with all checks for recon, and without files, compilation and the search of
-subsets for the others. The script runs in one thread.
+centred errors, which a few gross errors do not change. "delivered" is the fraction of the true joints that have a
+position; errors are over the joints with a position. "two" cameras are the named camera and the camera with the most
+different direction. Times are processor times, with all checks for recon, and without files, compilation and the search
+of subsets for the others. The script runs in one thread.
 """
 
 from __future__ import annotations

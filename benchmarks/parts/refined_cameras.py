@@ -7,7 +7,7 @@ by 2 degrees about a random axis, and moved by 5 cm in a random direction. The r
 refined from the original poses, because the original poses are not exact either. Errors are over all 24 joints. The
 first table compares all runs of one camera file together with each run alone; the keypoint bias is measured in the
 other runs. The second table has means over the runs, each alone, with other detections: the truth's projections,
-without and with white noise of the size of the detector's deviations. FOLDER is by default the cheetah-runs of
+without noise and with white noise as large as the detector's deviations. FOLDER is by default the cheetah-runs of
 $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 

@@ -3,11 +3,11 @@
     python benchmarks/parts/regions.py [FOLDER]
 
 All views of the runs in `cameras.py` are fitted, each alone, with known lengths and the keypoint bias measured in the
-other runs. The degrees of freedom of Student's t are fitted by maximum likelihood; the mean over the
-joints of a view counts as one error of the pose and one of the position. Each run is tested with the value of the other
-runs. Then errors are drawn from the stated covariances, for whole clips with all correlations between their frames, and
-with one scale per clip. The drawn errors show the coverage of the worst view and the size of the errors that correct
-covariances would give. Finally, positions are corrected for the expected bias of the joint minimum
+other runs. The degrees of freedom of Student's t are fitted by maximum likelihood, in which the mean over the joints of
+a view counts as one error of the pose and one error of the position. Each run is tested with the degrees of freedom of
+the other runs. Then errors are drawn from the stated covariances, for whole clips with all correlations between their
+frames, and with one scale per clip. The drawn errors show the coverage of the worst view and the size of the errors
+that correct covariances would give. Finally, positions are corrected for the expected bias of the joint minimum
 (`simulated_coverage.py`).
 """
 

@@ -9,10 +9,10 @@ cameras stand around the animal, at five times its length. Detections have 2 px 
 Fits use independent angles. The table has MPJPE, MPE, and the fraction of coordinates within the stated 90 % intervals,
 for positions and poses.
 
---refine prints results of four refined cameras with the skeleton's lengths: from the true poses, with all but the first
-turned by 2 degrees, with one turned by 15 degrees, and with one that has the pose of another. The table has the MPE as
-given and refined, and whether the refined cameras are accepted, or the code of the finding. The script runs in one
-thread.
+--refine prints results with four cameras, whose poses are refined, and with the skeleton's lengths. The refinement
+starts from the true poses, with three cameras turned by 2 degrees, with one turned by 15 degrees, and with one that has
+the pose of another camera. The table has the MPE as given and refined, and whether the refined cameras are accepted, or
+the code of the finding. The script runs in one thread.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ Each clip draws a motion, a size, a camera and a detector's errors as the trajec
 If the uncertainty is right, the 50 and 90 % regions contain the truth in 50 and 90 % of the cases, and the rank of the
 true distance in its distribution is uniform (Kolmogorov-Smirnov, p > 0.05).
 
-With --recorded, real animals' motions are turned about the vertical, and everything else is drawn. The
-recordings are the motion capture of `dog.py`, without a learned prior, or the runs of `cameras.py`.
+With --recorded, the motions of real animals are turned about the vertical, and everything else is drawn. The recordings
+are the motion capture of `dog.py`, without a learned prior, or the runs of `cameras.py`.
 
 The solution is the joint maximum of motion and distance. At smaller distances, the same pixels need smaller angles,
 which the prior prefers, although fewer motions fit. The marginal distribution of the distance accounts for this by the

@@ -5,7 +5,8 @@
 The views are all views of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. "error" and "stated"
 are the error and the standard deviation of the velocity of the reference joint (root mean square over axes and frames),
 relative to the spline through the reconstruction of all cameras. "error / stated" is the root mean square of the ratio
-in each view. The net acceleration is that along the path over the whole clip, for fit and reference in the same frames.
+in each view. The net acceleration is measured along the path over the whole clip, in the same frames of fit and
+reference.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ used. The plates give the duration of stances; the multi-camera reconstruction g
 For the asymmetry, the deviations of the left limbs' angles from their means are increased by 0, 2, 5 and 10 % in the
 dog's walks and runs. One camera from the side sees the changed animal, and the same animal with left and right
 exchanged. The true asymmetry is computed from the changed markers. It includes the dog's own asymmetry, so an asymmetry
-that is found at 0 % may be real. A result is false if the 90 % interval excludes 0, but the markers have the other
-sign, or do not exclude 0 themselves given the scatter of their strides. FOLDER is a folder like the dog-mocap. --fits
-keeps the fits in a folder, and reuses fits that the folder already has.
+that is found at 0 % may be real. A result is false if its 90 % interval excludes 0 although the asymmetry of the
+markers has the other sign, or does not differ from 0 given the scatter of their strides. FOLDER is a folder like the
+dog-mocap. --fits keeps the fits in a folder, and reuses fits that the folder already has.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 Each run is a folder as in `cheetah_runs.py`. Every camera view is fitted separately; the other cameras only provide the
 truth. Keypoints are assumed to have no bias. Errors are over all 24 joints. FOLDER is by default the cheetah-runs of
 $RECON_SHARED_DATA, or of ../shared/data; without any runs, only simulated clips are used. The script runs in one
-thread, and in two processes if no times are measured.
+thread. Parts that measure no times run in two processes.
 """
 
 from __future__ import annotations

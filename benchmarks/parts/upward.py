@@ -5,8 +5,8 @@
 The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are used with all cameras of a run,
 and the cheetah-runs also with every pair. "error" is the angle between the two directions, degrees. "stated" is its
 standard deviation about the less certain axis, which has nearly all of the error. If the stated values are right, the
-median of error / stated is 0.67, and nine in ten ratios are below 1.64. A clip is "refused" if the stated value is
-above 10 degrees, and the program does not turn the world. The script runs in one thread.
+median of error / stated is 0.67, and nine in ten ratios are below 1.64. If the stated value is above 10 degrees, the
+clip is "refused", and recon does not turn the world. The script runs in one thread.
 """
 
 from __future__ import annotations
