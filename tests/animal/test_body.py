@@ -1,4 +1,4 @@
-"""Test every built-in body, its mirror image, the files that describe bodies, and chains as bodies."""
+"""Test the built-in skeletons, their mirror images, skeleton and subject files, and chains as bodies."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def example_body() -> Body:
 
 
 def random_states(body: Body, n: int) -> np.ndarray:
-    """Return random states around the expected pose, or anywhere and with any heading."""
+    """Return n random states: poses around the expected one, at any position and with any heading."""
     rng = np.random.default_rng(0)
     angles = rng.normal(body.mean_rad, body.sigma_rad, (n, body.n_state - 4))
     return np.concatenate([rng.uniform(-5, 5, (n, 3)), rng.uniform(-3, 3, (n, 1)), angles], axis=1)
@@ -61,7 +61,7 @@ def in_file(folder: Path, text: str, name: str = "body.toml") -> Path:
 
 
 def problems(file: Path, subject: Path | None = None) -> dict[str, tuple[str, str]]:
-    """Return the problems that a file is refused for, as field -> found, expected."""
+    """Return the problems for which a file is refused: for each field, the found and the expected value."""
     with pytest.raises(InputError) as error:
         load_skeleton(file, subject)
     return {p.field: (p.found, p.expected) for p in error.value.problems}
@@ -114,8 +114,8 @@ def test_mirror(body: Body):
     np.testing.assert_array_equal(expectations[:, permutation[4:] - 4] * signs, expectations)
 
 
-def test_a_body_fitted_to_itself(body: Body):
-    """Gauss-Newton from a nearby pose recovers the points and the size."""
+def test_a_body_is_recovered_from_its_own_points(body: Body):
+    """Gauss-Newton iterations from a nearby pose recover the points and the size."""
     truth = random_states(body, 5)
     target = body.tree.pose(truth, 1.1).points_m
     state, size = truth + np.random.default_rng(1).normal(0, 0.05, truth.shape), np.ones(5)
@@ -272,7 +272,7 @@ def test_subjects_belong_to_one_body(tmp_path: Path):
         load_skeleton("cheetah-24", subject=in_file(tmp_path, "at_m = "))
 
 
-def test_a_body_is_no_chain(tmp_path: Path):
+def test_a_body_is_not_a_chain(tmp_path: Path):
     with refusal(("--skeleton", "name or file", "'cheetah-24'", ["frame method", "cheetah-8u, cheetah-8u-jules"])):
         load_chain("cheetah-24")
     with refusal(("body.toml", "extends", "skeleton cheetah-24", "subject file")):
@@ -298,7 +298,7 @@ def test_a_chain_is_posed_as_its_body_is(chain: UnknownsChain):
         np.testing.assert_allclose(body.tree.pose(found, sizes).points_m, expected, atol=1e-12)
 
 
-def test_what_is_expected_of_a_chain_as_a_body():
+def test_a_chain_keeps_its_expected_angles_as_a_body():
     chain = load_chain("cheetah-8u")
     body = chain.body
     expected = {

@@ -1,4 +1,4 @@
-"""Test that bones have anatomical names, and that their lengths are rigid distances of the skeleton."""
+"""Test that bones have anatomical names, and that their lengths do not depend on the pose."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_skeleton_without_an_anatomy_has_no_bones():
     assert bones_of(replace(load_skeleton("cheetah-24"), anatomy={})) == ()
 
 
-def test_skeleton_check_prints_bones_with_what_they_connect():
+def test_skeleton_check_prints_bones_with_their_joints():
     ended = run("skeleton", "check", "cheetah-24")
     assert "upper arm" in ended.out
     assert "shoulder to elbow" in ended.out

@@ -31,7 +31,10 @@ OF_ACINOSET = "DLC_resnet152_CheetahOct14shuffle4_650000"
 
 
 def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv") -> FitSettings:
-    """Write the run of `tests.test_cameras` to files with these scorers; None stands for a format without a scorer."""
+    """Return the settings for a run, after writing its keypoints to files with the given scorers.
+
+    None stands for a file format without a scorer.
+    """
     files = []
     for number, scorer in enumerate(scorers, start=1):
         csv, path = run / f"run_cam{number}.csv", out / f"run_cam{number}{suffix}"
@@ -48,7 +51,7 @@ def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
-def test_the_files_scorer_says_which_detector_it_is(runs, tmp_path, suffix):
+def test_the_scorer_of_a_file_identifies_the_detector(runs, tmp_path, suffix):
     given = with_scorers(runs, tmp_path, OF_ACINOSET, OF_ACINOSET, suffix=suffix)
     body = prepare(given).body
     assert body.detector == "acinoset"
@@ -58,7 +61,7 @@ def test_the_files_scorer_says_which_detector_it_is(runs, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("scorers", [("DLC",), ("DLC", "another"), (None, "DLC"), ("x" + OF_ACINOSET,)])
-def test_a_detector_that_nobody_knows_is_none(runs, tmp_path, scorers):
+def test_an_unknown_scorer_selects_no_detector(runs, tmp_path, scorers):
     given = with_scorers(runs, tmp_path, *scorers)
     body = prepare(given).body
     assert (body.detector, body.keypoint_offset_m) == ("none", {})
@@ -89,7 +92,7 @@ def test_cameras_of_two_detectors_are_not_mixed(runs, tmp_path, other):
         (None, None, "none: the keypoint file names no scorer"),
     ],
 )
-def test_the_summary_says_which_detector_was_taken_and_why(small_trajectory, scorer, stated, line):
+def test_the_summary_states_the_detector_and_the_reason(small_trajectory, scorer, stated, line):
     sources = [replace(s, keypoints=replace(s.keypoints, scorer=scorer)) for s in small_trajectory.sources]
     seen = with_detector_offsets(small_trajectory.body, stated, {"clip.csv": scorer})
     motion = replace(
@@ -103,7 +106,7 @@ def test_the_summary_says_which_detector_was_taken_and_why(small_trajectory, sco
     assert f"{report['detector']['name']}: {report['detector']['reason']}" == line.partition("; ")[0]
 
 
-def test_the_offsets_of_a_measured_animal_come_first():
+def test_the_offsets_of_a_measured_animal_have_precedence():
     measured = replace(body(), keypoint_offset_m={"nose": (0.01, 0.0, 0.0)})
     assert with_detector_offsets(measured, None).keypoint_offset_m == {"nose": (0.01, 0.0, 0.0)}
     assert with_detector_offsets(measured, None).detector == "own"
@@ -132,7 +135,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
     np.testing.assert_allclose(shift[0, found.markers.index("spine")], [0.0, 0.0, 0.04], atol=1e-12)
 
 
-def test_each_markers_noise_is_its_own():
+def test_each_marker_has_its_own_noise():
     """Each marker has its own noise, unless one value for all is given."""
     seen = replace(body(), keypoint_sigma_m=0.03, keypoint_noise_m={"l_hip": 0.06})
     view = still_view(Camera.from_hfov(60.0, (1920, 1080)), np.zeros((1, 24, 2)), np.ones((1, 24)))
@@ -157,7 +160,7 @@ def test_each_markers_noise_is_its_own():
         ("sigma_m = 0.06\n", "sigma_m = 0.0\n", ("keypoints.spine.sigma_m", "0.0", "greater than")),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, expected):
+def test_problems_of_a_detector_file_are_listed(tmp_path, old, new, expected):
     path = tmp_path / "mine.toml"
     spine = {"keypoint_spread_m": {"spine": 0.03}, "keypoint_noise_m": {"spine": 0.06}}
     as_seen = replace(body(), keypoint_offset_m={"spine": (0.0, 0.0, 0.04)}, **spine)
@@ -166,13 +169,13 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, old, new, expected):
         with_detector_offsets(body(), path)
 
 
-def test_a_detector_of_no_known_name():
+def test_an_unknown_detector_name_is_refused():
     with refusal(("--set detector", "name or file", "'zebra'", "acinoset")):
         with_detector_offsets(body(), "zebra")
 
 
 @pytest.mark.parametrize(("name", "write"), [("copy.h5", write_deeplabcut), ("copy.nwb", write_nwb)])
-def test_other_files_keep_it_too(runs, tmp_path, name, write):
+def test_other_file_formats_keep_the_scorer(runs, tmp_path, name, write):
     (path,) = with_scorers(runs, tmp_path, OF_ACINOSET).keypoints
     write(replace(read_keypoints(path), fps=90.0), tmp_path / name)
     again = read_keypoints(tmp_path / name)

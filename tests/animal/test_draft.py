@@ -1,4 +1,4 @@
-"""Test skeletons that are drafted from the geometry of the keypoints of an animal with legs."""
+"""Test skeletons that are drafted from the 3D keypoints of an animal with legs."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_draft_has_a_trunk_that_goes_forward_and_legs(rat, tmp_path):
     assert 0.025 * length_m < body.marker_sigma_m < 0.035 * length_m
 
 
-def test_names_that_tell_nothing_leave_the_front_to_the_path(rat, tmp_path):
+def test_without_telling_names_the_path_shows_the_front(rat, tmp_path):
     _, points_m = rat
     names = [f"point{k}" for k in range(points_m.shape[1])]
     body = body_of(names, points_m, tmp_path)
@@ -57,7 +57,7 @@ def test_names_that_tell_nothing_leave_the_front_to_the_path(rat, tmp_path):
     assert front[0] > rear[0] + 0.02
 
 
-def test_an_animal_that_mostly_stands_bends_where_it_bent_when_it_moved(rat, tmp_path):
+def test_a_draft_has_the_joints_that_bent_while_the_animal_moved(rat, tmp_path):
     names, points_m = rat
     standing_m = np.repeat(points_m[:1], 2 * len(points_m), axis=0)
     body = body_of(names, np.concatenate([standing_m, points_m]), tmp_path)

@@ -1,4 +1,4 @@
-"""Test names of keypoints: maps, near misses, and the names that detectors write into their files."""
+"""Test keypoint names: name maps, suggestions for similar names, and the names in the files of detectors."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ WOLF = detectors.split_names(
         '"left_eye", l_eye\n throat ,""',
     ],
 )
-def test_a_map_is_two_columns(text, tmp_path):
+def test_a_map_has_two_columns(text, tmp_path):
     assert load_names(in_file(tmp_path, text)).names == {"left_eye": "l_eye", "throat": ""}
 
 
@@ -95,18 +95,18 @@ def test_a_map_is_two_columns(text, tmp_path):
         ("a" * 200_000 + ",b\n", [("line 1", "'" + "a" * 59)]),
     ],
 )
-def test_faults_of_a_map_are_named(text, expected, tmp_path):
+def test_faults_of_a_map_are_listed(text, expected, tmp_path):
     path = in_file(tmp_path, text)
     with refusal(*((path, *one) for one in expected)):
         load_names(path)
 
 
-def test_a_map_of_no_known_name():
+def test_an_unknown_map_name_is_refused():
     with refusal(("--rename", "name or file", "'superanimal'", "one of anatomical, animal3d")):
         load_names("superanimal")
 
 
-def test_points_go_with_their_names():
+def test_points_follow_their_names():
     """Points follow their names, even if two names are exchanged, and a note states what was renamed."""
     file = keypoints("a", "b", "c", "d")
     new = renamed(file, NameMap("map.csv", {"a": "b", "b": "a", "c": "", "x": "y"}))
@@ -138,7 +138,7 @@ def test_a_map_that_does_not_fit_is_refused():
     ],
 )
 def test_bundled_maps(bundled, names, of_cheetah):
-    """Bundled maps have only names of their detector and keep the sides; the fit finds its own map."""
+    """Built-in maps contain only names of their detector and keep the sides, and a fit finds its own map."""
     by = load_names(bundled)
     cheetah = load_skeleton("cheetah-24")
     if names not in (MMPOSE_AP_10K, WOLF):  # these maps match words, not whole names
@@ -154,7 +154,7 @@ def test_bundled_maps(bundled, names, of_cheetah):
     assert fitting_maps(names, cheetah.markers)[0] == bundled
 
 
-def test_a_bundled_map_has_a_name_however_it_is_written(tmp_path):
+def test_a_bundled_map_accepts_any_spelling_of_a_name(tmp_path):
     by = load_names("anatomical")
     for carpus in ("left_carpus", "Left_Carpus", "LeftCarpus", "leftCarpus", "L_carpus", "carpus_L", "Carpus left"):
         _, new, _ = new_names(["nose", carpus, carpus.replace("arpus", "arpals")], by, "clip.csv")
@@ -182,7 +182,7 @@ def test_a_bundled_map_has_a_name_however_it_is_written(tmp_path):
         ("L_B_Elbow", None),  # a hind leg has none
     ],
 )
-def test_names_with_the_code_of_a_leg(name, marker):
+def test_names_with_leg_codes_are_recognised(name, marker):
     assert load_names("anatomical").get(name) == marker
     expected = None if marker is None or marker[1] != "_" else {"l": "left", "r": "right"}[marker[0]]
     assert side_of(name) == (expected if marker else "left")
@@ -205,7 +205,7 @@ def test_every_bundled_map_is_tested():
 @pytest.mark.parametrize(
     ("names", "skeleton", "unused"), [(ACINOSET, "cheetah-24", {"lure"}), (HORSE_10, "horse-22", set())]
 )
-def test_detectors_whose_names_are_a_skeletons(names, skeleton, unused):
+def test_names_of_a_detector_select_a_skeleton(names, skeleton, unused):
     markers = load_skeleton(skeleton).markers
     assert {*names} - {*markers} == unused
     assert {*markers} <= {*names}
@@ -214,7 +214,7 @@ def test_detectors_whose_names_are_a_skeletons(names, skeleton, unused):
 # Near misses
 
 
-def test_near_misses():
+def test_similar_names_are_suggested():
     near = suggestions(
         ["left_eye", "Nose", "front_right_paw", "rear_left_foot", "rootOfTail", "withers", "chin", "Left.Shoulder"],
         ["l_eye", "r_eye", "nose", "r_front_paw", "l_back_paw", "l_front_paw", "tail_base", "spine", "l_shoulder"],
@@ -230,7 +230,7 @@ def test_near_misses():
     assert suggestions(["r_sholder", "shoulder"], ["l_shoulder", "r_shoulder"]) == {"r_sholder": "r_shoulder"}
 
 
-def test_the_map_to_write(tmp_path):
+def test_lines_of_a_map_to_write(tmp_path):
     lines = list(map_to_write(["nose", "left_eye", "chin"], ["nose", "l_eye", "spine"]))
     assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
     assert [*map_to_write(["LF_carpi", "poll"], ["l_front_ankle", "nose"])][1:] == ["LF_carpi,l_front_ankle", "poll,"]
@@ -238,7 +238,7 @@ def test_the_map_to_write(tmp_path):
 
 
 def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
-    """The summary names the keypoints in use and near misses: r_eye is missing in the clip, and the ear is not used."""
+    """The summary lists the used keypoints and similar names: r_eye is missing in the clip, and the ear is not used."""
     source = small_trajectory.sources[0]
     file = replace(source, file_names=tuple("right_eye" if name == "ear" else name for name in source.file_names))
     for motion, said in (
@@ -301,7 +301,7 @@ def test_recon_skeleton_from_keypoints(tmp_path):
 
 
 def as_named_by(bundled: str, path: Path, names: tuple[str, ...]) -> Path:
-    """Return the sample of a whole cheetah as a detector with these names would have written it, and nothing else."""
+    """Write the sample of a cheetah with only the keypoints of a detector, under their names, and return the path."""
     file, of = read_keypoints(SAMPLES / "whole.csv"), load_names(bundled).names
     T, K = len(file.frames), len(names)
     xy, confidence = np.full((T, K, 2), np.nan), np.zeros((T, K))
@@ -317,7 +317,7 @@ def settings(clip: Path, **more) -> FitSettings:
     return FitSettings(keypoints=(clip,), camera=SAMPLES / "camera.toml", fps=60.0, **more)
 
 
-def test_a_fit_takes_a_detectors_own_names(tmp_path):
+def test_a_fit_accepts_the_names_of_a_detector(tmp_path):
     clip = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL)
     (source,) = prepare(settings(clip, rename="superanimal-quadruped")).sources
     native = prepare(settings(SAMPLES / "whole.csv")).sources[0].keypoints
@@ -331,7 +331,7 @@ def test_a_fit_takes_a_detectors_own_names(tmp_path):
 
 @pytest.mark.parametrize("name", detectors.FILES)
 def test_a_detectors_own_file(name, tmp_path):
-    """A detector's own file is read without any choice, and gives the same points as the skeleton's own names.
+    """A detector's own file is read without any option, and gives the same points as the skeleton's own names.
 
     The file has the detector's layout, with several animals and a frame that the detector did not see.
     """
@@ -385,7 +385,7 @@ def test_few_names_are_refused_with_the_map_to_write(tmp_path):
     assert {"l_eye", "r_front_paw", "l_back_knee"} <= {*source.file_names}
 
 
-def test_a_built_in_map_of_all_names_needs_no_map_of_ones_own():
+def test_a_built_in_map_with_all_names_is_suggested_alone():
     names = [*load_names("rat-23").names]
     wanted = load_skeleton("rat").markers
     problem = problem_of_names(names, wanted, "rat", "clip.csv")
@@ -438,7 +438,7 @@ def test_labels_and_predictions_of_other_names(tmp_path):
     assert found["per_keypoint"] == {f"label {n}": same["per_keypoint"][n] for n in ("nose", "spine")}
 
 
-def test_a_batch_knows_a_map_by_its_content(tmp_path):
+def test_a_batch_identifies_a_map_by_its_content(tmp_path):
     names = in_file(tmp_path, "left_eye,l_eye\n")
     one = identity(settings(SAMPLES / "whole.csv", rename=names))
     assert {*one["inputs"]} == {"keypoints", "camera", "rename"}
@@ -451,7 +451,7 @@ def test_a_batch_knows_a_map_by_its_content(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped", "cheetah-24", "human-25", "mouse-top", "rat"])
-def test_the_skeleton_whose_keypoints_these_are(name):
+def test_the_skeleton_of_keypoints_is_found(name):
     markers = load_skeleton(name).markers
     assert skeleton_of([*markers, "another"]) == name
     assert skeleton_of(markers[1:]) is None

@@ -1,4 +1,4 @@
-"""Test motion priors: fits to synthetic motion, their files, and the command that makes them."""
+"""Test motion priors: fits to synthetic motion, files of priors, and the command that fits priors."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def cheetah(subject: str | None = None) -> Body:
 
 
 def swinging(body: Body, n: int, frames: int, fps: float, seed: int = 0) -> list[tuple[str, np.ndarray, float]]:
-    """Return n segments in which all angles but the trunk's roll swing about their means.
+    """Return n segments of motion in which all angles except the trunk's roll swing about their expected values.
 
-    Amplitude and phase are random. The animal runs straight at 1, 2, 3, ... m/s.
+    Amplitudes and phases are random. The animal runs straight, at 1 m/s in the first segment, 2 m/s in the next, etc.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(frames)[:, None] / fps
@@ -118,7 +118,7 @@ def test_recovers_dynamics(prior):
     assert sigma.max() < ACCELERATION_FLOOR_RAD_S2 + 0.1 * OMEGA_RAD_S**2 * SPREAD_RAD
 
 
-def test_apart_segments_have_no_part_in_the_dynamics(body):
+def test_segments_set_apart_do_not_affect_the_dynamics(body):
     """Segments that are set apart have no drift, cause none, and have their own noise."""
     rng = np.random.default_rng(0)
     states = np.cumsum(rng.normal(size=(400, body.n_state)) * 0.02, axis=0)
@@ -130,7 +130,7 @@ def test_apart_segments_have_no_part_in_the_dynamics(body):
     assert made.drift[np.ix_(~tail, np.tile(~tail, 2))].any()
 
 
-def test_refuses_apart_segments_that_are_none(body):
+def test_refuses_unknown_segments_to_set_apart(body):
     with refusal(("prior", "apart", "'wing'")):
         fit_prior(body, [("walk", np.zeros((400, body.n_state)), 90.0)], components=1, apart=["wing"])
 
@@ -167,7 +167,7 @@ def test_two_kinds_of_pose_are_two_components(body):
     assert log_likelihood(prior, states) > log_likelihood(as_one_gaussian(prior), states) + 2
 
 
-def test_poses_that_repeat(body):
+def test_repeated_poses_leave_components_empty(body):
     """If there are fewer different poses than components, some components stay empty."""
     states = np.zeros((100, body.n_state))
     states[50:, 4:] = 0.3
@@ -198,7 +198,7 @@ def test_slow_segments_and_missing_frames(body):
     assert mean_speed_m_s(np.full((5, body.n_state), np.nan), 100.0) == 0
 
 
-def test_too_little_to_fit(body):
+def test_too_few_frames_are_refused(body):
     with refusal(("prior", "components", "6 for 100 frames", ["20 frames", "at most 5"])):
         fit_prior(body, swinging(body, 1, 100, 100.0), components=6)
     ((name, states, fps),) = swinging(body, 1, 100, 100.0)
@@ -262,7 +262,7 @@ def test_builtin(name):
     assert problem.expected == f"the {len(chain.mean_rad)} angles of cheetah-8u, in its order"
 
 
-def test_running_cheetah_is_what_its_page_says(body):
+def test_running_cheetah_agrees_with_its_page(body):
     page = (Path(__file__).parents[2] / "docs" / "priors.md").read_text(encoding="utf-8")
     prior = load_prior("running-cheetah", body)
     used = [row for row in prior.segments if row.used]
@@ -274,7 +274,7 @@ def test_running_cheetah_is_what_its_page_says(body):
 
 
 @pytest.mark.slow
-def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
+def test_running_cheetah_can_be_reproduced(shared_data, body, tmp_path):
     folder = shared_data / "cheetah-poses"
     if not folder.is_dir():
         pytest.skip(f"no {folder}")
@@ -298,7 +298,7 @@ def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
 
 
 def altered(prior: MotionPrior, path: Path, changes: dict) -> Path:
-    """Write a prior's file in which some arrays, or texts of `about`, are replaced; None leaves one out."""
+    """Write the file of a prior with some arrays, or some texts in `about`, replaced or, for None, left out."""
     save_prior(prior, path)
     with np.load(path) as file:
         stored = {key: file[key] for key in file.files}
@@ -346,14 +346,14 @@ def test_wrong_files(body, prior, tmp_path, changes, expected):
 
 
 @pytest.mark.parametrize("content", [b"nothing", b"PK\x03\x04 cut off"])
-def test_no_prior_at_all(body, tmp_path, content):
+def test_a_file_without_a_prior_is_refused(body, tmp_path, content):
     path = tmp_path / "x.npz"
     path.write_bytes(content)
     with refusal((path, "file", "data that cannot be read", "motion prior")):
         load_prior(path, body)
 
 
-def test_no_prior_of_that_name(body):
+def test_an_unknown_prior_name_is_refused(body):
     with refusal(("--prior", "name or file", "'galop'", "running-cheetah")):
         load_prior("galop", body)
 
@@ -363,7 +363,7 @@ def test_pickles_are_refused(body, prior, tmp_path):
         load_prior(altered(prior, tmp_path / "x.npz", {"mean": np.array([{}] * 24)}), body)
 
 
-def test_arrays_that_python_2_wrote(body, prior, tmp_path):
+def test_arrays_written_by_python_2_are_read(body, prior, tmp_path):
     """Arrays that Python 2 wrote, with shapes of long integers, are read."""
     save_prior(prior, tmp_path / "x.npz")
     with zipfile.ZipFile(tmp_path / "x.npz") as now, zipfile.ZipFile(tmp_path / "then.npz", "w") as then:
@@ -374,7 +374,7 @@ def test_arrays_that_python_2_wrote(body, prior, tmp_path):
     np.testing.assert_array_equal(*means)
 
 
-def test_a_prior_must_fit_together(prior):
+def test_arrays_of_a_prior_must_fit_together(prior):
     with pytest.raises(ValueError, match=r"weights: .*; mean: shape \(3,\), expected \(24,\)"):
         replace(prior, weights=2 * prior.weights, mean=np.zeros(3))
 
@@ -421,7 +421,7 @@ def test_command(body, tmp_path):
 
 
 @pytest.mark.slow
-def test_files_of_one_name_and_too_few_frames(body, tmp_path):
+def test_files_of_equal_names_and_too_few_frames_are_refused(body, tmp_path):
     files = []
     for k, (_, states, _) in enumerate(swinging(body, 2, 40, 100.0)):
         (tmp_path / f"run{k}").mkdir()
@@ -436,7 +436,7 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     assert not [note for note in _prior_lines(few) if isinstance(note, str) and "instead of" in note]
 
 
-def test_every_problem_of_a_command(body, tmp_path):
+def test_every_problem_of_the_command_is_listed(body, tmp_path):
     states = swinging(body, 1, 5, 100.0)[0][1]
     few = pose_csv(tmp_path / "few.csv", body, states, np.arange(5), without=body.markers[5:])
     (tmp_path / "there.npz").touch()
@@ -470,7 +470,7 @@ def test_every_problem_of_a_command(body, tmp_path):
 
 
 def test_results(whole_results, body, tmp_path):
-    """Two folders of results provide skeleton, frame rate and names; flagged frames are left out."""
+    """Two folders of results provide the skeleton, the frame rate and the names, and flagged frames are left out."""
     for name in ("run1", "run2"):
         shutil.copytree(whole_results, tmp_path / name)
     ended = run("prior", "fit", tmp_path / "run1", tmp_path / "run2", "--out", tmp_path / "x.npz", "--json")
@@ -521,7 +521,7 @@ def test_results_and_pose_files_together(whole_results, body, tmp_path):
     assert sized["segments"][0]["misfit_mm"] is None
 
 
-def test_what_results_do_not_go_with(whole_results, frame_results, body, tmp_path):
+def test_options_that_contradict_results_are_refused(whole_results, frame_results, body, tmp_path):
     file = pose_csv(tmp_path / "a.csv", body, swinging(body, 1, 30, 100.0)[0][1], np.arange(30))
     no_skeleton, other = ("--skeleton", "name or file", "nothing"), f"--skeleton: dog-27, {whole_results}: cheetah-24"
     for poses, more, *expected in (

@@ -1,4 +1,4 @@
-"""Test skeletons of other animals, of the package and of users, and `recon skeleton`."""
+"""Test skeletons of animals other than the cheetah, built in and from users, and the command `recon skeleton`."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ RIGID_M = {
         ("Offhindfetlock", "Offhindfoot"): 0.19,
     },
 }
-"""Measured distances that do not depend on the pose."""
+"""Distances between markers that do not depend on the pose, m, measured in recordings."""
 
 
 def body_of(name: str | Path) -> Body:
@@ -144,8 +144,8 @@ def test_the_horse_is_about_as_long_as_it_is_high():
     ("name", "speed", "apart", "limit_mm"),
     [("dog-27", 1.0, 5.0, 25), ("horse-22", 1.5, 9.0, 60), ("quadruped", 1.5, 5.0, 60)],
 )
-def test_a_clip_of_its_own_tree_is_found_again(name, speed, apart, limit_mm):
-    """Each skeleton is recovered from a clip of its own: slow waves of all angles, seen from the side without noise."""
+def test_a_skeleton_is_recovered_from_its_own_clip(name, speed, apart, limit_mm):
+    """Each skeleton is recovered from its own clip with slow waves of all angles, seen from the side without noise."""
     body, T, fps = body_of(name), 24, 30.0
     rng, time_s = np.random.default_rng(1), np.arange(T) / fps
     states = np.zeros((T, body.n_state))
@@ -243,7 +243,7 @@ def test_the_middle(name):
 
 
 @pytest.mark.parametrize("skeleton", builtin_names())
-def test_the_built_in_skeletons_say_their_sides_by_the_beginnings_of_names(skeleton):
+def test_built_in_skeletons_state_sides_at_the_beginnings_of_names(skeleton):
     """The built-in skeletons state their sides at the beginnings of names, and reading gives the same sides."""
     body = load_skeleton(skeleton)
     names = {*body.markers, *body.state_names, *(s.name for s in body.tree.segments), *sum(body.keypoints, ())}
@@ -314,8 +314,8 @@ def walking_cat(folder: Path) -> tuple[Path, np.ndarray, Body]:
     return folder / "cat.csv", points_m, body
 
 
-def test_a_users_file_works_where_a_name_does(tmp_path, monkeypatch):
-    """A user's file can replace a name, in a fit with a subject file and with a prior that was fitted to the file."""
+def test_a_file_can_replace_the_name_of_a_skeleton(tmp_path, monkeypatch):
+    """A user's file can replace the name of a skeleton, with a subject file and with a prior fitted for the file."""
     keypoints, points_m, body = walking_cat(tmp_path)
     columns = pd.MultiIndex.from_product([body.markers, ["x", "y", "z"]], names=["bodyparts", "coords"])
     pd.DataFrame(points_m.reshape(len(points_m), -1), columns=columns).to_csv(tmp_path / "poses.csv")
@@ -341,7 +341,7 @@ def test_a_users_file_works_where_a_name_does(tmp_path, monkeypatch):
     pd.testing.assert_frame_equal(one, other)
 
 
-def test_a_chain_may_extend_a_file_beside_it(tmp_path, monkeypatch):
+def test_a_chain_may_extend_a_file_in_the_same_folder(tmp_path, monkeypatch):
     chain = Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "cheetah-8u.toml"
     in_file(tmp_path, chain.read_text(encoding="utf-8"), "base.toml")
     own = in_file(
@@ -367,7 +367,7 @@ def test_list():
 
 
 @pytest.mark.parametrize("name", builtin_names())
-def test_nothing_looks_odd_about_builtin_skeletons(name):
+def test_built_in_skeletons_have_no_remarks(name):
     check = check_skeleton(name)
     no_feet = ["feet: none. Contacts with the ground and gait need them."]
     assert check["remarks"] == (no_feet if name == "mouse-top" else [])
@@ -446,7 +446,7 @@ def test_remarks(tmp_path, old, new, words):
     assert "note: " in output("skeleton", "check", file)
 
 
-def test_sides_and_ends_stand_in_the_file(tmp_path):
+def test_a_file_can_state_sides_and_ends(tmp_path):
     """The file can state sides and ends: near is left and off is right.
 
     The stated foot counts if its name does not say which foot it is.
@@ -513,7 +513,7 @@ def test_pictures(tmp_path):
 
 
 def test_the_horse_on_its_recording(shared_data):
-    """The horse fits hand labels of a led horse in pictures of 288x162: reprojection and heading."""
+    """The horse skeleton fits hand labels of a led horse in pictures of 288x162, by reprojection error and heading."""
     file = shared_data / "horse-side" / "CollectedData_Byron.csv"
     keypoints: Keypoints = read_keypoints(file)
     assert {*keypoints.names} == {*HORSE}
@@ -539,7 +539,7 @@ def test_the_horse_on_its_recording(shared_data):
 
 
 def test_the_dog_on_its_recording(shared_data):
-    """The dog fits a side view of a second of walking; the axes of the recording have y up."""
+    """The dog skeleton fits a side view of one second of walking, in a recording whose y axis points up."""
     names = json.loads((shared_data / "dog-mocap" / "joints.json").read_text())["joints"]
     assert names == list(dict.fromkeys(names))
     assert {*names} == {*DOG}

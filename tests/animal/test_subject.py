@@ -55,7 +55,10 @@ def test_left_and_right_share_their_unknowns():
 
 
 def fitted(shape: Shape, true: np.ndarray, posed: bool = False) -> ShapeFit:
-    """Fit the shape of an animal with the values `true` that two cameras filmed; `posed` states its poses as known."""
+    """Return the shape fitted to the views of two cameras of an animal with the shape values `true`.
+
+    If `posed` is true, the poses of the animal are known.
+    """
     points = _run_of(shape.applied(body(), true))
     views = [view_of(points, AHEAD, 1.0), view_of(points, ASIDE, 1.0, seed=1)]
     options = TrajectoryOptions(fast=True, keypoint_sigma_m=0.005, sigma_px=1.0)
@@ -79,7 +82,7 @@ def test_lengths_are_found():
 
 
 def test_offsets_are_found():
-    """Offsets of the keypoints of paws (1.5 cm up) and knees (outwards) are found."""
+    """Offsets of the keypoints from the paws (1.5 cm up) and the knees (outwards) are found."""
     shape = Shape.of_body(body(), lengths=False, offsets=True)
     true = np.zeros(len(shape))
     moved = [shape.names.index("l_front_paw_z"), shape.names.index("l_back_knee_y")]
@@ -90,7 +93,7 @@ def test_offsets_are_found():
 
 
 @pytest.mark.slow
-def test_beside_known_poses_an_offset_is_no_other_pose():
+def test_with_known_poses_an_offset_is_not_taken_for_another_pose():
     """If poses are known, an offset of a whole fore leg by 4 cm is not taken for another pose."""
     shape = replace(Shape.of_body(body(), lengths=False, offsets=True), offset_sigma_m=0.02)
     true = np.zeros(len(shape))
@@ -109,7 +112,7 @@ def test_lengths_and_offsets_together_are_less_certain():
 
 
 def _run_of(animal: Body) -> np.ndarray:
-    """Return the keypoints (T, J, 3), metres, of another body in the poses of the run `truth_m`."""
+    """Return the keypoints of another body in the poses of the simulated run, metres, shape (T, J, 3)."""
     states, *_ = solve_points(BODY, truth_m())
     return animal.detected.pose(states).points_m
 
@@ -147,7 +150,7 @@ def test_command(runs, tmp_path):
     assert max(abs(row["value"]) for row in said["values"]) < 12  # mm: the keypoints lie on the markers
 
 
-def test_a_few_frames_say_little_and_nothing_else_is_said(runs, tmp_path):
+def test_few_frames_are_accepted_without_a_message(runs, tmp_path):
     config = tmp_path / "config.toml"
     config.write_text(settings(runs, 1, 2, subject=None, frames="10:16").to_toml())
     ended = run("subject", "fit", config, "--out", tmp_path / "cat.toml", "--json")
@@ -163,7 +166,7 @@ def _mean_factor(animal: Body) -> float:
     return float(np.exp(np.log(lengths[0] / lengths[1]).mean()))
 
 
-def test_what_is_wrong_is_said(runs, tmp_path):
+def test_problems_with_clips_and_options_are_listed(runs, tmp_path):
     config, one = tmp_path / "config.toml", tmp_path / "one.toml"
     config.write_text(settings(runs, 1, 2).to_toml())
     one.write_text(settings(runs, 1).to_toml())

@@ -1,4 +1,4 @@
-"""Define the sample's fit in the form in which checks of inputs take it."""
+"""Provide the fit of the bundled sample to tests of the checks of inputs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from recon.fit.result import TrajectorySolution
 
 @pytest.fixture(scope="session")
 def sample_fit(whole_results) -> tuple[ClipProblem, TrajectorySolution]:
-    """Return the problem of the sample, and its solution."""
+    """Return the problem of fitting the bundled sample, and its solution."""
     motion = Motion.load(whole_results)
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
@@ -24,6 +24,6 @@ def sample_fit(whole_results) -> tuple[ClipProblem, TrajectorySolution]:
 
 @pytest.fixture(scope="module")
 def sample_baseline(sample_fit) -> tuple[Baseline, np.ndarray]:
-    """Return the sample as a baseline, and the noise of its detections."""
+    """Return the bundled sample as a baseline, and the standard deviations of its detections, pixels, shape (T, J)."""
     clip, solution = sample_fit
     return baseline_of(clip, 0, solution.states, solution.size), solution.noise_px[0]

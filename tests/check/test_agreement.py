@@ -1,4 +1,4 @@
-"""Test that a camera that disagrees with the others is named, with the amount; simulated cameras film a run."""
+"""Test on simulated cameras that a camera that disagrees with the others is reported, with the cause and its size."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from recon.testing.cameras import level_pose
 
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
-    """Return the findings on the agreement of views, in a stand-in for a motion that has only the fields they need."""
+    """Return the findings on the agreement of views, computed from a stand-in for a motion with only these views."""
     # A further lag of 0.3 frames that the fit did not find.
     late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)
     leads = [view.offset_frames for view in views]
@@ -30,7 +30,7 @@ def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[F
 
 
 def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
-    """Return the codes of findings other than notes, and the indices of their cameras."""
+    """Return the code and the indices of the cameras of each finding that is not a note."""
     return [
         (one.code, tuple(int(name[3:]) - 1 for name in one.names("cameras") or (str(one.camera),)))
         for one in found
@@ -39,12 +39,12 @@ def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
 
 
 def notes(found: Sequence[Finding]) -> list[SimpleNamespace]:
-    """Return the notes on each camera."""
+    """Return the numbers of the note on each camera."""
     return [SimpleNamespace(**one.numbers) for one in found if one.code == "camera_agreement"]
 
 
 def turned(view: View, axis: int) -> View:
-    """Return a camera that is turned by five degrees about its x, y or z axis."""
+    """Return the view of a camera that was turned by five degrees about its x, y or z axis (0 to 2)."""
     rotation = euler_rotation(np.radians(5.0) * np.eye(3)[axis])
     return replace(view, T_camera_world=rigid(rotation, np.zeros(3)) @ view.T_camera_world)
 
@@ -56,7 +56,7 @@ def exchanged(views: list[View], a: int, b: int) -> list[View]:
 
 
 @pytest.mark.parametrize("n", [2, 3, 4])
-def test_cameras_that_agree(n):
+def test_agreeing_cameras_have_no_finding(n):
     found = judged(run_views(n))
     assert findings(found) == []
     assert notes(found)[0].max_level == 1.6
@@ -72,7 +72,7 @@ def test_cameras_that_agree(n):
     ("n", "which", "axis"),
     [(4, 2, 0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((3, 0, 0), (3, 2, 1), (4, 0, 2)))],
 )
-def test_a_camera_that_is_turned(n, which, axis):
+def test_a_turned_camera_is_named_with_its_angle(n, which, axis):
     views = run_views(n)
     views[which] = turned(views[which], axis)
     found = judged(views)
@@ -85,7 +85,7 @@ def test_a_camera_that_is_turned(n, which, axis):
     ("n", "which", "frames"),
     [(3, 1, -10), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((4, 0, 10), (3, 2, 10)))],
 )
-def test_a_camera_that_is_late_or_early(n, which, frames):
+def test_a_late_or_early_camera_is_named_with_its_lag(n, which, frames):
     views = run_views(n)
     views[which] = late(views[which], frames)
     found = judged(views, offset_s=[0.0, 0.25, 0.5, 0.75])
@@ -96,7 +96,7 @@ def test_a_camera_that_is_late_or_early(n, which, frames):
     assert notes(found)[which].level_late < 1.2 < 3 < notes(found)[which].level
 
 
-def test_what_is_known_of_the_lag_is_taken_into_account():
+def test_a_known_lag_is_taken_into_account():
     """A known lag is taken into account: half a frame is in the view, and the other half is found."""
     views, points = run_views(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
@@ -106,14 +106,14 @@ def test_what_is_known_of_the_lag_is_taken_into_account():
 
 
 @pytest.mark.parametrize(("n", "pair"), [(3, (0, 1)), pytest.param(4, (1, 2), marks=pytest.mark.slow)])
-def test_two_exchanged_files(n, pair):
+def test_two_exchanged_files_are_named(n, pair):
     found = judged(exchanged(run_views(n), *pair))
     assert findings(found) == [("cameras_exchanged", pair)]
     assert min(notes(found)[v].level for v in pair) > 3
 
 
-def test_a_camera_of_another_clip():
-    """No turn and no lag makes the detections of another run fit."""
+def test_a_camera_from_another_clip_is_named_without_a_cause():
+    """No rotation and no time offset make the detections from another run fit."""
     views = run_views()
     points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
     views[3] = replace(view_of(points, POSES[3], seed=9), camera=views[3].camera)
@@ -121,7 +121,7 @@ def test_a_camera_of_another_clip():
 
 
 @pytest.mark.slow
-def test_two_cameras_that_are_off():
+def test_two_wrong_cameras_are_named():
     views = run_views()
     views[1], views[3] = turned(views[1], 1), late(views[3], 8)
     fifth = view_of(truth_m(), level_pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5)
@@ -129,7 +129,7 @@ def test_two_cameras_that_are_off():
     assert findings(judged(views)) == [("camera_turned", (1,)), ("camera_late", (3,))]
 
 
-def test_of_two_cameras_none_can_be_named():
+def test_with_two_cameras_neither_is_named():
     views = run_views(2)
     views[1] = turned(views[1], 0)
     found = judged(views)
@@ -138,7 +138,7 @@ def test_of_two_cameras_none_can_be_named():
     assert findings(judged(exchanged(run_views(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
 
 
-def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
+def test_cameras_without_common_frames_cannot_be_compared():
     views = run_views()[:2]
     views[0] = replace(views[0], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, views[0].xy_px, np.nan))
     views[1] = replace(views[1], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, np.nan, views[1].xy_px))
@@ -148,7 +148,7 @@ def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
     assert np.isnan(notes(found)[0].level)
 
 
-def test_noisier_detections_than_expected_are_no_disagreement():
+def test_noisy_detections_are_not_reported_as_disagreement():
     views = [view_of(truth_m(), T, sigma_px=4.0, seed=i) for i, T in enumerate(POSES)]
     found = judged(views)
     assert findings(found) == []
@@ -157,7 +157,7 @@ def test_noisier_detections_than_expected_are_no_disagreement():
 
 
 @pytest.mark.slow
-def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
+def test_a_long_clip_is_compared_where_most_is_detected():
     views = run_views(3)
     xy_px = [np.concatenate([np.full((600, *v.xy_px.shape[1:]), np.nan), v.xy_px]) for v in views]
     views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
@@ -167,11 +167,11 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
     assert notes(found)[0].points == truth_m()[..., 0].size
 
 
-def test_one_camera_has_nobody_to_agree_with():
+def test_one_camera_has_no_finding_on_agreement():
     assert judged(run_views(1)) == ()
 
 
-def test_refined_poses_that_fit_worse_are_used_only_where_they_may_unless_a_camera_is_an_outlier(two_cameras):
+def test_refined_poses_that_fit_worse_are_used_only_if_allowed(two_cameras):
     """Refined poses that fit worse are used only if this is allowed and no camera becomes an outlier.
 
     It is allowed for a fit that also solved for the lengths.

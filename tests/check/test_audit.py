@@ -1,4 +1,4 @@
-"""Test the audit of files of any origin: each planted fault is found, and correct files have no finding."""
+"""Test that the audit finds each planted fault in a file of any origin, and finds nothing in correct files."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ ROWS = slice(20, 30)
 
 @pytest.fixture(scope="module")
 def poses() -> AuditedPoints:
-    """Return the 3D poses of the bundled gallop, 60 frames per second."""
+    """Return the 3D poses of the bundled gallop, at 60 frames per second."""
     return audit_file(SAMPLES / "whole_truth.csv", fps=60).points
 
 
 @pytest.fixture(scope="module")
 def sample() -> AuditedPoints:
-    """Return the keypoints of the bundled gallop, some of which are far off."""
+    """Return the detected keypoints of the bundled gallop, some of which are outliers."""
     return audit_file(SAMPLES / "whole.csv", fps=60).points
 
 
 @pytest.fixture(scope="module")
 def keypoints(sample: AuditedPoints) -> AuditedPoints:
-    """Return the projections of the 3D poses for the keypoints that the bundled gallop has."""
+    """Return the bundled gallop with each detected keypoint replaced by the projection of the true 3D pose."""
     lens, truth = read_camera(SAMPLES / "camera.toml"), read_pose3d(SAMPLES / "whole_truth.csv")
     expected_px, _ = lens.project(lens.world_to_camera(truth.xyz_m[:, [truth.names.index(n) for n in sample.names]]))
     return replace(sample, positions=np.where(sample.known[..., None], expected_px, np.nan))
 
 
 def codes(points: AuditedPoints, **changes) -> dict[str, tuple[int, int] | None]:
-    """Return the codes of the findings on changed points, with their frames."""
+    """Return the codes of the findings on points with some fields replaced, each with the finding's frames."""
     return {item.code: item.frames for item in audit(replace(points, **changes))}
 
 
@@ -54,25 +54,25 @@ def swap(values: np.ndarray, points: AuditedPoints) -> np.ndarray:
     return values[:, opposites(points.names)]
 
 
-def test_points_that_are_right_have_no_finding(poses: AuditedPoints, keypoints: AuditedPoints):
+def test_correct_points_have_no_finding(poses: AuditedPoints, keypoints: AuditedPoints):
     assert poses.roles.skeleton == keypoints.roles.skeleton == "cheetah-24"
     assert codes(poses) == codes(keypoints) == {}
     assert {measure.code for measure in measures_of(poses)} >= {"lengths_change", "unit_unlikely", "up_unlikely"}
 
 
-def test_detections_far_off_in_single_frames_are_named(sample: AuditedPoints):
+def test_outliers_in_single_frames_are_reported(sample: AuditedPoints):
     (finding,) = audit(sample)
     assert finding.code == "points_jump"
     assert finding.numbers["count"] == (np.nan_to_num(jumps_of(sample)) > 1).sum() >= 2
 
 
-def test_a_moving_animal_does_not_jump(poses: AuditedPoints):
+def test_a_moving_animal_is_not_reported_as_a_jump(poses: AuditedPoints):
     fast = poses.positions + np.arange(len(poses.frames))[:, None, None] * [0.5, 0, 0]
     assert np.nanmax(jumps_of(replace(poses, positions=fast))) < 0.5
 
 
 def in_rows(change: Callable[[np.ndarray, AuditedPoints], np.ndarray]):
-    """Change the points in `ROWS` only."""
+    """Return a function that applies a change of the points only in the frames `ROWS`."""
 
     def changed(points: AuditedPoints) -> np.ndarray:
         values = points.positions.copy()
@@ -124,7 +124,7 @@ BOTH = {
 
 @pytest.mark.parametrize("code", BOTH)
 @pytest.mark.parametrize("kind", ["poses", "keypoints"])
-def test_a_fault_in_some_frames_is_named_with_them(kind: str, code: str, request: pytest.FixtureRequest):
+def test_a_fault_in_some_frames_is_reported_with_these_frames(kind: str, code: str, request: pytest.FixtureRequest):
     points = request.getfixturevalue(kind)
     fault, expected = BOTH[code]
     findings = codes(points, positions=fault(points))
@@ -162,11 +162,11 @@ WHOLE = {
 
 
 @pytest.mark.parametrize("code", WHOLE)
-def test_a_fault_of_3d_poses_is_named(code: str, poses: AuditedPoints):
+def test_a_fault_of_3d_poses_is_reported(code: str, poses: AuditedPoints):
     assert list(codes(poses, positions=WHOLE[code](poses))) == [code]
 
 
-def test_every_frame_twice_and_missing_frames_are_named(keypoints: AuditedPoints):
+def test_repeated_and_missing_frames_are_reported(keypoints: AuditedPoints):
     twice = np.repeat(keypoints.positions, 2, axis=0)
     assert list(codes(keypoints, positions=twice, frames=np.arange(len(twice)))) == ["detections_repeated"]
     rows = np.flatnonzero(np.random.default_rng(0).random(len(keypoints.frames)) > 0.3)
@@ -177,7 +177,7 @@ def test_every_frame_twice_and_missing_frames_are_named(keypoints: AuditedPoints
     assert codes(replace(kept, frames=rows)) == {}  # the file says which frames are missing
 
 
-def test_steps_over_missing_frames_are_likelier_than_a_change_of_speed():
+def test_missing_frames_are_distinguished_from_a_change_of_speed():
     rng = np.random.default_rng(1)
     intervals = rng.choice([1, 2, 3], 60, p=[0.7, 0.22, 0.08])
     errors = rng.normal(0, 0.05, 59)
@@ -199,7 +199,7 @@ def test_a_standing_foot_stays_still_only_in_coarse_coordinates(poses: AuditedPo
     assert "point_frozen" not in codes(poses, positions=coarse, resolution=cells)
 
 
-def test_a_leap_is_no_fault_and_shows_a_wrong_frame_rate(poses: AuditedPoints):
+def test_a_leap_has_no_finding_unless_the_frame_rate_is_wrong(poses: AuditedPoints):
     time_s = np.arange(25) / 60
     values = poses.positions.copy()
     values[15:40, :, 2] += (0.5 * 9.81 * time_s * (time_s[-1] - time_s))[:, None]
@@ -210,14 +210,14 @@ def test_a_leap_is_no_fault_and_shows_a_wrong_frame_rate(poses: AuditedPoints):
     assert "frames per second, not 120, would give 9.8 m/s²." in sentence(findings[0])
 
 
-def test_keypoints_of_another_picture_are_named(keypoints: AuditedPoints):
+def test_keypoints_from_another_picture_are_reported(keypoints: AuditedPoints):
     up = [0.0, 1080.0] + keypoints.positions * [1.0, -1.0]
     assert list(codes(keypoints, positions=up)) == ["keypoints_y_up"]
     parts = keypoints.positions / [1920, 1080]
     assert list(codes(keypoints, positions=parts, resolution=0.0)) == ["keypoints_normalised"]
 
 
-def test_what_a_file_does_not_say_is_a_note(tmp_path: Path):
+def test_a_unit_or_frame_rate_that_is_not_stated_is_a_note(tmp_path: Path):
     table = pd.read_csv(SAMPLES / "whole_truth.csv", header=None)
     path = tmp_path / "poses.csv"
     names = ["frame"] + [f"{name}_{axis}" for name, axis in table.iloc[:2, 1:].T.itertuples(index=False)]
@@ -233,7 +233,7 @@ def test_what_a_file_does_not_say_is_a_note(tmp_path: Path):
     assert result.findings[0].numbers["unit"] == "mm"
 
 
-def test_names_of_other_programs_are_understood():
+def test_names_from_other_programs_are_understood():
     roles = roles_of(["LeftPaw", "RightPaw", "SpineMid"])
     assert (roles.skeleton, roles.feet, roles.upper) == (None, (0, 1), (2,))
     assert resolution_of(np.array([0.5, 1.25])) == 0.01
@@ -264,7 +264,7 @@ def test_a_page_has_a_row_for_each_finding(poses: AuditedPoints):
     assert next(iter(LIMITS)) == "detections_repeated"
 
 
-def test_a_folder_is_refused_with_a_file_to_audit(tmp_path: Path):
+def test_a_folder_is_refused_with_the_name_of_a_file_to_audit(tmp_path: Path):
     def refuses(content: str, expected: object) -> None:
         refused(["audit", tmp_path], (tmp_path, "file", content, expected))
 

@@ -15,7 +15,7 @@ from tests.example_run import BODY, FPS, PRIOR, two
 
 
 def _with_drift(views, drift_frames: float):
-    """Return the second of two views with a clock that drifts and is in step in the middle of the clip."""
+    """Return two views, the second of which has a drifting clock that is in step in the middle of the clip."""
     T = len(views[1].xy_px)
     shown = np.arange(T) + drift_frames * (np.arange(T) - 0.5 * (T - 1)) / T
     xy_px = views[1].xy_px.reshape(T, -1)
@@ -25,7 +25,7 @@ def _with_drift(views, drift_frames: float):
 
 @pytest.mark.parametrize("piece", [512, 1])  # all frames in one piece, and each frame in its own piece
 @pytest.mark.parametrize("drift_frames", [-4.0, 0.0, 4.0])
-def test_a_clock_that_drifts_is_named_with_its_rate(monkeypatch, drift_frames, piece):
+def test_a_drifting_clock_is_named_with_its_rate(monkeypatch, drift_frames, piece):
     monkeypatch.setattr("recon.check.clocks.piece_of", lambda _: piece)
     solution = two()
     T = len(solution.states)
@@ -40,7 +40,7 @@ def test_a_clock_that_drifts_is_named_with_its_rate(monkeypatch, drift_frames, p
 
 
 @pytest.mark.parametrize("drift_frames", [-4.0, 0.0])
-def test_a_drift_that_the_rays_do_not_show_is_not_a_clock(drift_frames, monkeypatch):
+def test_a_drift_that_the_rays_refute_is_not_reported(drift_frames, monkeypatch):
     """Wrong lengths of a rough skeleton look like a drift, but are not reported, because the cameras' rays meet."""
     solution = two()
     views = _with_drift(solution.views, drift_frames)

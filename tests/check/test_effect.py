@@ -1,4 +1,4 @@
-"""Test that the severity of a finding follows its effect on the result."""
+"""Test that the severity of a finding depends on its effect on the result."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def late(pose_m: float, position_m: float):
         (np.nan, np.nan, "error"),
     ],
 )
-def test_an_effect_below_the_limit_is_no_error(pose_m, position_m, severity):
+def test_an_effect_below_the_limit_is_not_an_error(pose_m, position_m, severity):
     assert by_effect(late(pose_m, position_m), TRUNK_M).severity == severity
 
 
@@ -43,24 +43,24 @@ def test_an_effect_below_the_limit_is_no_error(pose_m, position_m, severity):
     ("pose_m", "position_m", "severity"),
     [(0.024, 0.18, "note"), (0.054, 0.29, "warning"), (0.024, 0.41, "error"), (0.15, 0.18, "error")],
 )
-def test_an_effect_on_positions_that_are_less_certain_is_no_error(pose_m, position_m, severity):
+def test_an_effect_within_the_uncertainty_of_positions_is_not_an_error(pose_m, position_m, severity):
     assert by_effect(late(pose_m, position_m), TRUNK_M, position_sigma_m=0.4).severity == severity
 
 
-def test_a_finding_without_an_effect_keeps_its_severity_and_a_note_stays_one():
+def test_a_finding_without_an_effect_keeps_its_severity():
     assert by_effect(finding("camera_late", camera="cam1", **AGAINST), TRUNK_M).severity == "error"
     assert by_effect(replace(late(1.0, 1.0), severity="note"), TRUNK_M).severity == "note"
     assert by_effect(finding("left_right_swap", part="all keypoints"), TRUNK_M).severity == "warning"
 
 
-def test_a_sentence_says_the_effect_where_it_is_known():
+def test_a_sentence_states_the_effect_if_it_is_known():
     effect = "Without this fault, poses would change by 12 mm and positions by 40 mm."
     assert f"(31 px, 5.2 times the expected error). {effect}" in sentence(late(0.012, 0.04))
     assert "poses would change by 8 mm and positions by 4.7 m." in sentence(late(0.008, 4.661))
     assert "error). Measure the time offset with --set find-offsets=true" in sentence(late(np.nan, np.nan))
 
 
-def test_a_finding_on_the_frame_rate_says_the_speed(small_trajectory):
+def test_a_finding_on_the_frame_rate_states_the_speed(small_trajectory):
     """A finding on the frame rate states the speed, because poses and positions hardly change with the rate."""
     body, solution = small_trajectory.body, small_trajectory.solution
     clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 30.0, TrajectoryOptions())
@@ -91,7 +91,7 @@ def test_evidence_against_a_known_frame_rate_is_a_note(small_trajectory):
     assert [item.severity for item in _rate_findings(clip, solution, 83.0, is_known=True)] == ["note"]
 
 
-def test_a_pair_is_not_blamed_for_the_lengths_of_a_rough_skeleton(small_trajectory):
+def test_a_pair_with_a_rough_skeleton_has_only_a_note(small_trajectory):
     solution = small_trajectory.solution
     pair = SecondCamera(misplaced=9.0, late=1.0, late_frames=0.1)
     segments = tuple(replace(segment, second_camera=pair) for segment in solution.segments)
@@ -115,7 +115,7 @@ def test_a_pair_is_not_blamed_for_the_lengths_of_a_rough_skeleton(small_trajecto
         ("gross outliers", 0.5, True),
     ],
 )
-def test_a_third_of_poor_frames_is_named(small_trajectory, flag, share, is_named):
+def test_flagged_frames_are_reported_if_more_than_a_third(small_trajectory, flag, share, is_named):
     T = len(small_trajectory.flags)
     flags = tuple((flag,) if t < share * T else () for t in range(T))
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, flags=flags))
@@ -125,7 +125,7 @@ def test_a_third_of_poor_frames_is_named(small_trajectory, flag, share, is_named
 
 
 @pytest.mark.parametrize(("used", "rejected", "count"), [(70, 30, 0), (60, 40, 1)])
-def test_a_third_of_the_detections_left_out_is_named(small_trajectory, used, rejected, count):
+def test_detections_left_out_are_reported_if_more_than_a_third(small_trajectory, used, rejected, count):
     (source,) = small_trajectory.sources
     keypoints = {
         name: dict.fromkeys(numbers, 0) | {"used": used, "rejected": rejected}
@@ -137,14 +137,14 @@ def test_a_third_of_the_detections_left_out_is_named(small_trajectory, used, rej
 
 
 def without_frames(motion, rows, reason=GROSS):
-    """Leave out all detections of some rows, as for gross outliers."""
+    """Return the motion with all detections of some frames left out for a reason, by default as gross outliers."""
     (source,) = motion.sources
     points = source.keypoints.present & np.isin(np.arange(len(motion.frames)), rows)[:, None]
     keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, reason)
     return replace(motion, sources=(replace(source, keypoints=keypoints, cleaning=cleaning),))
 
 
-def test_frames_that_were_left_out_as_gross_outliers_count_as_outliers(small_trajectory):
+def test_gross_outlier_frames_count_as_outliers(small_trajectory):
     assert not [*many_outliers(small_trajectory)]
     (item,) = many_outliers(without_frames(small_trajectory, [0, 1, 2, 4]))
     assert item.severity == "warning"
@@ -161,7 +161,7 @@ def test_detections_left_out_for_several_reasons_are_named_together(small_trajec
     assert not [*many_left_out(small_trajectory)]
 
 
-def test_the_frames_errors_agree_with_that_of_the_clip(small_trajectory):
+def test_errors_of_frames_agree_with_the_error_of_the_clip(small_trajectory):
     judged = add_verdict(small_trajectory)
     assert judged.verdict is not None
     assert judged.verdict.pose_m is not None

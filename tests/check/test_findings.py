@@ -1,4 +1,4 @@
-"""Test that each finding's code has a severity, one sentence, and a line in docs/findings.md."""
+"""Test that each code of a finding has a severity, a text, and a line in docs/findings.md."""
 
 from __future__ import annotations
 
@@ -229,7 +229,7 @@ def test_every_code_has_its_sentence(code):
     assert sentence(one).endswith((".", "?"))
 
 
-def test_of_one_camera_no_name_is_said():
+def test_the_name_of_a_single_camera_is_not_stated():
     one = finding("keypoints_y_up", camera="cam1")
     assert sentence(one) == f"cam1: {sentence(one, named=False)}"
     above = finding("ground_above_camera", camera="cam1", height_m=0.5, sigma_m=0.1)
@@ -248,14 +248,14 @@ def test_findings_come_in_the_order_of_their_codes(small_trajectory):
     assert {"few_frames", "second_solution", "camera_taken_level"} <= {code for _, code in given}
 
 
-def test_a_list_of_names_reads_and_is_saved_like_a_tuple():
+def test_a_list_of_names_is_shown_and_saved_like_a_tuple():
     listed, paired = (
         finding("keypoints_do_not_fit", keypoints=names) for names in (["nose", "tail"], ("nose", "tail"))
     )
     assert listed == paired
 
 
-def test_a_motion_that_does_not_explain_the_detections_shows_no_treadmill(small_trajectory):
+def test_an_unexplained_motion_is_no_evidence_of_a_treadmill(small_trajectory):
     belt = finding("treadmill", slide_m_s=3.0, speed_m_s=0.1)
     unexplained = finding("motion_unexplained", prior="cats", misfit=3.1, share=0.17)
 
@@ -266,7 +266,7 @@ def test_a_motion_that_does_not_explain_the_detections_shows_no_treadmill(small_
     assert codes(belt, unexplained) == codes(unexplained)
 
 
-def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
+def test_a_clip_with_a_flag_on_every_frame_is_reported(whole_results):
     motion = Motion.load(whole_results)
 
     def named(*flags: str) -> list[str]:
@@ -281,7 +281,7 @@ def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
     assert says(reason, f"of {len(motion.frames)} frames have a flag", "ambiguous depth", "from the front or the back")
 
 
-def test_findings_go_with_a_motion_that_is_saved(small_trajectory, tmp_path):
+def test_findings_are_saved_with_a_motion(small_trajectory, tmp_path):
     motion = replace(small_trajectory, findings=findings_of(small_trajectory))
     motion.save(tmp_path)
     assert Motion.load(tmp_path).findings == motion.findings
@@ -301,7 +301,7 @@ def test_every_code_and_every_flag_is_documented():
     assert {*FLAG_OF.values()} <= {*FLAGS}
 
 
-def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
+def test_cameras_in_another_unit_and_low_likelihoods_are_reported(small_trajectory):
     motion = small_trajectory
     view, source = motion.solution.views[0], motion.sources[0]
     moved = view.T_camera_world.copy()
@@ -325,7 +325,7 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     assert not [*likelihoods_low(motion)]
 
 
-def test_a_misfit_that_the_noise_hides_is_measured_against_detectors(small_trajectory):
+def test_a_misfit_hidden_by_the_noise_is_compared_with_usual_detectors(small_trajectory):
     """A misfit is compared with usual detectors, not with the noise: all detections and the noise are 100 px off."""
     xy_px = small_trajectory.sources[0].keypoints.xy_px + 100.0
     keypoints = replace(small_trajectory.sources[0].keypoints, xy_px=xy_px)

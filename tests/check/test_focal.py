@@ -1,4 +1,4 @@
-"""Test that a wrong focal length shows in the animal's perspective, its motion in depth and the ground."""
+"""Test that a wrong focal length is detected by the animal's perspective, its motion in depth and the ground."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def number(item: Finding, name: str) -> float:
 
 
 def with_focal_scale(baseline: Baseline, log_factor: float, focal_sigma: float | None = None) -> Baseline:
-    """Return a view with a longer stated focal length and the animal proportionally farther away: equal pictures."""
+    """Return a baseline with another stated focal length, and the animal moved so that the pictures are equal."""
     (view,) = baseline.clip.views
     axis, states = view.T_camera_world[2, :3], baseline.states.copy()
     states[:, :3] += np.expm1(log_factor) * (states[:, :3] @ axis)[:, None] * axis
@@ -29,7 +29,7 @@ def with_focal_scale(baseline: Baseline, log_factor: float, focal_sigma: float |
 
 
 @pytest.mark.parametrize(("log_factor", "severity"), [(0.4, "warning"), (-0.4, "note"), (-0.2, None)])
-def test_the_focal_length_of_another_lens_is_named_with_its_factor(sample_baseline, log_factor, severity):
+def test_a_wrong_focal_length_is_reported_with_its_factor(sample_baseline, log_factor, severity):
     baseline, noise_px = sample_baseline
     with threadpool_limits(1, user_api="blas"):
         item = focal_finding(with_focal_scale(baseline, log_factor), noise_px)
@@ -41,7 +41,7 @@ def test_the_focal_length_of_another_lens_is_named_with_its_factor(sample_baseli
         assert pose_m < 0.05 < 1 < position_m
 
 
-def test_a_focal_length_within_the_stated_uncertainty_is_not_named(sample_baseline):
+def test_a_focal_length_within_the_stated_uncertainty_is_not_reported(sample_baseline):
     baseline, noise_px = sample_baseline
     with threadpool_limits(1, user_api="blas"):
         assert focal_finding(with_focal_scale(baseline, -0.4, focal_sigma=0.3), noise_px) is None

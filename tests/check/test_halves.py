@@ -13,7 +13,7 @@ from recon.fit.clip_problem import ClipProblem
 
 
 def later(clip: ClipProblem, half: np.ndarray, frames: int) -> ClipProblem:
-    """Return the clip with one half, a mask (J,) of the markers, of an animal that runs `frames` frames behind."""
+    """Return the clip with the markers of one half, a mask (J,), from an animal that runs `frames` frames behind."""
     (view,) = clip.views
     xy_px = view.xy_px.copy()
     xy_px[frames:, half] = view.xy_px[: len(xy_px) - frames, half]
@@ -21,7 +21,7 @@ def later(clip: ClipProblem, half: np.ndarray, frames: int) -> ClipProblem:
 
 
 @pytest.mark.parametrize(("late", "is_named"), [(0, False), (2, True)])
-def test_a_hind_half_of_a_later_animal_is_named(sample_fit, late, is_named):
+def test_the_hind_half_of_a_later_animal_is_reported(sample_fit, late, is_named):
     clip, solution = sample_fit
     is_hind, names = hind_markers(clip), np.array(clip.body.markers)
     assert {"tail_base", "l_hip", "l_back_paw"} < {*names[is_hind]}

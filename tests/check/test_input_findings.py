@@ -83,7 +83,7 @@ def solved(changed: View) -> TrajectorySolution:
 
 
 def fitted(changed: View):
-    """Return what a fit to these keypoints finds."""
+    """Return the baseline of a fit to the keypoints of a view."""
     setting = ClipProblem.from_views([changed], BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
     return baseline_of(setting, 0, solved(changed).states, solved(changed).size)
 
@@ -98,14 +98,14 @@ def stretch(kind: str, first: int, stop: int) -> _Stretch:
 
 @cache
 def exchanged(kind: str, first: int, stop: int) -> View:
-    """Return the view with the sides exchanged in some frames; all tests share it, so that it is fitted once."""
+    """Return the view with the sides exchanged in some frames, cached so that all tests use the same fit."""
     return with_exchanged(view(), stretch(kind, first, stop))
 
 
 # Sides
 
 
-def test_pairs_are_those_of_the_other_side():
+def test_pairs_consist_of_left_and_right_markers():
     names = {kind: {BODY.markers[j] for j in np.flatnonzero(p != np.arange(24))} for kind, p in pairs_of(BODY).items()}
     assert names["fore"] == {f"{s}_front_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
     assert names["hind"] == {f"{s}_back_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
@@ -113,7 +113,7 @@ def test_pairs_are_those_of_the_other_side():
     np.testing.assert_array_equal(opposites(BODY.markers)[opposites(BODY.markers)], np.arange(24))
 
 
-def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
+def test_swaps_are_undone_only_if_the_whole_clip_becomes_more_likely():
     swapped = solved(exchanged("all", 15, 25))
     assert swap_improves(plain(), swapped)
     assert not swap_improves(swapped, plain())
@@ -123,7 +123,7 @@ def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
     assert downgrade_swap(finding("animal_still", speed_m_s=0.1)).code == "animal_still"
 
 
-def test_tracks_jump_where_an_exchange_begins_and_ends():
+def test_tracks_jump_at_the_ends_of_an_exchange():
     gain = jumps(exchanged("all", 15, 25), pairs_of(BODY)["all"])
     assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
     assert gain[[15, 25]].min() > 20
@@ -131,7 +131,7 @@ def test_tracks_jump_where_an_exchange_begins_and_ends():
     assert np.flatnonzero(np.isinf(gain)).tolist() == [0, 1, 2, T - 2, T - 1]
 
 
-def test_missing_points_say_nothing_of_jumps():
+def test_missing_points_are_no_evidence_of_jumps():
     xy_px = view().xy_px.copy()
     xy_px[:, 3] = np.nan
     xy_px[10:14] = np.nan
@@ -157,7 +157,7 @@ def test_missing_points_say_nothing_of_jumps():
         pytest.param("hind", 20, T, marks=pytest.mark.slow),
     ],
 )
-def test_exchanged_sides_are_found(kind, first, stop):
+def test_swapped_sides_are_found(kind, first, stop):
     (found,) = swaps(fitted(exchanged(kind, first, stop)))
     assert found.stretch.rows == slice(first, stop)
     assert found.stretch.markers == stretch(kind, first, stop).markers
@@ -166,7 +166,7 @@ def test_exchanged_sides_are_found(kind, first, stop):
 
 
 @pytest.mark.slow
-def test_what_is_not_clear_is_only_to_be_looked_at():
+def test_an_unclear_swap_is_only_a_possible_swap():
     assert swaps(fitted(exchanged("hind", 17, 20))) == []
     trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), MARGIN + 10.0)
     (source,) = motion_of(plain()).sources
@@ -177,7 +177,7 @@ def test_what_is_not_clear_is_only_to_be_looked_at():
     assert not any("left-right swap" in flags for flags in with_flags(motion_of(plain()), [unclear]).flags)
 
 
-def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
+def test_a_clip_that_only_looks_swapped_is_a_possible_swap(monkeypatch):
     refit = Refit(plain().states, 0.0, 0.0)
     monkeypatch.setattr("recon.check.swaps.try_undone", lambda given, one: _SwapTrial(one, refit, -20.0))
     (found,) = swaps(fitted(exchanged("all", 0, T)))
@@ -185,7 +185,7 @@ def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
     assert swaps(fitted(view())) == []
 
 
-def test_other_cameras_refute_exchanged_sides_without_a_fit():
+def test_other_cameras_refute_swapped_sides_without_a_fit():
     """Other cameras refute exchanged sides without a fit.
 
     The first of three cameras has the sides of ten frames exchanged; a single other camera refutes nothing.
@@ -221,7 +221,7 @@ def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
 
 
 @pytest.mark.slow
-def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
+def test_of_two_contradicting_swaps_one_must_be_clearly_more_likely():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
     swapped = fitted(exchanged("hind", 20, T))
     right, wrong = (try_undone(swapped, by) for by in (other, one))
@@ -242,7 +242,7 @@ def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
         ("fore", (15, 25), 12.0, None),
     ],
 )
-def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, ratio, code):
+def test_weak_evidence_for_a_whole_clip_is_a_possible_swap(monkeypatch, kind, rows, ratio, code):
     proposed, refit = iter([[stretch(kind, *rows)]]), Refit(plain().states, 0.0, 0.0)
     module = sys.modules[swaps.__module__]
     monkeypatch.setattr(module, "propose_stretches", lambda *args: next(proposed, []))
@@ -254,18 +254,18 @@ def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, 
     assert all(one.severity == "warning" for one in found)
 
 
-def test_a_clip_without_states_has_no_exchanged_stretch():
+def test_a_clip_without_states_has_no_swaps():
     nothing = given(exchanged("all", 15, 25))
     assert propose_stretches(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY), False) == []
 
 
-def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
+def test_an_end_of_a_clip_is_tried_together_with_the_rest():
     ends = {(one.rows.start, one.rows.stop) for one in propose_stretches(given_half(), pairs_of(BODY), False)}
     assert {(0, 20), (20, T)} <= ends
 
 
 @pytest.mark.parametrize(("seen_s", "legs", "told"), [(0.4, True, True), (0.2, True, False), (0.4, False, False)])
-def test_sides_of_a_whole_clip_are_tried_if_it_is_long_enough_and_has_legs(seen_s, legs, told):
+def test_a_swap_of_a_whole_clip_needs_enough_frames_and_legs(seen_s, legs, told):
     of_leg = pairs_of(BODY)["fore"] != pairs_of(BODY)["hind"]
     shown = moved(np.where(of_leg[:, None] & ~np.bool(legs), np.nan, view().xy_px))
     n = round(seen_s * FPS)
@@ -279,13 +279,13 @@ def given_half():
     return fitted(exchanged("hind", 20, T))
 
 
-def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
+def test_a_motion_unlike_the_prior_has_swapped_stretches_but_no_swapped_clip():
     (found,) = swaps(given_half(), is_unlike=True)
     assert found.stretch.rows == slice(20, T)
     assert swaps(fitted(exchanged("all", 0, T)), is_unlike=True) == []
 
 
-def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
+def test_a_lasting_error_is_more_likely_than_a_jumping_one():
     xy_px = view().xy_px
     off, sigma_px = np.zeros_like(xy_px), np.full(xy_px.shape[:2], 3.0)
     none = negative_log_density(view(), xy_px, sigma_px, 10.0)
@@ -308,7 +308,7 @@ def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
 
 
 @pytest.mark.slow
-def test_ten_frames_of_the_sample_are_found(tmp_path):
+def test_ten_swapped_frames_of_the_sample_are_found(tmp_path):
     clip = read_keypoints(samples_folder() / "whole.csv")
     other = [clip.names.index(other_side(name)) for name in clip.names]
     xy_px, confidence, rows = clip.xy_px.copy(), clip.confidence.copy(), slice(20, 30)
@@ -324,7 +324,7 @@ def test_ten_frames_of_the_sample_are_found(tmp_path):
 
 
 def motion_of(solution) -> Motion:
-    """Return the motion of a solution with its view."""
+    """Return the motion that a solution and its view describe."""
     (one,) = solution.views
     keypoints = Keypoints(BODY.markers, one.xy_px, one.confidence, np.arange(100, 100 + T), FPS)
     source = Source(CAMERA, *clean(keypoints, 0.0), BODY.markers)
@@ -336,7 +336,7 @@ def test_an_untouched_clip_has_no_findings():
 
 
 @pytest.mark.slow
-def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
+def test_without_a_learned_prior_neither_sides_nor_rates_are_tested():
     wrong = motion_of(solved(exchanged("all", 15, 25)))
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
@@ -346,7 +346,7 @@ def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
 
 
 @pytest.mark.parametrize(("stop", "code"), [(14, "left_right_swap_mended"), (19, "clip_swapped_back")])
-def test_mending_swaps_back(small_trajectory: Motion, stop, code):
+def test_swaps_are_undone_in_the_clip(small_trajectory: Motion, stop, code):
     """Mending swaps the sides back; if most of the clip was swapped, it may be a mirrored video."""
     (source,) = small_trajectory.sources
     places = opposites(small_trajectory.body.markers)
@@ -392,7 +392,7 @@ def test_frames_of_gross_outliers_are_left_out_and_flagged(small_trajectory: Mot
     assert not any("left-right swap" in of_frame for of_frame in flags)
 
 
-def test_where_most_frames_are_outliers_none_is_left_out(small_trajectory: Motion):
+def test_no_frame_is_left_out_if_most_frames_are_outliers(small_trajectory: Motion):
     solution, (source,) = small_trajectory.solution, small_trajectory.sources
     assert isinstance(solution, TrajectorySolution)
     far = replace(solution.views[0], xy_px=solution.views[0].xy_px + 700.0)
@@ -405,7 +405,7 @@ def test_where_most_frames_are_outliers_none_is_left_out(small_trajectory: Motio
 # Bounds of the picture
 
 
-def test_keypoints_from_0_to_1():
+def test_keypoints_from_0_to_1_are_reported():
     found = unit_square_finding(given(moved(view().xy_px / (1920, 1080))))
     assert found is not None
     assert (found.code, found.severity, found.camera) == ("keypoints_normalised", "error", CAMERA.name)
@@ -423,7 +423,7 @@ def test_keypoints_from_0_to_1():
         ),
     ],
 )
-def test_a_picture_turned_over(code, turn):
+def test_a_turned_picture_is_reported(code, turn):
     found = other_picture_finding(given(moved(turn(view().xy_px)), slice(10, 16)))
     assert found is not None
     assert found.code == code
@@ -455,8 +455,11 @@ UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
         ("upside_down", None, lambda v: replace(v, xy_px=[1919, 1079] - v.xy_px)),
     ],
 )
-def test_an_animal_that_runs_upside_down(code, axis, changed):
-    """An upside-down animal has a named cause only if one stands out: a turned picture of a level camera does not."""
+def test_an_animal_that_runs_upside_down_is_reported(code, axis, changed):
+    """An upside-down animal has a named cause only if one is clearly more likely, which a turned picture is not.
+
+    A turned picture of a level camera is as likely as keypoints with y counted from the bottom.
+    """
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     wrong = changed(replace(view(), camera=posed, T_camera_world=POSE))
     found = other_picture_finding(fitted(wrong.part(slice(10, 16))))
@@ -507,10 +510,10 @@ def test_a_cause_that_all_cameras_have_in_common(changed, numbers, code):
         ({"y": 500.0, "-y": 100.0}, "world_not_z_up", None),
     ],
 )
-def test_a_contradiction_with_several_causes(gains, code, causes):
-    """A cause of a contradiction is named if its likelihood stands out; otherwise all likely ones are named.
+def test_a_contradiction_names_its_likely_causes(gains, code, causes):
+    """A contradiction names its cause if one is clearly more likely than the others, otherwise all likely causes.
 
-    If opposite turns fit, none is named.
+    If turns to opposite sides fit, no cause is named.
     """
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     alternatives = [*likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))]
@@ -524,8 +527,8 @@ def test_a_contradiction_with_several_causes(gains, code, causes):
 
 
 @pytest.mark.parametrize(("axis", "up"), [("x", [1, 0, 0]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
-def test_worlds_with_another_axis_up(axis, up):
-    """Each alternative turns one axis of the world of the camera file into z."""
+def test_each_axis_is_tried_as_the_upward_axis(axis, up):
+    """Each alternative turns an axis of the camera file's world upwards."""
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     alternatives = likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))
     (turned,) = (other for _, numbers, other in alternatives if numbers.get("axis") == axis)
@@ -533,11 +536,11 @@ def test_worlds_with_another_axis_up(axis, up):
     assert np.linalg.det(turned.T_camera_world) == pytest.approx(1)
 
 
-def test_a_picture_as_it_is():
+def test_a_correct_picture_has_no_finding():
     assert other_picture_finding(given(view())) is None
 
 
-def test_a_smaller_video():
+def test_a_smaller_video_is_reported():
     found = other_picture_finding(given(moved(view().xy_px / 2), slice(10, 26)))
     assert found is not None
     assert (found.code, found.numbers["times"]) == ("smaller_video", 2)
@@ -550,7 +553,7 @@ def test_a_smaller_video():
 # The frame rate
 
 
-def test_the_frame_rate_that_the_file_states():
+def test_the_frame_rate_that_a_file_states_is_reported():
     setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS, TrajectoryOptions())
     found = frame_rate_finding(setting, plain().states, 120.0)
     assert found == finding("frame_rate_stated", given_hz=FPS, other_hz=120.0)
@@ -558,7 +561,7 @@ def test_the_frame_rate_that_the_file_states():
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.6, 2.0])
-def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
+def test_a_wrong_frame_rate_is_estimated(factor):
     setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
     found = frame_rate_finding(setting, given(view()).states, None)
     assert found is not None
@@ -567,7 +570,7 @@ def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
     assert number(found, "log_likelihood_ratio") > CLEAR
 
 
-def test_the_rate_of_a_motion_that_is_hardly_seen_is_not_judged(monkeypatch):
+def test_the_frame_rate_is_not_tested_with_few_detections(monkeypatch):
     judged: list[bool] = []
     monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: judged.append(by_motion))
     for flags in ((), ("data poor",)):
@@ -577,7 +580,7 @@ def test_the_rate_of_a_motion_that_is_hardly_seen_is_not_judged(monkeypatch):
 
 
 @pytest.mark.slow
-def test_half_the_frame_rate_of_the_sample_is_named():
+def test_half_the_frame_rate_of_the_sample_is_reported():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=30))
     found = motion.findings[0]
@@ -587,7 +590,7 @@ def test_half_the_frame_rate_of_the_sample_is_named():
 
 
 @pytest.mark.slow
-def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
+def test_a_swap_of_a_whole_clip_is_not_tried_for_a_too_fast_animal():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=240))
     codes = {one.code: one for one in motion.findings}
@@ -599,7 +602,7 @@ def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
 # Contents of the files
 
 
-def test_a_file_says_which_rate_it_is_of(tmp_path):
+def test_a_file_states_its_frame_rate(tmp_path):
     file = read_keypoints(samples_folder() / "whole_cam1.csv")
     write_csv(replace(file, fps=60.0), tmp_path / "stated.csv")
     told = {"keypoints": tmp_path / "stated.csv", "camera": samples_folder() / "camera.toml"}
@@ -608,7 +611,7 @@ def test_a_file_says_which_rate_it_is_of(tmp_path):
         assert (source.keypoints.fps, source.keypoints.stated_fps) == (fps or 60.0, stated)
 
 
-def test_a_file_of_another_camera():
+def test_a_file_named_after_another_camera_is_reported():
     settings = FitSettings(
         keypoints=(samples_folder() / "whole_cam1.csv",),
         camera=samples_folder() / "whole_scene.json",

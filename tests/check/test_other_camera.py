@@ -1,4 +1,4 @@
-"""Test that a clip from another camera of the camera file is recognised by gravity, the ground and the gait."""
+"""Test that gravity, the ground and the gait show which camera in the camera file filmed a clip."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recon.io.camera_files import write_cameras
 
 
 def rolled(camera: Camera, degrees: float, name: str) -> Camera:
-    """Return the camera at the same point, turned about its optical axis."""
+    """Return the camera after a rotation about its optical axis, in degrees, with another name."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     assert camera.rotation is not None
@@ -33,13 +33,13 @@ def true_camera(baseline: Baseline) -> Camera:
 
 
 def seen_by(baseline: Baseline, camera: Camera) -> Baseline:
-    """Return a view by another camera at the same point, with the animal moved in front of it: equal pictures."""
+    """Return a baseline with another camera at the same position, and the animal moved so that pictures are equal."""
     pose, states = camera_poses([camera])[0], baseline.states.copy()
     states[:, :3] = states[:, :3] @ (pose[:3, :3].T @ baseline.view.rotation).T
     return Baseline(baseline.with_view(replace(baseline.view, camera=camera, T_camera_world=pose)), states)
 
 
-def test_a_camera_that_is_turned_otherwise_explains_the_clip_less_well(sample_baseline):
+def test_a_camera_with_another_roll_explains_the_clip_less_well(sample_baseline):
     baseline, noise_px = sample_baseline
     others = [rolled(true_camera(baseline), degrees, f"rolled {degrees}") for degrees in (8, -8)]
     with threadpool_limits(1, user_api="blas"):
@@ -49,7 +49,7 @@ def test_a_camera_that_is_turned_otherwise_explains_the_clip_less_well(sample_ba
     assert max(gains.values()) < 0
 
 
-def test_a_clip_of_another_camera_is_recognised_and_that_camera_named(sample_baseline):
+def test_the_camera_that_filmed_a_clip_is_recognised(sample_baseline):
     baseline, noise_px = sample_baseline
     true = true_camera(baseline)
     given = seen_by(baseline, rolled(true, 8, "east"))
@@ -60,10 +60,10 @@ def test_a_clip_of_another_camera_is_recognised_and_that_camera_named(sample_bas
     assert item.numbers["log_likelihood_ratio"] > GAIN
 
 
-def test_a_camera_in_another_direction_explains_the_same_pictures_equally_well(sample_baseline):
-    """A camera in another direction explains the same pictures equally well.
+def test_a_camera_with_another_heading_explains_the_clip_equally_well(sample_baseline):
+    """A camera with another heading explains the same pictures equally well.
 
-    Its start is the solution moved in front of it, so that only gravity, the ground and the gait count.
+    The fit starts from the solution, moved in front of the camera, and gravity, the ground and the gait agree.
     """
     baseline, noise_px = sample_baseline
     true = true_camera(baseline)
@@ -74,7 +74,7 @@ def test_a_camera_in_another_direction_explains_the_same_pictures_equally_well(s
         assert gains_of(baseline, noise_px, [south])["south"] == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_short_clip_and_one_without_a_pose_are_not_tested(sample_baseline):
+def test_clips_that_are_short_or_without_a_pose_are_not_tested(sample_baseline):
     baseline, noise_px = sample_baseline
     unsolved = Baseline(baseline.clip, np.full_like(baseline.states, np.nan))
     assert gains_of(unsolved, noise_px, [true_camera(baseline)]) == {}
@@ -84,7 +84,7 @@ def test_a_short_clip_and_one_without_a_pose_are_not_tested(sample_baseline):
 
 @pytest.fixture
 def files(tmp_path) -> Callable[..., FitSettings]:
-    """Return settings by keypoint file name and camera, `files(name, camera)`, for a file of two cameras."""
+    """Return a function that returns the settings for the name of a keypoint file and one of two cameras in a file."""
     true = replace(read_camera(samples_folder() / "camera.toml"), name="cam1")
     write_cameras([true, rolled(true, 8, "cam2")], tmp_path / "cameras.toml")
 
@@ -100,12 +100,12 @@ def files(tmp_path) -> Callable[..., FitSettings]:
     ("name", "camera", "codes"),
     [("clip.csv", "cam2", ["another_camera_fits"]), ("clip.csv", "cam1", []), ("clip_cam2.csv", "cam2", [])],
 )
-def test_a_wrong_camera_name_is_noticed_unless_the_keypoint_files_name_confirms_it(files, name, camera, codes):
+def test_a_wrong_camera_is_reported_unless_the_file_name_confirms_it(files, name, camera, codes):
     motion = fit_clip(files(name, camera, frames="0:30", fast=True))
     assert [item.code for item in motion.findings if item.code == "another_camera_fits"] == codes
 
 
-def test_only_cameras_with_a_like_picture_and_a_pose_in_the_same_world_are_possible(files, tmp_path):
+def test_possible_cameras_have_a_similar_picture_and_the_same_world(files, tmp_path):
     settings = files("clip.csv", "cam1", camera_unit="mm")
     true, other = (read_camera(tmp_path / "cameras.toml", name) for name in ("cam1", "cam2"))
     (possible,) = possible_cameras(true, settings)

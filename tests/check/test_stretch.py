@@ -1,4 +1,4 @@
-"""Test that a picture whose pixels are not square is found by the animal's proportions."""
+"""Test that a stretched video is detected by the animal's proportions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def stretched(clip: ClipProblem, factor: float) -> ClipProblem:
 
 
 @pytest.mark.parametrize(("factor", "is_named"), [(0.75, True), (1.0, False), (4 / 3, True)])
-def test_a_stretched_picture_is_named_with_its_factor(sample_fit, factor, is_named):
+def test_a_stretched_picture_is_reported_with_its_factor(sample_fit, factor, is_named):
     clip, solution = sample_fit
     with threadpool_limits(1, user_api="blas"):
         item = stretch_finding(stretched(clip, factor), solution)

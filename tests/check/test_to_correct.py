@@ -15,7 +15,7 @@ from recon.clip import leave_out
 from recon.show import tables
 
 
-def test_what_is_far_from_its_expected_position_comes_first(small_trajectory: Motion):
+def test_detections_far_from_their_expected_positions_come_first(small_trajectory: Motion):
     first = to_correct(small_trajectory)[0]
     assert (first.frame, first.keypoint, first.reason) == (14, "nose", "far")
     assert first.distance_px == pytest.approx(300.0)
@@ -23,7 +23,7 @@ def test_what_is_far_from_its_expected_position_comes_first(small_trajectory: Mo
     assert first.expected_px[1] - first.found_px[1] == pytest.approx(300.0)
 
 
-def test_detections_that_are_far_come_by_what_they_would_gain():
+def test_far_detections_are_sorted_by_gain():
     gain_m2 = np.zeros((1, 3, 2))
     distance_px = np.array([[[300.0, 5.0], [80.0, np.nan], [90.0, 70.0]]])
     is_far = np.isfinite(distance_px) & (distance_px > 10)
@@ -35,7 +35,7 @@ def test_detections_that_are_far_come_by_what_they_would_gain():
     ]
 
 
-def test_missing_keypoints_come_by_what_they_would_gain(small_trajectory: Motion):
+def test_missing_keypoints_are_sorted_by_gain(small_trajectory: Motion):
     gain_m2 = np.zeros((1, 8, 24))
     eye = small_trajectory.joints.index("r_eye")
     gain_m2[0, 2, eye], gain_m2[0, 6, eye] = 1e-5, 4e-5
@@ -48,7 +48,7 @@ def test_missing_keypoints_come_by_what_they_would_gain(small_trajectory: Motion
     assert rows[0].error_fall_m == pytest.approx(error_m2**0.5 - (error_m2 - 4e-5) ** 0.5)
 
 
-def test_a_detection_that_was_left_out_is_listed_with_where_it_was_found(small_trajectory: Motion):
+def test_a_detection_that_was_left_out_is_listed_with_its_position(small_trajectory: Motion):
     (source,) = small_trajectory.sources
     points = np.zeros(source.keypoints.present.shape, dtype=bool)
     points[1, 0] = True
@@ -77,14 +77,14 @@ def test_the_frame_is_that_of_the_cameras_own_file(small_trajectory: Motion):
     assert to_correct(motion)[0].frame == 14 - 3
 
 
-def test_neighbouring_frames_of_one_keypoint_gain_less_after_the_first():
+def test_a_correction_lowers_the_gain_of_neighbouring_frames():
     gain_m2 = np.array([[[4.0, 1.0], [3.9, 0.9], [3.8, 0.8], [0.1, 0.7]]])
     cells = _spread(gain_m2, gain_m2 > 0, tau=2.0, limit=4)
     assert cells[0] == (0, 0, 0)
     assert (0, 1, 0) not in cells[:3]
 
 
-def test_the_table_reads_back(small_trajectory: Motion, tmp_path: Path):
+def test_the_table_is_read_as_it_was_written(small_trajectory: Motion, tmp_path: Path):
     tables.to_correct(small_trajectory, tmp_path / "to_correct.csv")
     table = pd.read_csv(tmp_path / "to_correct.csv")
     assert [*table.columns] == [*tables.TO_CORRECT_COLUMNS]

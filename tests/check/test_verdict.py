@@ -61,7 +61,7 @@ def test_of_several_errors_the_cause_is_the_reason(small_trajectory):
     assert "ground_elsewhere" in {one.code for one in alone.findings}
 
 
-def test_errors_that_a_warning_doubts_are_said_to_be_so(whole_results):
+def test_expected_errors_are_marked_if_there_is_a_warning(whole_results):
     warned = finding("ground_elsewhere", height_m=1.0, sigma_m=0.1)
     verdict = add_verdict(replace(Motion.load(whole_results), findings=(warned,))).verdict
     assert verdict is not None
@@ -95,7 +95,7 @@ def test_expected_errors(small_trajectory):
     assert expected_pose_of_trunk(less_sure).expected > 1.5 * pose.expected
 
 
-def test_what_no_pixel_says_makes_the_error_larger_and_less_sure(small_trajectory):
+def test_undetected_joints_make_the_error_larger_and_less_certain(small_trajectory):
     solution, evidence = small_trajectory.solution, evidence_of(small_trajectory)
     hidden = replace(solution, data_share=np.zeros_like(solution.data_share))
     less = evidence_of(replace(small_trajectory, solution=hidden))
@@ -105,7 +105,7 @@ def test_what_no_pixel_says_makes_the_error_larger_and_less_sure(small_trajector
     assert wider.high / wider.low > 2 * pose.high / pose.low
 
 
-def test_an_interval_that_begins_at_nothing_is_said_in_words():
+def test_an_interval_that_begins_at_zero_is_stated_in_words():
     assert ExpectedError(0.48, 0.033, 1.2).in_words == "0.5 m (90 %: at most 1.2)"
     assert "pose_m=ExpectedError(0.48, 90 %: 0.033 to 1.2)" in repr(Verdict("use", "", ExpectedError(0.48, 0.033, 1.2)))
     assert ExpectedError(0.59, 0.04, 4.02).in_words == "0.6 m (90 %: at most 4.0)"
@@ -115,7 +115,7 @@ def test_an_interval_that_begins_at_nothing_is_said_in_words():
 
 
 @pytest.mark.parametrize(("effect_m", "named"), [(5.0, True), (0.001, False)])
-def test_a_finding_that_makes_up_most_of_an_interval_is_named_with_it(whole_results, effect_m, named):
+def test_a_finding_that_dominates_an_interval_is_named(whole_results, effect_m, named):
     noted = finding("focal_length", factor=0.8, sigmas=0.8, pose_effect_m=0.001, position_effect_m=effect_m)
     verdict = add_verdict(replace(Motion.load(whole_results), findings=(replace(noted, severity="note"),))).verdict
     assert verdict is not None
@@ -126,7 +126,7 @@ def test_a_finding_that_makes_up_most_of_an_interval_is_named_with_it(whole_resu
     assert verdict.position_m.high > effect_m
 
 
-def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
+def test_the_summary_states_what_one_camera_cannot_determine(small_trajectory):
     motion = replace(add_verdict(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
     known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
     said = dict(input_sections.verdict_lines(replace(motion, verdict=known), {}))["assumed"]
@@ -139,13 +139,13 @@ def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
 
 
 @pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on", "unseen", "slowness"])
-def test_worse_evidence_expects_more(small_trajectory, name):
+def test_worse_evidence_increases_the_expected_error(small_trajectory, name):
     evidence = evidence_of(small_trajectory)
     worse = replace(evidence, **{name: 1.0 if name in ("end_on", "unseen") else 3 * getattr(evidence, name)})
     assert expected_pose_of_trunk(worse).expected > expected_pose_of_trunk(evidence).expected
 
 
-def test_a_low_frame_rate_expects_more(small_trajectory):
+def test_a_low_frame_rate_increases_the_expected_error(small_trajectory):
     solution = replace(small_trajectory.solution, prior="running-cheetah")
     assert evidence_of(replace(small_trajectory, solution=solution)).slowness == pytest.approx(60 / 30)
     assert evidence_of(replace(small_trajectory, solution=replace(solution, prior="none"))).slowness == 1.0
@@ -185,8 +185,8 @@ def test_with_notes_the_reason_does_not_say_that_no_check_found_a_fault(small_tr
 
 
 @pytest.mark.parametrize(("prior", "some"), [("running-cheetah", ""), ("none", " that ran")])
-def test_a_note_that_may_put_the_animal_elsewhere_is_in_the_reason(small_trajectory, prior, some):
-    """A note that positions may be off is in the reason, because "use" alone would be read as also meaning the path."""
+def test_a_note_on_the_position_is_in_the_reason(small_trajectory, prior, some):
+    """A note that positions may be wrong is in the reason, because "use" alone would seem to include positions."""
     solution = replace(small_trajectory.solution, prior=prior)
     note = replace(finding("picture_zooms", way="out", pose_effect_m=0.001, position_effect_m=9.0), severity="note")
     verdict = _verdict(replace(small_trajectory, solution=solution, findings=(note,)))
@@ -206,7 +206,7 @@ def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
     assert says(verdict.reason, "too uncertain")
 
 
-def test_a_pose_of_which_nothing_says_how_far_off_it_is_is_not_to_be_used(small_trajectory):
+def test_a_pose_without_an_expected_error_is_not_to_be_used(small_trajectory):
     solution = small_trajectory.solution
     unknown = replace(solution, relative_covariance_m2=np.full_like(solution.relative_covariance_m2, np.nan))
     verdict = add_verdict(replace(small_trajectory, solution=unknown)).verdict
@@ -228,13 +228,13 @@ def test_words_are_in_the_unit_that_fits(small_trajectory):
     assert verdict_lines(None) == ()
 
 
-def test_it_is_saved_and_loaded(small_trajectory, tmp_path):
+def test_the_verdict_is_saved_and_loaded(small_trajectory, tmp_path):
     motion = add_verdict(small_trajectory)
     motion.save(tmp_path)
     assert Motion.load(tmp_path).verdict == motion.verdict
 
 
-def test_what_is_made_of_a_clip_refuses_one_that_is_not_to_be_used(small_trajectory, tmp_path):
+def test_commands_refuse_a_clip_that_is_not_to_be_used(small_trajectory, tmp_path):
     wrong = add_verdict(replace(small_trajectory, findings=(finding("keypoints_y_up"),)))
     wrong.save(tmp_path / "clip")
     truth, video, out = tmp_path / "truth.csv", tmp_path / "clip.mp4", tmp_path / "out"

@@ -1,4 +1,4 @@
-"""Test that wrong inputs that look right are found, and that correct inputs have no finding."""
+"""Test that plausible but wrong inputs are detected, and that correct inputs have no finding."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def copied(xy_px: np.ndarray) -> np.ndarray:
         (lambda xy_px: np.delete(xy_px, np.arange(3, len(xy_px), 4), axis=0), "frames_dropped"),
     ],
 )
-def test_copies_are_named(change, code):
+def test_copied_points_are_reported(change, code):
     (found,) = copies([source(change(noisy()))])
     assert found.code == code
     if code == "detections_frozen":
@@ -92,7 +92,7 @@ def test_copies_are_named(change, code):
         assert (found.numbers["times"], found.numbers["other_hz"]) == (2, FPS / 2)
 
 
-def test_one_file_of_two_cameras_is_named_and_measured_points_are_not():
+def test_one_file_for_two_cameras_is_reported():
     (found,) = copies([source(noisy()), source(noisy(), "cam2")])
     assert found.code == "same_keypoints"
     assert found.names("cameras") == ("cam1", "cam2")
@@ -101,8 +101,8 @@ def test_one_file_of_two_cameras_is_named_and_measured_points_are_not():
     assert not [*copies([source(interpolated(noisy())[:37])], resampled=True)]
 
 
-def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
-    """Frames in which only fast keypoints are seen are not taken for dropped frames."""
+def test_fast_keypoints_are_not_taken_for_missing_frames():
+    """Frames in which only fast keypoints are detected are not taken for steps across missing frames."""
     T, J = noisy().shape[:2]
     px_a_frame = np.where(np.arange(J) < 2 * J // 3, 10.0, 25.0)
     xy_px = np.stack([px_a_frame * np.arange(2 * T)[:, None], np.full((2 * T, J), 500.0)], axis=-1)
@@ -113,8 +113,8 @@ def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
     assert found.code == "frames_dropped"
 
 
-def test_legs_that_swing_and_a_camera_that_shakes_are_no_frames_left_out():
-    """Swinging legs and a shaking camera are not taken for dropped frames."""
+def test_swinging_legs_and_a_shaking_camera_are_not_missing_frames():
+    """Swinging legs and a shaking camera are not taken for steps across missing frames."""
     T, J = 60, noisy().shape[1]
     noise, rng = np.random.default_rng(0).normal(0, 1, (T, J, 2)), np.random.default_rng(1)
     swings = np.cumsum(np.where(np.arange(T) % 12 < 3, 40.0, 10.0))[:, None, None] * [1.0, 0.0]
@@ -124,18 +124,18 @@ def test_legs_that_swing_and_a_camera_that_shakes_are_no_frames_left_out():
 
 
 def moved(states: np.ndarray) -> Motion:
-    """Return a motion whose body moves along these states."""
+    """Return a motion with the given states."""
     solution, body = plain(), plain().body
     joints_m = body.tree.pose(states, solution.size).points_m
     return Motion((source(noisy()),), None, "", replace(solution, states=states, joints_m=joints_m))
 
 
-def test_an_animal_that_runs_is_nothing_to_name():
+def test_a_running_animal_has_no_finding():
     assert not [*movement(moved(plain().states))]
 
 
 @pytest.mark.parametrize("code", ["animal_still", "time_reversed", "treadmill", "camera_moves"])
-def test_what_no_animal_does_is_named(code):
+def test_impossible_motions_are_reported(code):
     states = plain().states.copy()
     if code == "animal_still":
         states = np.repeat(states[:1], len(states), axis=0)
@@ -155,14 +155,14 @@ def test_what_no_animal_does_is_named(code):
         ("none", "note", "(0 m/s): the clip has no strides to measure."),
     ],
 )
-def test_standing_still_is_a_fault_only_under_a_learned_prior(prior, severity, text):
+def test_standing_still_is_a_warning_only_with_a_learned_prior(prior, severity, text):
     motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
     (found,) = movement(replace(motion, solution=replace(motion.solution, prior=prior)))
     assert found.severity == severity
     assert sentence(found).startswith(f"The animal stands still {text}")
 
 
-def test_an_animal_that_steps_on_the_spot_is_on_no_treadmill():
+def test_an_animal_that_steps_on_the_spot_is_not_on_a_treadmill():
     """An animal that steps on the spot is not on a treadmill, although its feet move backwards as fast as on a belt."""
     states = np.repeat(plain().states[:1], len(plain().states), axis=0)
     states[:, 6:] += np.random.default_rng(0).normal(0.0, 0.1, states[:, 6:].shape)
@@ -173,11 +173,11 @@ def test_an_animal_that_steps_on_the_spot_is_on_no_treadmill():
     ("size", "seconds", "codes"),
     [(1.0, 0.5, ["animal_still"]), (0.1, 0.5, []), (0.5, 0.5, ["animal_still"]), (0.5, 1.0, [])],
 )
-def test_an_animal_that_stands_still_stays_in_its_place(size, seconds, codes):
-    """An animal that stands still is recognised by how far it moves relative to its trunk.
+def test_an_animal_that_stands_still_stays_at_its_position(size, seconds, codes):
+    """An animal that stands still is recognised by the extent of its path relative to its trunk.
 
-    All joints move by 0.2 m in a second: a third of the trunk's length, or three times it; and two thirds, by which the
-    animal leaves its position in the end.
+    All joints move at 0.2 m/s. Whether the animal moves by less than half the length of its trunk depends on its size
+    and on the duration of the clip.
     """
     motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
     ahead_m = 0.2 * np.linspace(0, seconds, len(motion.frames))[:, None, None] * np.array([1.0, 0.0, 0.0])
@@ -190,7 +190,7 @@ def test_an_animal_that_stands_still_stays_in_its_place(size, seconds, codes):
 @pytest.mark.parametrize(
     ("times", "ways"), [(1.0, []), pytest.param(1.5, ["in"], marks=pytest.mark.slow), (1 / 1.5, ["out"])]
 )
-def test_a_picture_that_zooms_is_named(times, ways):
+def test_a_zooming_picture_is_reported(times, ways):
     centre = CAMERA.matrix[:2, 2]
     zoom = np.linspace(1.0, times, len(seen(run())))[:, None, None]
     solution = solve(centre + zoom * (seen(run()) - centre))
@@ -201,10 +201,10 @@ def test_a_picture_that_zooms_is_named(times, ways):
     assert all(one.numbers["zoom"] * np.log(times) > 0.1 for one in found)
 
 
-def test_a_zoom_moves_the_animal_by_as_much_as_its_moment_is_unknown():
-    """The effect of a zoom is that of its unknown moment.
+def test_the_effect_of_a_zoom_is_that_of_a_calibration_at_either_end():
+    """The effect of a zoom includes that of a calibration at the start or the end of the clip.
 
-    A picture that is a quarter larger at the end, calibrated at the start: distances are off by an eighth.
+    If the picture becomes a quarter larger, distances are wrong by an eighth.
     """
     numbers = {"zoom": -float(np.log(1.25)), "distance_m": 8.0, "pose_effect_m": 0.1, "position_effect_m": 0.2}
     item = finding("picture_zooms", way="out", **numbers)
@@ -216,7 +216,7 @@ def test_a_zoom_moves_the_animal_by_as_much_as_its_moment_is_unknown():
 
 
 @pytest.mark.parametrize(("kept", "codes"), [(False, ["keypoints_undistorted"]), (True, [])])
-def test_keypoints_without_the_lens_that_the_camera_has_are_named(kept, codes):
+def test_undistorted_keypoints_are_reported(kept, codes):
     bent = replace(CAMERA, model="radtan", distortion=np.array([-0.6, 0.3, 0.0, 0.0]))
     xy_px = bent.project(run())[0] if kept else seen(run(), 0.0)
     solution = solve(xy_px + np.random.default_rng(0).normal(0, 2, xy_px.shape), camera=bent)
@@ -225,7 +225,7 @@ def test_keypoints_without_the_lens_that_the_camera_has_are_named(kept, codes):
     assert [one.code for one in found] == codes
 
 
-def test_a_path_that_no_animal_takes_is_named():
+def test_an_implausible_path_is_reported():
     motion = moved(plain().states)
     costs = {**plain().cost_by_term, "heading": 2.0 * 90 * len(motion.frames) / FPS}
     (found,) = movement(replace(motion, solution=replace(motion.solution, cost_by_term=costs)))
@@ -233,12 +233,12 @@ def test_a_path_that_no_animal_takes_is_named():
 
 
 @pytest.mark.parametrize(("name", "other"), [("cam3", "cam1"), ("cam1", None), ("left", None), ("GoPro_2", None)])
-def test_a_file_says_another_camera_by_its_number(name, other):
+def test_a_number_in_a_file_name_names_another_camera(name, other):
     assert other_camera_in("run2_cam1DLC_resnet50", name) == other
 
 
 def ground(near_zero: bool | None, height_m: float, camera_m: tuple[float, float, float]) -> Motion:
-    """Return a motion before a camera at this position, whose feet stand on a ground at that height."""
+    """Return a motion with its ground at a height, m, filmed by a camera at a position, m."""
     solution = plain()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), (0, 0, 0)
@@ -261,7 +261,7 @@ def ground(near_zero: bool | None, height_m: float, camera_m: tuple[float, float
         (False, 1.14, (0, -26, 1.64), "ground_elsewhere"),
     ],
 )
-def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, code):
+def test_a_ground_that_is_not_at_zero_is_reported(near_zero, height_m, camera_m, code):
     found = [*ground_elsewhere(ground(near_zero, height_m, camera_m))]
     assert [one.code for one in found] == ([] if code is None else [code])
 
@@ -270,15 +270,15 @@ def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, co
     ("unit", "camera_m", "code"),
     [("mm", 0.0015, "camera_unit"), ("cm", 0.015, "camera_unit"), ("mm", 0.0, "ground_elsewhere")],
 )
-def test_a_camera_in_metres_that_was_said_to_be_in_another_unit_is_named(unit, camera_m, code):
-    """A camera in metres with another stated unit is named; a camera in the origin of the world shows no unit."""
+def test_a_wrong_camera_unit_is_reported(unit, camera_m, code):
+    """A camera file in metres with another stated unit is reported, except for a camera at the world's origin."""
     motion = ground(False, camera_m - 1.5, (0.0, 0.0, camera_m))
     (found,) = ground_elsewhere(replace(motion, settings={**motion.settings, "camera_unit": unit}))
     assert found.code == code
     assert code == "ground_elsewhere" or found.numbers["unit"] == "metres"
 
 
-def test_lengths_that_no_animal_of_its_kind_has_are_named():
+def test_lengths_unlike_those_of_the_species_are_reported():
     motion = moved(plain().states)
     assert not [*subject_unlike_species(motion)]
     tree = BODY.tree
@@ -290,7 +290,7 @@ def test_lengths_that_no_animal_of_its_kind_has_are_named():
 
 
 @pytest.mark.parametrize("height_m", [0.0, pytest.param(0.6, marks=pytest.mark.slow), 100.0])
-def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
+def test_a_fit_does_not_depend_on_the_height_of_the_ground(height_m):
     """A fit does not depend on the height of the ground, which is found 0.85 m below the camera."""
     camera = replace(CAMERA, rotation=CAMERA_FROM_LEVEL, translation_m=-CAMERA_FROM_LEVEL @ [0.0, 0.0, height_m + 0.85])
     solution = solve(seen(run()), camera=camera)
@@ -310,10 +310,10 @@ def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
         *(pytest.param(*case, marks=pytest.mark.slow) for case in ((-6.0, 0.0, 0), (0.0, -1.0, 0))),
     ],
 )
-def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, shift_m, late):
-    """One of two cameras that is turned, moved or late is named.
+def test_two_cameras_are_named_if_one_is_turned_moved_or_late(turn_deg, shift_m, late):
+    """A finding names two cameras if one of them was turned, moved or late.
 
-    It is turned or moved in the plane of both cameras and the animal, in which rays still meet.
+    The camera is turned or moved in the plane of both cameras and the animal, in which rays still meet.
     """
     turn = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
@@ -331,8 +331,8 @@ def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, sh
 
 
 @pytest.mark.parametrize("slower", [1, 4, 10])
-def test_a_treadmill_is_named_at_any_speed(slower):
-    """A treadmill is named at any speed: the body stays while the feet slide, also in slow motion."""
+def test_a_treadmill_is_reported_at_any_speed(slower):
+    """A treadmill is reported at any speed, also in slow motion, because the body stays while the feet slide."""
     states = plain().states.copy()
     states[:, :2] -= np.linspace(0, 1, len(states))[:, None] * (states[-1, :2] - states[0, :2])
     motion = moved(states)
@@ -345,7 +345,7 @@ def test_a_treadmill_is_named_at_any_speed(slower):
 
 
 @pytest.mark.parametrize("slower", [1, 10])
-def test_over_the_belt_the_feet_stand_again(slower):
+def test_feet_stand_still_relative_to_the_belt(slower):
     states = plain().states.copy()
     states[:, :2] -= np.linspace(0, 1, len(states))[:, None] * (states[-1, :2] - states[0, :2])
     (one,) = moved(states).sources

@@ -1,4 +1,4 @@
-"""Test an animal on a treadmill: the finding at any speed, and speeds, strides and forces relative to the belt."""
+"""Test that a treadmill is detected at any speed, and that results relative to the belt equal those over ground."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fitted(whole_results) -> Motion:
 
 
 def on_treadmill(fitted: Motion, gait: SteadyGait) -> tuple[Motion, Motion]:
-    """Return the same animal over ground, and on a treadmill at the speed of the gait."""
+    """Return the motion of an animal over ground, and its motion on a treadmill that runs at the animal's speed."""
     fps = len(fitted.frames) / (3.5 * gait.stride_s)
     over_ground = with_exact_states(fitted, gait.states(fitted.body, fitted.frames / fps), fps)
     path_m = belt_path_m(over_ground.solution, over_ground.time_s, -gait.speed_m_s)
@@ -41,7 +41,7 @@ def on_treadmill(fitted: Motion, gait: SteadyGait) -> tuple[Motion, Motion]:
 
 
 @pytest.mark.parametrize("gait", [GALLOP, TROT, SLOW])
-def test_feet_that_slide_on_a_treadmill_are_named_at_any_speed(fitted, gait):
+def test_sliding_feet_on_a_treadmill_are_reported_at_any_speed(fitted, gait):
     over_ground, treadmill = on_treadmill(fitted, gait)
     assert "treadmill" not in [found.code for found in movement(over_ground)]
     (found,) = movement(treadmill)
@@ -51,7 +51,7 @@ def test_feet_that_slide_on_a_treadmill_are_named_at_any_speed(fitted, gait):
 
 
 @pytest.mark.parametrize("gait", [GALLOP, TROT, SLOW])
-def test_speeds_strides_and_forces_over_the_belt_are_those_over_ground(fitted, gait):
+def test_results_relative_to_the_belt_equal_those_over_ground(fitted, gait):
     over_ground, treadmill = on_treadmill(fitted, gait)
     truth, found = ClipAnalysis(over_ground), analyse(treadmill, belt_speed_m_s=gait.speed_m_s)
     assert found.gait.speed_m_s == pytest.approx(gait.speed_m_s, rel=0.03)
@@ -61,7 +61,7 @@ def test_speeds_strides_and_forces_over_the_belt_are_those_over_ground(fitted, g
     assert found.motion.pictures[0].reprojected_px == pytest.approx(treadmill.pictures[0].reprojected_px, abs=1e-6)
 
 
-def test_the_belt_is_given_once_and_the_verdict_says_where(fitted):
+def test_the_belt_speed_is_given_once_and_named_in_the_verdict(fitted):
     _, treadmill = on_treadmill(fitted, TROT)
     findings = (*movement(treadmill),)
     verdict = replace(fitted.verdict, level="do not use", reason="Standing feet slide.")
@@ -72,10 +72,10 @@ def test_the_belt_is_given_once_and_the_verdict_says_where(fitted):
         over_belt(replace(treadmill, settings={"belt_speed_m_s": 2.0}), 3.0)
 
 
-def test_the_solve_over_the_belt_begins_at_the_poses_on_it(fitted, monkeypatch):
-    """The solve on the belt starts from the first poses.
+def test_the_solve_on_the_belt_starts_from_the_first_poses(fitted, monkeypatch):
+    """The fit relative to the belt starts from the poses of the first fit.
 
-    If it started again, a dog's runs and a slow walk would end at poses that do not explain the detections.
+    From a new start, a dog's runs and a slow walk would end at poses that do not explain the detections.
     """
     begun = []
 
@@ -95,7 +95,7 @@ def test_the_solve_over_the_belt_begins_at_the_poses_on_it(fitted, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_fit_with_the_belt_speed_has_the_speed_over_the_belt(tmp_path):
+def test_a_fit_with_the_belt_speed_gives_the_speed_relative_to_the_belt(tmp_path):
     clip, _ = whole_gallop(fps=60, n_frames=40)
     middle_m = clip.truth_m.mean(axis=1)
     time_s = np.arange(len(middle_m)) / 60

@@ -1,4 +1,4 @@
-"""Test centre of mass, energy and forces against values that are known without the tested code."""
+"""Test the centre of mass, energies and forces against values computed independently of the tested code."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_masses_are_shares_of_every_segment():
     assert load_skeleton("cheetah-8u").mass == {}
 
 
-def test_mistakes_in_masses_are_named(tmp_path: Path):
+def test_problems_of_masses_are_listed(tmp_path: Path):
     text = SKELETON.read_text(encoding="utf-8")
     (tmp_path / "s.toml").write_text(text.replace("head = [0.10, 0.03]", "hat = [0.10, 0.03]"), encoding="utf-8")
     with pytest.raises(InputError) as error:
@@ -123,9 +123,7 @@ def test_forces_of_a_stride_carry_the_body(found: ClipAnalysis):
 
 
 @pytest.mark.parametrize(("run", "fps", "name"), [(GALLOP, 120.0, "transverse gallop"), (TROT, 60.0, "trot")])
-def test_what_carries_an_animal_of_known_masses_is_found_from_exact_poses(
-    motion: Motion, run: SteadyGait, fps: float, name: str
-):
+def test_forces_on_an_animal_are_found_from_exact_poses(motion: Motion, run: SteadyGait, fps: float, name: str):
     found = analyse(with_exact_states(motion, run.states(motion.body, motion.frames / fps), fps))
     assert found.gait is not None
     assert found.gait.name.name == name
@@ -157,7 +155,7 @@ def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inerti
     assert share @ own > 0.08 * inertia
 
 
-def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
+def test_the_uncertainty_of_rotation_equals_that_of_random_draws():
     rng, share, error_time_s = np.random.default_rng(0), np.array([0.2, 0.2, 0.3, 0.3]), 0.05
     of_joint, share_sigma = np.array([0, 1, 1, 2]), np.array([0.04, 0.06])
     at_m, rate_m_s, sigma_m = (
@@ -180,14 +178,14 @@ def test_what_turns_is_as_uncertain_as_draws_of_the_joints_and_masses_say():
     np.testing.assert_allclose(said, np.std(np.column_stack([energy, momentum]), axis=0), rtol=0.05)
 
 
-def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(found: ClipAnalysis):
+def test_an_uncertain_stance_lasts_about_as_long_as_the_others(found: ClipAnalysis):
     gait = found.gait
     assert gait is not None
     i = next(i for i, stance in enumerate(gait.stances) if stance.begins and stance.ends)
     known, quarter_s = gait.stances[i], gait.stances[i].duration_s / 4
 
     def first_force(stance: Stance) -> StanceForce:
-        """Return the first of the forces, with this stance instead of the known one."""
+        """Return the force of the first stance if it is replaced by another stance."""
         stance_forces, _ = _forces(replace(gait, stances=(*gait.stances[:i], stance, *gait.stances[i + 1 :])))
         return stance_forces[0]
 
@@ -205,7 +203,7 @@ def test_a_stance_whose_time_is_hardly_known_lasts_about_as_long_as_the_others(f
     assert taken.impulse_bw_s == pytest.approx(taken.peak_bw * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
 
 
-def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
+def test_the_force_begins_and_ends_at_zero_and_peaks_early():
     into = np.linspace(-0.2, 1.2, 1401)
     force = shape(into)
     assert (force[(into <= 0) | (into >= 1)] == 0).all()
@@ -214,7 +212,7 @@ def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
     assert np.trapezoid(into * force, into) / MEAN_OF_PEAK == pytest.approx(0.44, abs=0.03)
 
 
-def test_without_masses_nothing_is_said(motion: Motion):
+def test_without_masses_there_are_no_dynamics(motion: Motion):
     from recon.api.analyse import notes
 
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
@@ -240,7 +238,7 @@ def test_a_body_in_flight_falls_freely(motion: Motion, found: ClipAnalysis):
     assert one.frames == (motion.frames[fast.first], motion.frames[fast.stop - 1] + 1)
 
 
-def test_the_work_of_a_stride_is_what_the_energy_gains(found: ClipAnalysis):
+def test_the_work_of_a_stride_equals_the_gain_of_energy(found: ClipAnalysis):
     d, gait = found.dynamics, found.gait
     assert d is not None
     assert gait is not None
@@ -287,7 +285,7 @@ def test_a_pendulum_exchanges_its_energies_and_a_spring_does_not(found: ClipAnal
 
 
 @pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped"])
-def test_masses_of_other_animals_are_of_a_whole_one_on_four_legs(name: str):
+def test_masses_of_other_animals_cover_all_segments(name: str):
     body = load_skeleton(SKELETON.with_name(f"{name}.toml"))
     assert body.mass_source
     assert {*body.mass} == {segment.name for segment in body.tree.segments}
@@ -305,7 +303,7 @@ def test_the_page_shows_the_forces(motion: Motion):
     assert "Vertical forces" not in clip_page(plain, [], None, [])
 
 
-def test_feet_share_a_scale_also_where_a_force_is_unknown(found: ClipAnalysis):
+def test_the_panels_of_feet_share_a_scale_also_without_a_force(found: ClipAnalysis):
     d, gait = found.dynamics, found.gait
     assert d is not None
     assert gait is not None
@@ -316,7 +314,7 @@ def test_feet_share_a_scale_also_where_a_force_is_unknown(found: ClipAnalysis):
     assert shown == [foot != "LF" for foot in force]
 
 
-def test_forces_in_newtons_of_an_animal_that_was_weighed(found: ClipAnalysis):
+def test_forces_are_in_newtons_if_the_mass_is_known(found: ClipAnalysis):
     plain, rows = forces(found)
     assert not any(name.endswith("_n") for name in plain)
     weighed, in_newtons = forces(replace(found, body_mass_kg=40.0))

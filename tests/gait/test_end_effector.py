@@ -12,7 +12,7 @@ STRIDES_HZ = 3.0
 
 
 def swing(wobble_m: float = 0.0):
-    """Return a foot that swings 0.5 m to and fro about a body that runs along y."""
+    """Return the path of a foot that swings by ±0.5 m relative to a body that runs along y, and the body's path."""
     body = np.stack([0 * TIME_S, 10.0 * TIME_S, 0 * TIME_S + 0.7], axis=1)
     forward = -0.5 * np.cos(2 * np.pi * STRIDES_HZ * (TIME_S - 0.1)) + wobble_m * np.sin(2 * np.pi * 20 * TIME_S)
     up = -0.6 + 0.1 * np.sin(2 * np.pi * STRIDES_HZ * (TIME_S - 0.1))

@@ -34,7 +34,7 @@ def pose(xyz, names="abcdefgh", frames=None) -> Pose3D:
 TRUTH = RNG.normal(0, 0.5, (4, 6, 3))
 
 
-def test_the_truth_itself_has_no_error():
+def test_the_truth_has_no_error():
     result = evaluate(pose(TRUTH), pose(TRUTH))
     for score in (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m):
         assert score.mean == pytest.approx(0, abs=1e-12)
@@ -43,7 +43,7 @@ def test_the_truth_itself_has_no_error():
 
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("fps", [25.0, 60.0, 200.0])
-def test_a_reference_of_another_frame_rate(fps, first):
+def test_a_reference_with_another_frame_rate_is_interpolated(fps, first):
     """A reference of another frame rate is compared at the same times.
 
     A point between a known and an unknown one is unknown. TRC counts frames from 1.
@@ -69,7 +69,7 @@ def test_a_reference_of_another_frame_rate(fps, first):
     assert ("its frame 1" in there.notes[-1]) == bool(first)
 
 
-def test_a_reference_of_the_same_rate_is_itself():
+def test_a_reference_with_the_same_frame_rate_is_unchanged():
     truth = replace(pose(TRUTH), fps=29.97)
     assert at_frames_of(truth, replace(pose(TRUTH), fps=30.0)) is truth
     assert at_frames_of(truth, pose(TRUTH)) is truth
@@ -157,7 +157,7 @@ def test_only_common_joints_count(how):
     np.testing.assert_allclose(errors[:, keep], expected, atol=1e-12)
 
 
-def test_frames_count_the_same_however_many_joints_they_have():
+def test_all_frames_have_equal_weight():
     truth = np.zeros((3, 4, 3))
     wrong = truth.copy()
     wrong[0, :, 0] = [0.1, 0.1, 0.1, 0.1]
@@ -215,7 +215,7 @@ def test_to_dict_is_json_in_millimetres():
     assert written["frames_not_scored"] == 1
 
 
-def test_stated_doubt_is_compared_with_the_errors():
+def test_stated_uncertainty_is_compared_with_the_errors():
     """Stated uncertainty is compared with the errors.
 
     Intervals of 50 and 90 % are 0.60 and 1.60 standard deviations; an error that all joints share is that of the
@@ -249,8 +249,8 @@ TURN = Rotation.from_rotvec([1.2, -0.7, 0.4]).as_matrix()
         (lambda xyz: xyz + np.array([0.0, 9.0, 0.0]), "reference_elsewhere", ("y_m", 9.0)),
     ],
 )
-def test_what_is_probably_wrong(change, code, number):
-    """A fault of the reference is named: one change of the whole clip, besides errors and missing joints."""
+def test_a_fault_of_the_reference_is_reported(change, code, number):
+    """A change of the whole reference is reported, also with additional errors and missing joints."""
     fit = RUN + RNG.normal(0, 0.03, RUN.shape)
     fit[1, 4] = NAN
     assert evaluate(pose(fit, NAMES), pose(RUN, NAMES)).notes == ()
@@ -261,10 +261,10 @@ def test_what_is_probably_wrong(change, code, number):
     assert evaluate(pose(change(fit), NAMES), pose(RUN, NAMES)).to_dict()["notes"] == [sentence(found)]
 
 
-def test_poor_fits_and_depths_are_no_mistakes():
+def test_poor_fits_and_depths_are_not_faults_of_the_reference():
     """Poor fits and wrong depths are not taken for faults of the reference.
 
-    Each frame has its own errors, a position is 1 m off, or an animal is 20 % too large.
+    The errors differ between frames, the position is 1 m off, or the animal is 20 % too large.
     """
     turns = Rotation.from_rotvec(RNG.normal(0, 0.1, (4, 3))).as_matrix()
     turned = np.einsum("tij,tkj->tki", turns, RUN - RUN.mean(axis=1, keepdims=True))
@@ -272,13 +272,13 @@ def test_poor_fits_and_depths_are_no_mistakes():
         assert evaluate(pose(fit, NAMES), pose(RUN, NAMES)).notes == ()
 
 
-def test_another_clip():
+def test_another_clip_is_reported():
     (found,) = mismatches(RUN[::-1] @ TURN + RNG.normal(0, 0.5, RUN.shape), RUN, NAMES)
     assert found.code == "reference_unlike"
 
 
-def test_a_result_folder(whole_results, level_results, tmp_path):
-    """A folder of results is compared in the frame of the world and, without a calibration, of the camera."""
+def test_a_result_folder_is_compared_in_the_reference_frame(whole_results, level_results, tmp_path):
+    """A folder of results is compared in the world frame or, without a calibration, in the camera frame."""
     truth = SAMPLES / "whole_truth.csv"
     found = evaluate_files(whole_results, truth)
     of_table = evaluate_files(whole_results / "pose3d.csv", truth)  # the table has no uncertainty
@@ -296,8 +296,8 @@ def test_a_result_folder(whole_results, level_results, tmp_path):
         evaluate_files(tmp_path, truth)
 
 
-def test_a_reference_that_counts_from_1_and_says_neither_unit_nor_up(tmp_path):
-    """A reference that counts frames from 1 and states no unit and no up axis is read, as TRC and plain tables are."""
+def test_a_reference_that_counts_from_1_without_unit_and_axis_is_read(tmp_path):
+    """A reference that counts frames from 1, as TRC files do, and states neither unit nor upward axis is read."""
     pose = read_pose3d(SAMPLES / "whole_truth.csv")
     pose = replace(pose, frames=pose.frames - pose.frames[0], fps=60.0)
     write_trc(pose, tmp_path / "pose.trc")

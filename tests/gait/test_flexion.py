@@ -1,4 +1,4 @@
-"""Test joint angles by anatomy: signs, curves over the stride, bands, and the table in skeleton files."""
+"""Test anatomical joint angles: signs, curves over the stride, bands, and the table `[anatomy]` in skeleton files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def fitted(whole_results) -> Motion:
 
 
 def states(**angles: float) -> np.ndarray:
-    """Return one state of the cheetah with all angles 0 except these."""
+    """Return a state of the cheetah in which all angles are 0 except the given ones."""
     row = np.zeros(len(BODY.state_names))
     for name, angle in angles.items():
         row[BODY.state_names.index(name)] = angle
@@ -59,10 +59,10 @@ def test_every_built_in_skeleton_has_an_anatomy(name):
         ("spine", "front_trunk_pitch"),
     ],
 )
-def test_a_straight_joint_has_0_degrees_and_flexes_to_its_own_side(joint, angle):
-    """A straight joint has 0 degrees and flexes to its own side.
+def test_a_straight_joint_has_0_degrees_and_flexes_to_its_side(joint, angle):
+    """A straight joint has a flexion of 0 degrees and flexes to its anatomical side.
 
-    A positive pitch turns what hangs down backwards, and lowers the front of what lies ahead.
+    A positive pitch turns a hanging segment backwards, and lowers the front of a segment that points forwards.
     """
     if joint in ("right_carpus", "right_hock"):  # the markers above the others are not on the bone's axis
         assert of(joint, states()) == pytest.approx(0.0, abs=1e-6)
@@ -115,7 +115,7 @@ def test_the_phase_of_a_peak_may_lie_around_touch_down():
     assert np.isnan(flat.percent_low)
 
 
-def test_bands_hold_the_truth_of_the_sample(fitted):
+def test_bands_contain_the_truth_of_the_sample(fitted):
     truth = read_pose3d(SAMPLES / "whole_truth.csv")
     points_m = truth.xyz_m[:, [truth.names.index(name) for name in fitted.names]]
     inside = []

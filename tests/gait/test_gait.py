@@ -51,9 +51,9 @@ def runner(
     slope: float = 0.05,
     height_m: float = -0.4,
 ) -> Pose3D:
-    """Return feet that stand for `duty` of a stride and then swing forwards smoothly, on sloping ground.
+    """Return the pose of an animal whose feet stand for `duty` of a stride and then swing forwards, on sloping ground.
 
-    phase: of each foot's touch-down. The speed of the swing is half a sine.
+    `phase` is the phase of each foot's touch-down, in strides. The speed of a swing is half a sine.
     """
     t = np.arange(n) / FPS
     step = speed_m_s * stride_s
@@ -79,7 +79,7 @@ def simulated(fps: float, n: int) -> Pose3D:
 
 
 @pytest.mark.parametrize("name", PATTERNS)
-def test_gaits_are_named(name):
+def test_gaits_have_their_names(name):
     phase, duty = PATTERNS[name]
     found = pose_gait(runner(phase, duty), FPS)
     assert found.name.name == name, found.name
@@ -117,7 +117,7 @@ def test_events_of_still_feet():
         assert end - 0.011 <= s.end_s < end + 0.02
 
 
-def test_ground_is_found_where_it_lies():
+def test_the_height_of_the_ground_is_found():
     moved = pose_tracks(runner(*PATTERNS["trot"]), FPS)
     ahead = np.array([np.cos(0.7), np.sin(0.7)])
     ((_, ground),) = moved.grounds
@@ -133,8 +133,8 @@ def test_ground_is_found_where_it_lies():
     assert plane.spread_m == pytest.approx(0.01, rel=0.4)
 
 
-def test_every_spell_has_its_own_ground():
-    """Every segment has its own ground: the animal comes back 0.3 m lower, nearly half a leg, with the same stances."""
+def test_every_segment_has_its_own_ground():
+    """Every segment of a clip has its own ground, so stances do not change if the animal comes back 0.3 m lower."""
     whole = runner(*PATTERNS["trot"])
     n = len(whole.frames)
     first, second = slice(0, n // 2 - 10), slice(n // 2 + 10, n)
@@ -156,7 +156,7 @@ def test_every_spell_has_its_own_ground():
     np.testing.assert_allclose([s.start_s for s in found], [s.start_s for s in expected], atol=0.02)
 
 
-def test_default_feet_are_the_cheetahs():
+def test_default_feet_are_those_of_the_cheetah():
     body = load_skeleton("cheetah-24")
     assert body.feet_by_label() == FEET
 
@@ -224,7 +224,7 @@ def test_events_are_as_uncertain_as_the_paths_and_the_thresholds():
     assert low < exact.name.duty_factor < high
 
 
-def test_ground_that_cannot_be_told_gives_no_gait():
+def test_an_unknown_ground_gives_no_gait():
     pose = runner(*PATTERNS["trot"])
     feet = [NAMES.index(joint) for joint in FEET.values()]
     xyz = pose.xyz_m.copy()
@@ -274,8 +274,8 @@ def test_only_complete_strides_count():
 
 
 @pytest.mark.parametrize("name", PATTERNS)
-def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
-    """Gaits in less than a stride are named correctly or not at all: 0.33 and 0.42 s of strides of 0.4 s."""
+def test_gaits_in_less_than_a_stride_are_named_correctly_or_not_at_all(name):
+    """Gaits are named correctly or not at all in clips of 0.33 and 0.42 s, with strides of 0.4 s."""
     whole, names = runner(*PATTERNS[name]), set()
     for first in range(30, 66, 4):
         for n in (30, 38):
@@ -290,7 +290,7 @@ def test_gaits_in_less_than_a_stride_are_named_right_or_not_at_all(name):
         assert names in ({name}, {name, "unknown"})
 
 
-def test_a_stride_across_standing_still_is_none():
+def test_a_stride_across_standing_still_does_not_count():
     """A stride across standing still does not count: the animal stops on all feet for a second."""
     pose, at = runner(PATTERNS["trot"][0], 0.65), 56
     assert np.ptp(pose.xyz_m[at - 1 : at + 2, :4], axis=0).max() < 1e-9
@@ -319,7 +319,7 @@ def test_an_animal_that_stands_has_no_gait():
         ({"LH": 0.0, "RH": 0.2, "LF": np.nan, "RF": 0.5}, 0.4, "no steady phase of LF"),
     ],
 )
-def test_what_has_no_name(phase, duty, why):
+def test_phases_without_a_name(phase, duty, why):
     name, criterion = classify(phase, duty)
     assert name == "unknown"
     assert why in criterion
@@ -365,7 +365,7 @@ def test_matching_is_one_to_one():
 
 @pytest.mark.parametrize("share", [0.75, 0.9, 1.0])
 @pytest.mark.parametrize("name", ["trot", "rotary gallop"])
-def test_the_period_of_less_than_a_stride_is_told(name, share):
+def test_the_period_is_found_in_less_than_a_stride(name, share):
     pose = runner(*PATTERNS[name], n=round(share * 0.4 * FPS))
     noisy = replace(pose, xyz_m=pose.xyz_m + 0.01 * np.random.default_rng(0).normal(size=pose.xyz_m.shape))
     assert pose_period_s(pose_tracks(noisy, FPS)) == pytest.approx(0.4, rel=1.6 * PERIOD_SIGMA)
@@ -373,7 +373,7 @@ def test_the_period_of_less_than_a_stride_is_told(name, share):
     assert np.isnan(pose_period_s(pose_tracks(noise, FPS)))
 
 
-def test_half_a_stance_is_no_stride_in_a_clip_without_others():
+def test_half_a_stance_is_not_a_stride():
     """Half a stance is not a stride in a clip without other strides.
 
     A foot that seems to slide for a moment would have a stride of a fraction of the motion's period.
@@ -390,7 +390,7 @@ def test_half_a_stance_is_no_stride_in_a_clip_without_others():
     assert found.stride_s == pytest.approx(0.4, rel=1.6 * PERIOD_SIGMA)
 
 
-def test_strides_with_a_stance_too_few_or_too_many_do_not_count():
+def test_strides_with_a_missing_or_additional_stance_do_not_count():
     """Strides with a stance too few or too many do not count.
 
     A foot that is seen in the air during a stance would have a stride of twice the time, and a foot that seems to slide

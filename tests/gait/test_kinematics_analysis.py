@@ -26,12 +26,12 @@ TIME_S = np.arange(60) / FPS
 
 
 def circle(time_s: np.ndarray) -> np.ndarray:
-    """Return a circle of radius 2 m at 1.5 rad/s: 3 m/s, 4.5 m/s^2."""
+    """Return positions on a circle of radius 2 m at 1.5 rad/s, with a speed of 3 m/s and 4.5 m/s^2 of acceleration."""
     return 2.0 * np.stack([np.cos(1.5 * time_s), np.sin(1.5 * time_s), 0 * time_s], axis=1)
 
 
 def parabola(time_s: np.ndarray) -> np.ndarray:
-    """Return a parabola: thrown at (4, 0, 3) m/s, falling with 9.81 m/s^2."""
+    """Return the positions of a point thrown at (4, 0, 3) m/s that falls with 9.81 m/s^2."""
     return np.stack([4 * time_s, 0 * time_s, 3 * time_s - 0.5 * 9.81 * time_s**2], axis=1)
 
 
@@ -148,7 +148,7 @@ def test_deviations_of_an_exact_spline_in_numbers():
         np.testing.assert_allclose(spread[2:-2] / spread[30], 1.0, atol=0.14)
 
 
-def test_smoothing_takes_out_what_it_is_told():
+def test_smoothing_removes_the_stated_noise():
     sigma = np.full((60, 3), 0.01)
     noisy = circle(TIME_S) + np.random.default_rng(1).normal(0, 0.01, (60, 3))
     exact, smooth = (point_kinematics(TIME_S, noisy, [Errors(sigma)], smooth=s) for s in (False, True))
@@ -175,7 +175,7 @@ def test_a_cosine_angle():
     assert angle.peak_acceleration_rad_s2 == pytest.approx(18.0, rel=0.01)
 
 
-def test_a_joint_that_goes_on_through_a_straight_line_has_no_peak_there():
+def test_a_joint_that_passes_through_straight_has_no_peak_there():
     """A joint that passes through a straight line has no peak there.
 
     A link turns at 5 rad/s from one side to the other, and the angle between 0 and pi folds.
@@ -190,14 +190,14 @@ def test_a_joint_that_goes_on_through_a_straight_line_has_no_peak_there():
     assert found.peak_acceleration_rad_s2 < 100
 
 
-def test_an_angle_that_turns_round_does_not_jump():
+def test_an_angle_beyond_a_full_turn_does_not_jump():
     turn = 5.0 * TIME_S
     angle = angle_kinematics(TIME_S, np.arctan2(np.sin(turn), np.cos(turn)))
     np.testing.assert_allclose(angle.series.rate, 5.0, atol=1e-8)
 
 
 def leg(bend_rad: np.ndarray) -> Pose3D:
-    """Return hip, knee and foot with a knee angle of `bend`; links of 1 m, in a tilted plane."""
+    """Return a pose of hip, knee and foot with the given knee angle, rad, and links of 1 m in a tilted plane."""
     hip, knee = np.zeros((len(bend_rad), 3)), np.tile([0.0, 0.6, -0.8], (len(bend_rad), 1))
     across = np.array([1.0, 0.0, 0.0])
     foot = knee + np.cos(bend_rad)[:, None] * (hip - knee) + np.sin(bend_rad)[:, None] * across
@@ -214,7 +214,7 @@ def test_joint_angle_and_its_deviation():
     np.testing.assert_allclose(angle.series.value_sigma[::10, 0], expected, rtol=1e-6)
 
 
-def test_angles_of_nothing():
+def test_angles_of_coinciding_points_are_unknown():
     point = np.zeros((2, 3))
     assert np.isnan(angle_between(point, point, point + 1)).all()
     straight, upright = (np.array([[0.0 * axis, axis, 2 * axis]]) for axis in np.eye(3)[[0, 2]])
@@ -250,7 +250,7 @@ def test_peak_speed_of_the_simulated_gallop():
         assert np.nanmax(moved.speed_m_s[20:-20]) == pytest.approx(true[inside, j].max(), rel=0.01), name
 
 
-def test_frames_that_were_left_out():
+def test_left_out_frames_are_bridged():
     frames = np.r_[3:20, 22:60]
     pose = Pose3D(("paw",), parabola(frames / FPS)[:, None], frames)
     moved = joint_kinematics(pose, "paw", FPS)

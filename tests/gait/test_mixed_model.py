@@ -10,7 +10,7 @@ from recon.gait.mixed_model import LevelSigmas, animals_needed, fit_mixed_model,
 TRUE = LevelSigmas(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
 
 
-def test_components_and_effect_of_a_made_up_herd():
+def test_components_and_effect_of_a_simulated_herd():
     rng = np.random.default_rng(3)
     animals, runs, values, groups = [], [], [], []
     for k in range(60):
@@ -52,7 +52,7 @@ def test_the_interval_of_a_balanced_herd_is_that_of_the_animals_means(animals: i
     assert model.contrast([0, 1])[2:] == pytest.approx((expected.low, expected.high), abs=1e-4)
 
 
-def test_a_plan_knows_what_more_animals_and_cameras_do():
+def test_power_increases_with_animals_and_cameras():
     assert TRUE.icc == pytest.approx(0.09 / (0.09 + 0.04 + 0.0625 + 0.0225))
     assert TRUE.detectable_change(4) == pytest.approx(1.96 * np.sqrt(2 * (0.04 + 0.0225 + 0.0625 / 4)))
     needed = animals_needed(0.5, TRUE, runs=2, strides=6)

@@ -1,4 +1,4 @@
-"""Test speed, acceleration and distance of a path against motions known in closed form."""
+"""Test the speed, acceleration and distance of a path against motions that are known in closed form."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ DIRECTION = np.array([2.0, -1.0, 2.0]) / 3.0
 
 
 def straight(time_s: np.ndarray) -> np.ndarray:
-    """Return a straight path that starts at 5 m/s and accelerates at 4 m/s^2."""
+    """Return positions on a straight path that starts at 5 m/s and accelerates at 4 m/s^2."""
     return (5.0 * time_s + 2.0 * time_s**2)[:, None] * DIRECTION + [1.0, 2.0, 3.0]
 
 
 def circle(time_s: np.ndarray) -> np.ndarray:
-    """Return a circle of radius 2 m at 1.5 rad/s."""
+    """Return positions on a circle of radius 2 m at 1.5 rad/s."""
     return 2.0 * np.stack([np.cos(1.5 * time_s), np.sin(1.5 * time_s), 0 * time_s], axis=1)
 
 
@@ -44,11 +44,11 @@ def test_accelerated_straight_motion_is_exact():
 
 
 @pytest.mark.slow
-def test_a_peak_that_is_the_jitters_is_known_to_be_uncertain():
+def test_a_peak_due_to_jitter_is_uncertain():
     """A peak that jitter causes is uncertain.
 
-    In straight runs that jitter in depth, a peak known to a tenth is right to a tenth, and most peaks of that kind are
-    known.
+    In straight runs that jitter in depth, a peak with a stated error of at most a tenth is right to a tenth. Most
+    correct peaks have such a stated error.
     """
     rng, true = np.random.default_rng(0), 5 + 4 * TIME_S[-1]
     known, unknown = [], []
@@ -106,7 +106,7 @@ def test_circle():
     assert path.distance_m == pytest.approx(3.0 * TIME_S[-1], rel=1e-5)
 
 
-def test_speed_at_frames_is_the_fine_one_there():
+def test_speed_at_frames_equals_that_of_the_fine_grid():
     points = circle(TIME_S)
     np.testing.assert_array_equal(speed_at_frames(TIME_S, points), point_kinematics(TIME_S, points).speed_m_s[::10])
 
@@ -135,12 +135,12 @@ def test_long_gaps_are_not_bridged():
     assert path.mean_speed_m_s == pytest.approx(moved.sum() / (32 / FPS))
 
 
-def test_a_gap_is_a_missing_frame_however_slow_the_frames():
+def test_a_gap_is_a_missing_frame_at_any_frame_rate():
     time_s = np.linspace(0, 14 * MAX_GAP_S, 8)
     assert np.isfinite(point_kinematics(time_s, straight(time_s)).speed_m_s).all()
 
 
-def test_short_stretches_between_long_gaps_give_nothing():
+def test_short_stretches_between_long_gaps_are_unknown():
     points = straight(TIME_S)
     points[20:30] = points[33:] = np.nan  # leaves 30, 31, 32
     assert np.isnan(speed_at_frames(TIME_S, points)[20:]).all()
@@ -163,7 +163,7 @@ def test_short_clips(n):
     assert np.isnan(path.distance_m)
 
 
-def test_smoothing_takes_the_noise_out_of_the_acceleration():
+def test_smoothing_removes_the_noise_of_the_acceleration():
     noisy = straight(TIME_S) + np.random.default_rng(1).normal(0, 0.02, (40, 3))
     exact, smooth = point_kinematics(TIME_S, noisy), smoothed(TIME_S, noisy)
     assert np.abs(exact.acceleration_m_s2 - 4).max() > 50
@@ -171,7 +171,7 @@ def test_smoothing_takes_the_noise_out_of_the_acceleration():
     assert np.sqrt(np.mean((smooth.series.value[::10] - noisy) ** 2)) < 0.0205
 
 
-def test_jitter_is_estimated_and_taken_out():
+def test_jitter_is_estimated_and_removed():
     time_s = np.arange(60) / FPS
     sigma = np.array([0.01, 0.3, 0.05])
     noisy = straight(time_s) + np.random.default_rng(2).normal(0, 1, (60, 3)) * sigma
@@ -198,7 +198,7 @@ def test_times_must_increase():
         point_kinematics(TIME_S[::-1], straight(TIME_S))
 
 
-def test_errors_that_last_are_in_the_deviations_of_speeds():
+def test_lasting_errors_are_part_of_the_deviations_of_speeds():
     """Errors that last are part of the standard deviations of speeds.
 
     The noise of each frame partly continues that of the frame before, as in a method that starts from it.

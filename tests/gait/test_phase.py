@@ -26,7 +26,7 @@ TIME_S = np.arange(90) / FPS
 
 
 def chain(angles: list[np.ndarray], lengths: list[np.ndarray], heading: float, place: np.ndarray) -> np.ndarray:
-    """Return a chain of links of these lengths and inclinations (T,) above the level, from a moving point (T, 3)."""
+    """Return the joints of a chain from a moving point (T, 3) on, given each link's length and inclination (T,)."""
     ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
     joints = [place]
     for angle, length in zip(angles, lengths, strict=True):
@@ -60,7 +60,7 @@ def test_a_rotating_link(heading):
     assert (tuple(table), table.loc[0, "speed_m_s"], table.loc[0, "frames"]) == (means._fields, means.speed_m_s, 90)
 
 
-def test_a_link_that_stretches_and_an_unmoved_one():
+def test_a_stretching_link_and_an_unmoved_link():
     one, stretch = np.ones(90), 0.3 + 0.1 * np.sin(5 * TIME_S)
     angles = [0.1 * one, -0.2 * one, 0.5 * one]
     joints = chain(angles, [one, stretch, 0.2 * one], 0.0, np.zeros((90, 3)))
@@ -70,7 +70,7 @@ def test_a_link_that_stretches_and_an_unmoved_one():
     np.testing.assert_allclose(fields[1].speed_m_s, 0.0, atol=1e-9)
 
 
-def test_what_leaves_the_plane_counts_in_space():
+def test_motion_out_of_the_plane_counts_in_the_3d_speed():
     swing = 0.5 * np.sin(4 * TIME_S)
     b = np.zeros((90, 3))
     c = np.stack([np.cos(swing), -np.sin(swing), 0 * swing], axis=1)
@@ -159,7 +159,7 @@ def test_closure_of_a_quarter_circle_by_hand():
     assert degree_of_closure(scaled(path * [3.0, 50.0])) == pytest.approx(degree_of_closure(path))
 
 
-def test_closure_of_nothing():
+def test_closure_without_motion_or_points():
     still = Portrait(TIME_S, np.ones(90), np.zeros(90))
     assert np.isnan(closure(still).angle)
     assert np.isnan(closure(still).plane)

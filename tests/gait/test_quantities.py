@@ -1,4 +1,4 @@
-"""Test quantities of a gait: one value with one interval everywhere, by footfalls or by the period of the motion."""
+"""Test that a gait's quantities are the same in all outputs, and follow from footfalls or the motion's period."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_size_counts_in_lengths_and_speeds_only(whole: ClipAnalysis):
         assert quantity.sigma**2 == pytest.approx(quantity.own_sigma**2 + size**2)
 
 
-def test_without_a_complete_stride_the_period_counts(whole: ClipAnalysis):
+def test_without_a_complete_stride_the_period_is_used(whole: ClipAnalysis):
     found = whole.gait
     assert found is not None
     cut = replace(found, strides=(), stride_s=0.3, stride_sigma_s=0.024)
@@ -62,7 +62,7 @@ def test_without_a_complete_stride_the_period_counts(whole: ClipAnalysis):
     assert "too little" in unknown.quantities["stride_length_m"].why_unknown
 
 
-def test_a_period_beyond_the_clip_is_no_stride(whole: ClipAnalysis):
+def test_a_period_longer_than_the_clip_is_not_a_stride(whole: ClipAnalysis):
     assert whole.gait is not None
     duration_s = float(np.ptp(whole.gait.tracks.time_s))
 

@@ -34,7 +34,7 @@ def make_camera(lens: str, **pose) -> Camera:
 
 
 def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return pixels of points in the camera frame from OpenCV, whose radial-tangential projection ignores the skew."""
+    """Return the pixels of points in the camera frame, computed by OpenCV, with the skew that OpenCV ignores."""
     if camera.model not in ("pinhole", "radtan", "fisheye"):
         pytest.skip("OpenCV has no such lens")
     skew = camera.matrix[0, 1]
@@ -63,7 +63,7 @@ class TestEveryLens:
 
     @pytest.fixture
     def points(self, camera, rng):
-        """Return 200 points all over the lens's range, up to 65 degrees off the axis and clear of its edge."""
+        """Return 200 points over the range of the lens, up to 65 degrees from the optical axis and not at its edge."""
         widest = min(0.9 * np.arctan(camera.lens.max_radius), np.deg2rad(65))
         angle, around = rng.uniform(0, widest, 200), rng.uniform(-np.pi, np.pi, 200)
         direction = np.stack((np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)), axis=-1)
@@ -242,7 +242,7 @@ def test_world_and_camera_frames():
     np.testing.assert_allclose(camera.camera_to_world(camera.world_to_camera(points)), points, atol=1e-12)
 
 
-def test_up_follows_the_world_only_where_its_z_points_up():
+def test_up_follows_the_world_only_if_its_z_points_up():
     rotation = Rotation.from_euler("xyz", (-1.9, 0.3, 0.2)).as_matrix()
     known = make_camera("pinhole", rotation=rotation, translation_m=(0, 0, 0))
     np.testing.assert_allclose(known.up, rotation @ (0, 0, 1))
@@ -253,7 +253,7 @@ def test_up_follows_the_world_only_where_its_z_points_up():
 
 @pytest.mark.parametrize("tilt", [0.2, np.pi / 2])
 def test_a_camera_without_a_pose_may_look_down_by_a_known_angle(tilt):
-    """A camera without a pose may look down by a known angle, also straight down, as from a drone."""
+    """A camera without a pose may look down by a known angle, including straight down, as from a drone."""
     camera = make_camera("pinhole", tilt_rad=tilt)
     # The same camera in a world, level and then tilted downwards about its x axis.
     level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -308,7 +308,7 @@ def test_every_fault_is_named_at_once():
         Camera("c", -K, np.zeros(3), "radtan", (0, 0))
 
 
-def test_does_not_change_with_its_inputs_and_is_read_only():
+def test_a_camera_copies_its_inputs_and_is_read_only():
     matrix = K.copy()
     camera = Camera("c", matrix, [], "pinhole", SIZE)
     matrix[0, 0] = 1
@@ -318,7 +318,7 @@ def test_does_not_change_with_its_inputs_and_is_read_only():
 
 
 @pytest.mark.parametrize("posed", [False, True])
-def test_a_pickle_is_the_same(posed):
+def test_a_pickled_camera_is_the_same(posed):
     pose = {"rotation": euler_rotation((0.1, 0.2, 0.3)), "translation_m": (1, 2, 3)} if posed else {}
     camera = make_camera("fisheye mild", world_z_up=False, **pose)
     camera.project((0, 0, 1))
@@ -327,10 +327,11 @@ def test_a_pickle_is_the_same(posed):
     np.testing.assert_array_equal(copy.project((0.1, 0.2, 1))[0], camera.project((0.1, 0.2, 1))[0])
 
 
-def test_points_that_no_detector_can_have_found_are_not_seen():
-    """Points that no detector can have found are not seen.
+def test_impossible_detections_are_not_seen():
+    """Impossible detections do not count as seen.
 
-    The limits are one size of the picture outside the picture, and the range of the lens; huge numbers cause no error.
+    They are more than the picture's size outside the picture, or outside the range of the lens. Huge numbers cause no
+    error.
     """
     wide = Camera.from_hfov(60.0, (1920, 1080))
     points = np.array(

@@ -1,4 +1,4 @@
-"""Test trees of segments: poses by hand, exact derivatives for every kind of joint, rigidity."""
+"""Test trees of segments: poses computed by hand, exact derivatives for every kind of joint, and constant lengths."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Seg
 
 
 def tree(*joints: Joint) -> Tree:
-    """Return a tree of a root, a segment for each joint, each on the one before, and a branch, with markers on all."""
+    """Return a tree of a root, a chain of segments with the given joints, and a branch, each with a marker."""
     names = ["root", *(f"s{i}" for i in range(len(joints)))]
     offset = (0.3, 0.1, -0.2)
     chain = [Segment(n, p, j, offset) for n, p, j in zip(names[1:], names, joints, strict=False)]
@@ -70,7 +70,7 @@ def test_frames_are_rotations_and_segments_keep_their_lengths(some_tree: Tree):
 
 
 def test_a_pose_by_hand():
-    """A pose by hand: yaw turns to the left, pitch lowers the front, roll lowers the right side."""
+    """Positive yaw turns to the left, pitch lowers the front, and roll lowers the right side."""
     root = Tree(
         (Segment("root", None, "free"),), tuple(Marker("xyz"[i], "root", tuple(np.eye(3)[i])) for i in range(3))
     )
@@ -97,7 +97,7 @@ def test_the_order_of_rotations_is_yaw_pitch_roll():
     np.testing.assert_allclose(R[:, 1], (Rz @ Ry @ Rx)[::-1] @ (Rz @ Ry @ Rx), atol=1e-14)
 
 
-def test_summed_joints_add_the_angles_of_all_summed_ones_before_them():
+def test_summed_joints_add_the_angles_of_their_summed_ancestors():
     summed = TREES["summed with others"]
     states, _ = states_and_sizes(summed, 5)
     at = summed.state_names.index
@@ -120,7 +120,7 @@ def test_names_of_the_state():
 
 
 def test_many_frames_and_none(some_tree: Tree):
-    """Many frames are posed like single ones, and no frames give empty arrays."""
+    """The poses of many frames equal those of single frames, and no frames give empty arrays."""
     states, sizes = states_and_sizes(some_tree, 150)
     many, one = some_tree.pose_with_jacobian(states, sizes), some_tree.pose_with_jacobian(states[-1:], sizes[-1:])
     np.testing.assert_allclose(many.points_m[-1:], one.points_m, rtol=0, atol=1e-12)
@@ -155,7 +155,7 @@ def test_second_derivatives_against_central_differences(some_tree: Tree):
         np.testing.assert_allclose(curvature(weights), numeric[3:, 3:], atol=1e-7)
 
 
-def test_a_slide_shifts_what_hangs_on_it_along_its_axis():
+def test_a_slide_shifts_its_descendants_along_its_axis():
     state = np.random.default_rng(3).uniform(-1, 1, (1, MACHINE.n_state))
     moved = state.copy()
     moved[0, MACHINE.state_names.index("b_slide")] += 0.25
@@ -167,7 +167,7 @@ def test_a_slide_shifts_what_hangs_on_it_along_its_axis():
     np.testing.assert_allclose(shifts, [0 * axis, 0 * axis, 0.25 * axis, 0.25 * axis], atol=1e-14)
 
 
-def test_a_tree_may_use_the_plan_of_a_tree_with_other_lengths_where_the_same_offsets_are_zero(some_tree: Tree):
+def test_a_tree_may_use_the_plan_of_a_tree_with_other_lengths(some_tree: Tree):
     longer, shrunk = some_tree.scaled(1.3), some_tree.scaled(0.0)
     state, _ = states_and_sizes(some_tree, 3)
     expected = some_tree.scaled(1.3).pose_with_jacobian(state)
