@@ -293,7 +293,7 @@ OPENSFM_LENSES = {
     "fisheye": ("fisheye", ("k1", "k2")),
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""Recon's lens model for each of OpenSfM's names, and the coefficients that a file has, while others are 0."""
+"""Recon's lens model for each of OpenSfM's names, and the coefficients that a file with this lens has."""
 COLMAP_LENSES = {
     name: (lens.name, parameters.split()) for lens in LENS_MODELS.values() for name, parameters in lens.colmap.items()
 }
@@ -446,7 +446,7 @@ def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRe
 
 
 def number_or(value: object, otherwise: float) -> float:
-    """Return `value` as a float if it is a number, otherwise `otherwise`."""
+    """Return `value` as a float, or the default `otherwise` if it is not a number."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
 
 

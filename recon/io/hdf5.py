@@ -149,7 +149,7 @@ def member(group: h5py.Group, name: str) -> h5py.Dataset:
 
 
 def groups(file: h5py.File) -> Iterator[h5py.Group]:
-    """Yield all groups, the root first, each once.
+    """Yield every group of a file once, beginning with the root.
 
     Raises
     ------

@@ -380,7 +380,8 @@ def _points_of_variables(
 def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of a variable's dimensions, each of which is a dataset of the file.
 
-    The dimensions are found by number, or by their references. HDF5's own functions for this crash on damaged files.
+    The dimensions are found by number, or by their references, because the functions of HDF5 that return them crash on
+    damaged files.
     """
     if name in scales:
         return (name.removesuffix("s"), *(f"{name}_{axis}" for axis in range(1, dataset.ndim)))

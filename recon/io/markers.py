@@ -167,7 +167,7 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
 
 
 def _number_of_words(value: object, otherwise: int) -> int:
-    """Return the number stored in two 16-bit words, the lower first, or `otherwise` for anything else."""
+    """Return the number that is stored as two 16-bit words, the lower first, or `otherwise` for other values."""
     if not isinstance(value, np.ndarray) or value.size != 2 or value.dtype.kind != "i":
         return otherwise
     low, high = (int(word) & 0xFFFF for word in value.ravel())

@@ -37,13 +37,13 @@ class FrameOptions:
     """Weights of the frame method's objectives, and limits of its search."""
 
     form: Form = "deadband"
-    """Form of f2 to f5: "deadband" penalises only values outside the range, "printed" is the published formula."""
+    """Form of f2 to f5, which is "deadband" (penalises only values outside the range) or "printed" (as published)."""
     reprojection: Literal["robust", "printed"] = "robust"
-    """Form of f1: "robust" also weights by confidence, "printed" is the published formula."""
+    """Form of f1, which is "robust" (and weighted by confidence) or "printed" (as published)."""
     angle_prior: Literal["gaussian", "none"] = "gaussian"
     """Whether angles, roll and heading have Gaussian priors."""
     camera_rotation: Literal["free", "fixed"] = "free"
-    """Rotation of the camera: "free" in every frame, or "fixed" to the first frame's rotation."""
+    """Rotation of the camera, which is "free" in every frame or "fixed" to the first frame's rotation."""
     base_length_m: float | None = None
     """Expected base length in metres; None for the skeleton's value."""
     base_sigma_m: float | None = None
@@ -57,7 +57,7 @@ class FrameOptions:
     robust_c: float = 4.5
     """Error in standard deviations at which the robust penalty on a point is half of the squared error."""
     path: Literal["smooth", "free"] = "smooth"
-    """Path of the reference joint: "smooth" over all frames (`recon.thesis.path`), or "free" in every frame."""
+    """Path of the reference joint, which is "smooth" over all frames (`recon.thesis.path`) or "free" in every frame."""
     path_sigma_m: float = 0.5
     """Standard deviation of the reference joint about a smooth path in metres.
 
@@ -236,7 +236,7 @@ class DirectionPrior(Objective):
 
     name: str
     axis: int
-    """Index of the root's axis: 0 for U (forwards), 2 for W (lateral)."""
+    """Index of the root's axis, which is 0 for U (forwards) or 2 for W (lateral)."""
     components: Array
     """Directions (M, 3) onto which the difference between the axis and the expected axis is projected."""
     expected: Array | None

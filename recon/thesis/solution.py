@@ -251,8 +251,8 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
     covariance
         Covariances (T, D, D) of the states.
     fields
-        Reports, travel, objectives and fps of the solution; its path, the deviation from it, and the first states if
-        there is a path.
+        Reports, travel, objectives and fps of the solution. If there is a path, also the path, the standard deviation
+        about the path, and the first states.
     """
     (T, J), reports = view.present.shape, fields["reports"]
     T_world_camera = inverse(view.T_camera_world)

@@ -456,7 +456,7 @@ class TestLayoutsOfLabs:
         refuses(write("b.json", foreign), ("A.k", "shape"), ("A.distortions", "the file has k, c, f"))
 
     def test_rotation_without_translation_is_a_rectification(self, write):
-        """A rotation without a translation is read as a rectification, as in camera_info of ROS 2."""
+        """A rotation without a translation, as in camera_info of ROS 2, is a rectification and not a pose."""
         values = {
             "k": np.ravel(K).tolist(),
             "d": RADTAN,
@@ -650,7 +650,7 @@ class TestRealFiles:
 
     @pytest.mark.slow
     def test_cheetah_runs_project_their_truth_onto_their_detections(self, shared_data):
-        """The published 3D poses of cheetahs project onto the detections within the 10 to 25 px of that fit."""
+        """Published 3D poses of cheetahs project to within 10 to 25 px of the detections, as published."""
         runs = sorted((shared_data / "cheetah-runs").glob("*/scene.json"))
         assert len(runs) == 5
         for scene_file in runs:

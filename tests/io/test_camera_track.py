@@ -197,7 +197,7 @@ def test_standard_deviations_of_rotations_are_read(tmp_path):
 
 
 def test_uncertain_rotations_make_points_uncertain():
-    """The uncertainty of points is that of a rotation about the camera."""
+    """The covariance of points agrees with that of points turned about the camera at random."""
     points, sigma = np.random.default_rng(0).normal([0.0, 9.0, 0.0], 1.0, (2, 3, 3)), np.radians([0.3, 0.1])
     pans = View(FISHEYE, turning(2), np.zeros((2, 3, 2)), np.ones((2, 3)), rotation_sigma_rad=sigma)
     turns = sigma[:, None] * np.random.default_rng(1).normal(size=(40000, 2, 3))

@@ -384,7 +384,7 @@ def test_odd_likelihoods_are_noted(tmp_path):
 
 
 def test_names_that_would_control_a_terminal_are_refused(tmp_path):
-    """The message about such a name is a single line without control characters."""
+    """The message about a name with control characters is a single line without them."""
     for path, *said in (
         (save(tmp_path, SINGLE.replace("nose", "\x1b[31mnose")), "column \\x1b[31mnose/x: found"),
         (save(tmp_path, "frame,bodypart,x,y\n0,no\x1b]0;se,1,2\n", "b.csv"), "names of points: found 'no\\x1b]0;se'"),

@@ -113,7 +113,7 @@ def test_hostile_hdf5_runs_nothing(tmp_path, name):
 
 
 def test_the_hostile_files_are_hostile(tmp_path):
-    """PyTables runs the code in the hostile files, so the test above can fail."""
+    """PyTables runs the code in the hostile files, so the test of recon's readers can fail."""
     ran = []
     for name in ("root.h5", "group.h5", "labels.h5", "cells.h5"):
         marker, path = tmp_path / f"ran-{name}", tmp_path / name

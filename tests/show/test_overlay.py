@@ -165,7 +165,7 @@ def test_views_turn_with_the_animal(overlay):
 
 
 def test_views_are_the_side_the_top_and_the_front(overlay, small_trajectory):
-    """The three views show an animal that runs to the right."""
+    """The three views are rotations of the pose, in which an animal that runs to the right faces the right way."""
     at = small_trajectory.names.index
     nose, left, right, tail = (at(n) for n in ("nose", "l_front_paw", "r_front_paw", "tail_base"))
     side, above, ahead = (overlay.views[name][0] for name in ("side", "from above", "from ahead"))

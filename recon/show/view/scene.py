@@ -101,7 +101,7 @@ class Log:
         self.stream.log(entity, archetype, static=True)
 
     def draw(self, entity: str, kind: Any, columns: rr.ComponentColumnList, **style: Any) -> None:
-        """Write columns of an archetype with a row for each frame, in the same style in all frames."""
+        """Write an archetype for every frame from columns, in a style that does not change over time."""
         self.send(entity, columns)
         self.fix(entity, kind.from_fields(**style))
 
