@@ -492,6 +492,8 @@ class View(Brief):
 
     def part(self, frames: slice | Index) -> View:
         """Return the view of only the given frames, which are indices of the clip's T frames."""
+        if isinstance(frames, slice) and frames.indices(len(self.xy_px)) == (0, len(self.xy_px), 1):
+            return self
         names = ["xy_px", "confidence", "intrinsics_px", "rotation_sigma_rad"]
         names += [] if self.is_still else ["T_camera_world"]
         arrays = {name: getattr(self, name) for name in names}

@@ -104,6 +104,8 @@ class ClipProblem:
     """Whether the ground is known to lie near the world's z = 0."""
     time_offset_frames: float
     """Standard deviation of the pictures' time offset, in frames, if the offset is not estimated."""
+    body_prior: MotionPrior
+    """Prior from the skeleton file alone, which replaces the part of its weight that `prior` loses."""
     prior_weight: float = 1.0
     """Factor on the weight of the prior, 0 to 1, as in `MotionSegment.prior_weight`."""
     known_states: Array | None = None
@@ -137,7 +139,8 @@ class ClipProblem:
             ground_near_zero = all(view.camera.knows_up for view in views)
         views = tuple(view.mask_outside_image() for view in views)
         origin_m = np.mean(views[0].centre_m, axis=0)
-        return cls(views, body, prior, fps, options, origin_m, ground_near_zero, constants.TIME_OFFSET_FRAMES)
+        offset_frames, body_prior = constants.TIME_OFFSET_FRAMES, prior_from_body(body)
+        return cls(views, body, prior, fps, options, origin_m, ground_near_zero, offset_frames, body_prior)
 
     def __len__(self) -> int:
         """Return T, the number of frames of the problem."""
@@ -474,9 +477,8 @@ class ClipProblem:
         else:
             nonlinear.append(terms.PoseMixture(self.prior, self.fps, pose_weight, temperature))
         if self.prior_weight < 1:
-            body_prior = prior_from_body(self.body)
-            linear.append(terms.pose_term(body_prior, D, self.fps, constants.POSE_WEIGHT - pose_weight))
-            linear.append(terms.dynamics_term(body_prior, D, self.fps, constants.MOTION_WEIGHT - motion_weight))
+            linear.append(terms.pose_term(self.body_prior, D, self.fps, constants.POSE_WEIGHT - pose_weight))
+            linear.append(terms.dynamics_term(self.body_prior, D, self.fps, constants.MOTION_WEIGHT - motion_weight))
         if self.known_states is not None:
             nonlinear.append(terms.KnownAngles(self.known_states))
         if T > 1:

@@ -218,9 +218,10 @@ class LeastSquares:
         for stop in stops:
             # a span includes the next frame, which the terms of its last frame may read
             n, has_next = stop - start, int(stop < T)
-            blocks, gradient = np.zeros((n + has_next, BANDS + 1, D, D)), np.zeros((n + has_next, D))
+            blocks, gradient = np.empty((n + has_next, BANDS + 1, D, D)), np.zeros((n + has_next, D))
             border, corner, shared_gradient = np.zeros((n + has_next, D, P)), np.zeros((P, P)), np.zeros(P)
             self._linear_blocks(start, T, blocks[:n])
+            blocks[n:] = 0.0
             if overlap is None:
                 corner, shared_gradient = np.diag(precision), deviation * precision
             else:
@@ -385,9 +386,9 @@ class LeastSquares:
         """Return the curvature of the linear terms of a whole clip, (T, BANDS + 1, D, D), for any states."""
         blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
         for term in self.linear:
-            for a, column in enumerate(term.stencil):
-                for b, row in enumerate(term.stencil[a:], start=a):
-                    blocks[term.frames(T) + column, row - column] += term.slots[b].T @ term.slots[a]
+            frames = term.frames(T)
+            for (column, row), block in term.curvature.items() if len(frames) else ():
+                blocks[frames[0] + column : frames[-1] + column + 1, row - column] += block
         return blocks
 
 
