@@ -62,14 +62,14 @@ def to_plain(value: object, digits: int = 9) -> object:
 
     Numbers are rounded to `digits` significant digits.
     """
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {encodable(str(key)): to_plain(item, digits) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return to_plain(value.tolist(), digits)
     if isinstance(value, list | tuple):
         return [to_plain(item, digits) for item in value]
-    if isinstance(value, float):
-        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
     return value if value is None or isinstance(value, bool | int) else encodable(str(value))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -15,6 +16,7 @@ from urllib.parse import urlsplit
 DISTRIBUTION = "recon-motion"
 
 
+@cache
 def version() -> str:
     """Return the version of the installed distribution."""
     return metadata.version(DISTRIBUTION)

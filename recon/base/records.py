@@ -188,6 +188,8 @@ def _plain(
     def inside(name: str | int, item: object) -> object:
         return _plain(item, f"{field}.{name}".removeprefix("."), arrays, name_of)
 
+    if value is None or isinstance(value, bool | int | float | str):
+        return value.item() if isinstance(value, np.generic) else value
     if isinstance(value, np.ndarray):
         return _plain_array(value, field, arrays, name_of)
     if isinstance(value, slice):
@@ -206,8 +208,6 @@ def _plain(
         return value.item()
     if isinstance(value, Path):
         return str(value)
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
     raise TypeError(f"{field}: a {type(value).__name__} cannot be saved")
 
 
