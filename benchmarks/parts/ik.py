@@ -227,9 +227,9 @@ def circle(chain: SerialChain, q: Array) -> Array:
 def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
     """Classify the motion of the extended Jacobian with a cost on the circle, starting at the cost's optimum.
 
-    The motion is "convergent" if the angles after every turn equal the angles before it; "singular" if the matrix was
-    singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away; otherwise
-    "drifting". The text also states how many joints reached a limit.
+    The motion is "convergent" if the angles after every turn equal the angles before it; "singular" if the extended
+    Jacobian became singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away;
+    otherwise "drifting". The text also states how many joints reached a limit.
     """
     method = ExtendedJacobian(cost)
     q = to_null_space_optimum(chain, q, cost)[0]

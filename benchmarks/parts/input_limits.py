@@ -11,7 +11,7 @@ of data/samples. Wrong clips are every n-th view with a case of `wrong_inputs.py
 - long steps by themselves: the fraction of the long steps that exceed `ALONE` times both their neighbours, for clips
   with more long steps than `SHARE_LONG`
 - feet below trunk: `feet_below_trunk`, which does not depend on a fit
-- zoom: the logarithm of the zoom per second that fits best, up to `LARGEST` times `ZOOM`
+- zoom: the logarithm of the fitted zoom per second, up to `LARGEST` times `ZOOM`
 - feet backwards: the backward speed of standing feet, relative to the speed of the body over the feet, for clips in
   which the body moves faster over its feet than `SLIDE_LEGS_S`
 - feet, m/s: the speed of standing feet along the trunk

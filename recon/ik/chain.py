@@ -44,17 +44,17 @@ class SerialChain:
     """
 
     tree: Tree
-    """The tree, with one branch and one marker: the end effector."""
+    """Kinematic tree with a single branch, whose only marker is the end effector."""
     columns: Index
     """Indices of the joints among the unknowns of the tree's state, shape (n,)."""
     names: tuple[str, ...]
-    """Names of the joints, (n,)."""
+    """Names of the n joints."""
     groups: tuple[tuple[int, ...], ...]
     """Indices of the joints in their order along the chain, one tuple for each kind of angle."""
     lower_rad: Array
     """Lower limits of the joints, shape (n,), rad; metres for joints that slide."""
     upper_rad: Array
-    """Upper limits of the joints, shape (n,), rad or metres."""
+    """Upper limits of the joints, shape (n,), rad; metres for joints that slide."""
     max_rate_rad_s: Array
     """Largest allowed or expected rates of the joints, shape (n,), rad/s or m/s."""
     base: Array = field(default_factory=lambda: np.eye(3))
@@ -156,7 +156,7 @@ class SerialChain:
 
     @cached_property
     def lengths_m(self) -> Array:
-        """Return the distances (L,) between consecutive joint positions, and from the last to the end effector, metres.
+        """Return the distances (L,) between consecutive joints, and from the last joint to the end effector, metres.
 
         Joints that slide are taken at 0.
         """

@@ -22,9 +22,9 @@ class Cost:
 
     value: Callable[[Array], float]
     gradient: Callable[[Array], Array]
-    """The gradient of the cost, shape (n,)."""
+    """Function that returns the gradient of the cost at q, shape (n,)."""
     hessian: Callable[[Array], Array]
-    """The second derivatives of the cost, shape (n, n)."""
+    """Function that returns the second derivatives of the cost at q, shape (n, n)."""
 
 
 def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
@@ -49,7 +49,7 @@ def rotational_energy(chain: SerialChain) -> Cost:
 
 
 def pose_distance(pose: Array) -> Cost:
-    """Return the cost sum (q_k - p_k)^2, the squared distance from a pose p (n,), such as the animal's."""
+    """Return the cost sum (q_k - p_k)^2, the squared distance from a pose p (n,), such as the animal's mean pose."""
     return quadratic(2 * np.eye(len(pose)), pose)
 
 

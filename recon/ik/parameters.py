@@ -62,7 +62,7 @@ class Frames:
     dq: Array
     """Rates of the joints, shape (T, n), rad/s."""
     names: tuple[str, ...]
-    """Names of the joints, (n,)."""
+    """Names of the n joints."""
 
     @classmethod
     def without_gaps(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
@@ -176,7 +176,7 @@ def _in_range(
     frames: Frames,
     rates_with: Callable[[float], Array] | None = None,
 ) -> ParameterFit:
-    """Fit a parameter within `RANGE` to the rates of the frames, by a search of a logarithmic grid that is refined.
+    """Fit a parameter within `RANGE` to the rates of the frames, by searching a logarithmic grid and refining the best.
 
     `rates_with` returns the rates (T, n) for a value of the parameter; None to use the formula of the method.
     """

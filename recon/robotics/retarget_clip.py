@@ -1,13 +1,13 @@
-"""Write the files of `recon retarget`: a reconstruction on a robot, its report and playback, and an ensemble.
+"""Write the files of `recon retarget`: tables, report and playback of a robot's motion, and an ensemble of motions.
 
 Every sample of an ensemble is a whole clip, drawn from the posterior (`recon.fit.posterior`) and put on the robot at
-the scale and pace of the fitted motion. Each sample is a file in the layout of `--format`. All samples together are in
-`samples.npz`: `time_s` (N,); for K samples `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4),
-`joint_positions` (K, N, joints) and `contacts` (K, N, 4); the names of joints and contacts; and `source`, the origin of
+the scale and pace of the fitted motion. Each sample is a file in the layout of `--format`. All K samples together are
+in `samples.npz`, which has the arrays `time_s` (N,), `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4),
+`joint_positions` (K, N, joints) and `contacts` (K, N, 4), the names of joints and contacts, and `source`, the origin of
 the motion with the verdict on the fit.
 
-Programs that train policies read motions with velocities, at a frame rate of their own. Positions and velocities are
-both computed from the states of the robot's tree and their derivatives (`RobotMotion.states`), so they agree exactly.
+Programs that train policies read motions with velocities, at their own frame rate. Positions and velocities are both
+computed from the states of the robot's tree and their derivatives (`RobotMotion.states`), so they agree exactly.
 
 The bodies are the base, the links (named after the joints that move them, without "_joint") and the feet. A link's
 frame is at its joint, and parallel to the base's frame when all angles are 0. In the world, z is up and the ground is
