@@ -12,9 +12,7 @@ NAN = float("nan")
 
 
 def refuses(path: Path, *expected: tuple[object, ...], individual: str | None = None, read=read_keypoints) -> None:
-    """Check that a reader refuses a file for the expected problems, which are given as in `refusal`, but without the
-    file.
-    """
+    """Check that a reader refuses a file for the expected problems, given as in `refusal`, but without the file."""
     with refusal(*((path, *one) for one in expected)):
         read(path, individual)
 

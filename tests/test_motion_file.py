@@ -61,9 +61,6 @@ def test_saving_again_gives_the_same_file(small_trajectory: Motion, tmp_path: Pa
     assert first == second == third
 
 
-# Damage
-
-
 @pytest.fixture
 def saved(small_trajectory: Motion, tmp_path: Path) -> Path:
     return small_trajectory.save(tmp_path)
@@ -204,7 +201,7 @@ def test_files_name_classes_by_tags(fixture: str, request: pytest.FixtureRequest
     ],
 )
 def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
-    """The files name classes by modules that no longer exist."""
+    """Motions of schema version 2 name classes by modules that no longer exist."""
     motion = Motion.load(FILES / "motions-version-2" / method)
     assert motion.solution.method == method
     assert motion.solution.size == pytest.approx(size, abs=1e-12)
@@ -214,7 +211,7 @@ def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: li
 
 
 def test_motions_of_schema_version_3(small_trajectory: Motion, tmp_path: Path) -> None:
-    """The files have every array unpacked."""
+    """Motions of schema version 3 have every array unpacked."""
     path = small_trajectory.save(tmp_path)
     rewritten(path, as_version_3)
     with np.load(path) as arrays:
@@ -247,9 +244,6 @@ def test_motion_of_an_earlier_version(saved: Path) -> None:
     write_manifest(saved.parent)
     again = f"recon fit --config {saved.parent}/config.toml --out {saved.parent} --overwrite"
     refuses(saved, ("schema", "version 1", again))
-
-
-# Other dataclasses
 
 
 @dataclasses.dataclass(frozen=True)

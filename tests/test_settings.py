@@ -119,7 +119,7 @@ def test_config_reads_back_as_it_was(tmp_path, given):
 
 
 def test_paths_in_a_config_are_relative_to_it(tmp_path, monkeypatch):
-    """Names of built-in files stay as they are."""
+    """Paths in a config are relative to its folder, and names of built-in files stay as they are."""
     (tmp_path / "cats").mkdir()
     config = write_config(
         tmp_path / "cats",
@@ -433,7 +433,7 @@ def test_every_command_has_a_help():
 
 
 def test_help_is_printed_whole():
-    """Text that looks like markup, such as recon[plots], is printed as well."""
+    """Help is printed whole, also text that looks like markup, such as recon[plots]."""
     for path, command in commands().items():
         texts = [command.help, *(parameter.help for parameter in command.params if hasattr(parameter, "help"))]
         for text in filter(None, texts):
@@ -462,7 +462,7 @@ def test_options_that_are_numbers(arguments):
 
 
 def test_each_camera_may_have_its_own_file(tmp_path):
-    """Cameras without a unique name are named by their files."""
+    """Cameras without a unique name get the names of their files."""
     given = (Path(__file__).parents[1] / "data" / "samples" / "camera.toml").read_text()
     for name in ("left", "right"):
         (tmp_path / f"{name}.toml").write_text(given)

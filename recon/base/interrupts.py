@@ -79,7 +79,7 @@ class Interrupts:
         os._exit(EXIT_INTERRUPTED)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal, as the handler that Python calls."""
+        """Handle a signal of `STOPPING`, when Python calls the handler."""
         if self._leaving:
             return
         if not self.in_command or self.received or (_is_importing(frame) and not self._watched):

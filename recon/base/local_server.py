@@ -144,4 +144,4 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
 
 class _RefusedError(Exception):
-    """A refused request, with a status and a reason."""
+    """Error that refuses a request, with a status and a reason."""

@@ -267,7 +267,7 @@ class Output:
             (folder / name).write_text(encodable(text), encoding="utf-8")
 
     def remove(self, name: str) -> None:
-        """Delete a file of an earlier run of this kind, and no other file."""
+        """Delete a file if an earlier run of the same command wrote it."""
         path = self.folder / name
         if not os.path.lexists(path):
             return
@@ -294,7 +294,7 @@ class Output:
         return written
 
     def _is_own(self, name: str, written: _Written) -> bool:
-        """Return whether an earlier run of this kind wrote a file that has not been changed."""
+        """Return whether a file was written by an earlier run of the same command, and has not been changed."""
         return _is_as_written(self.folder / name, (e for e in written.get(name, ()) if e.kind == self.kind))
 
     def _is_input(self, name: str) -> bool:
@@ -410,7 +410,7 @@ def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -
 
 
 def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
-    """Record files as written by a command of this kind.
+    """Record files in a folder as written by the command `kind`.
 
     `digests` are the files' SHA-256 by name, from another record.
     """
@@ -424,7 +424,7 @@ def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
 
 
 def _remove_made_from(results: Path) -> None:
-    """Delete unchanged files that were made from earlier results, in the folders within these results."""
+    """Delete unchanged files that were made from a folder's earlier results, in the folders below it."""
     for folder in sorted(path.parent for path in results.glob(f"*/{RECORD}")):
         if folder.is_symlink():
             continue

@@ -283,7 +283,7 @@ _STOPPED: set[str] = set()
 
 
 class _StoppedError(Exception):
-    """A task that was stopped because its batch has ended."""
+    """Error that stops a task because its batch has ended."""
 
 
 def run_tasks_on_cluster(

@@ -79,7 +79,9 @@ class Option:
     """Properties of a setting beyond its type and its default."""
 
     help: str = ""
-    """Help on the command line; if empty, the text below the field. Brackets give the behaviour of a default of None.
+    """Help on the command line; if empty, the text below the field.
+
+    If the default is None, a text in brackets says what happens without the setting.
     """
     expected: str = ""
     """Description of the expected value for messages; if empty, it is made from the type."""
@@ -129,7 +131,7 @@ class SettingInfo:
         return tuple(part for part in self.parts if isinstance(part, str))
 
     def is_file(self, value: object) -> bool:
-        """Return whether the value is a path."""
+        """Return whether a value of the setting is the path of a file or folder."""
         return Path in self.parts or (_MAY_BE_FILE in self.parts and str(value).endswith(FILE_SUFFIXES))
 
     @property
@@ -266,7 +268,7 @@ class Settings:
             metadata = getattr(types[field.name], "__metadata__", ())
             option = next((info for info in metadata if isinstance(info, Option)), Option())
             option = replace(option, help=option.help or texts.get(field.name, ""))
-            default = MISSING if isinstance(field.default, FieldInfo) else field.default  # required
+            default = MISSING if isinstance(field.default, FieldInfo) else field.default  # a required setting
             infos[field.name] = SettingInfo(field.name, option, default, tuple(_parts(types[field.name])))
         return infos
 

@@ -210,8 +210,6 @@ class ClipProblem:
             self, views=tuple(replace(view, offset_frames=view.offset_frames - frames) for view, frames in views)
         )
 
-    # The scene
-
     @property
     def image_right(self) -> Array:
         """Return the horizontal unit vector (3,), in the world, that points right in the first camera's picture."""
@@ -271,8 +269,6 @@ class ClipProblem:
     def in_world(self, points_m: Array, size: float = 1.0) -> Array:
         """Transform points (..., 3) of a body of nominal size, relative to `origin_m`, to the world."""
         return self.origin_m + size * points_m
-
-    # Noise and the least-squares problem
 
     @property
     def correlation_frames(self) -> float:

@@ -127,9 +127,6 @@ def _no_motion(folder: Path) -> Problem:
     return Problem(folder, "folder", content, f"the folder of one clip, as in {clips[0]}" if clips else expected)
 
 
-# For other programs and people
-
-
 def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
     """Return the joints of a motion as the table that `Motion.to_dataframe` describes."""
     import pandas as pd

@@ -133,9 +133,6 @@ def _noise_m(solution: Solution) -> Array:
         return np.asarray(np.nanmedian(noise_m, axis=0))
 
 
-# Deviations of keypoints from markers
-
-
 @dataclass(frozen=True, eq=False)
 class _Residuals:
     """Reprojection errors of one view of T frames with J keypoints, before deviations are estimated."""

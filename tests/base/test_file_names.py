@@ -105,7 +105,7 @@ def test_a_batch_goes_on_with_a_name_that_is_not_utf_8(latin_1, tmp_path):
 
 
 def test_folder_of_a_clip_has_a_valid_name(tmp_path):
-    """File systems accept the name, even if names of files are long or have escaped bytes."""
+    """File systems accept the name of a clip's folder, even if keypoint files have long names or escaped bytes."""
     names = [os.fsdecode(b"\xe9" * 240 + b"-%d.csv" % number) for number in range(2)] + ["ä" * 120 + ".csv"]
     try:
         for name in names:
@@ -119,7 +119,7 @@ def test_folder_of_a_clip_has_a_valid_name(tmp_path):
 
 
 def test_video_whose_name_is_not_utf_8_is_refused(tmp_path):
-    """OpenCV would crash on the name."""
+    """OpenCV would crash on the name of a video that is not UTF-8."""
     from recon.io.video import probe
 
     path = tmp_path / f"{LATIN_1}.mp4"
@@ -147,7 +147,7 @@ def test_a_manifest_with_a_null_byte_is_refused(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
 @pytest.mark.slow
 def test_standard_output_may_be_closed(tmp_path):
-    """`test_interrupts.py` tests an output that cannot be written to."""
+    """A closed standard output is no error; `test_interrupts.py` tests an output that cannot be written to."""
     clip = tmp_path / "Läufer.csv"
     shutil.copy(SAMPLES / "whole.csv", clip)
     closed = process("convert", clip, tmp_path / "closed.csv", "--to", "long", "--quiet", shell=">&-")

@@ -113,9 +113,6 @@ def test_kill_leaves_only_a_hidden_folder_which_the_next_run_removes(tmp_path):
     assert not hidden.exists()
 
 
-# Writing several files at once
-
-
 def test_two_writers_do_not_disturb_each_other(tmp_path):
     with staged_folder(tmp_path) as first:
         (first / "one.csv").write_text("1")
@@ -139,7 +136,7 @@ with staged_file(sys.argv[1]) as path:
 
 
 def test_processes_do_not_remove_each_others_work(tmp_path):
-    """The processes overlap in time."""
+    """Processes that overlap in time do not remove each other's files."""
     paths = [tmp_path / f"{k}.csv" for k in range(3)]
     processes = []
     for path in paths:
@@ -199,9 +196,6 @@ def test_a_folder_that_cannot_be_written_to(tmp_path):
         sole_writer(tmp_path / "file" / "out"),
     ):
         pass
-
-
-# Results
 
 
 def write_results(out: Path, **files: str) -> None:
@@ -287,7 +281,7 @@ def test_failure_while_replacing_leaves_earlier_results(tmp_path, monkeypatch, e
 
 
 def test_kill_while_replacing_leaves_no_apparent_results(tmp_path, monkeypatch):
-    """The process is killed before each of the moves in turn."""
+    """A process that is killed before any of the moves leaves nothing that looks like complete results."""
     out, taken = tmp_path / "out", []
 
     def look(number):
@@ -303,12 +297,9 @@ def test_kill_while_replacing_leaves_no_apparent_results(tmp_path, monkeypatch):
     assert read_manifest(out).changed() == []
 
 
-# Errors
-
-
 @pytest.mark.parametrize("stage", [staged_file, lambda path: staged_folder(path.parent)], ids=["file", "folder"])
 def test_error_names_the_file_to_be_written(tmp_path, stage):
-    """The message does not name the hidden staging folder, which no longer exists."""
+    """An error names the file to be written, and not the hidden staging folder, which no longer exists."""
     for error in (OSError(28, "No space left on device"), FileNotFoundError(2, "no such file", "elsewhere")):
         with pytest.raises(OSError, match=error.strerror) as caught, stage(tmp_path / "a.csv"):
             raise error

@@ -101,7 +101,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     ],
 )
 def test_the_command_cleans_up(moment):
-    """A library may turn the interrupt into another exception, or drop it."""
+    """The command cleans up even if a library turns the interrupt into another exception, or drops it."""
     assert recon_in(f"def work():\n    {WORK[moment]}") == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
 
 
@@ -110,7 +110,7 @@ def test_the_command_cleans_up(moment):
     "module", ["typer", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rich.markup", "recon.cli.app"))]
 )
 def test_interrupt_during_an_import(module):
-    """No exception of a library is printed."""
+    """An interrupt during an import prints no exception of a library."""
     code = f"""
 class Finder:
     @staticmethod
@@ -155,7 +155,7 @@ def work():
 
 @posix
 def test_interrupt_after_the_command():
-    """The line appears once, and the process does not wait for functions registered for the exit."""
+    """An interrupt after the command prints the line once, and does not wait for functions registered for the exit."""
     code = """
 def work():
     atexit.register(lambda: (ctrl_c(), time.sleep(60)))
@@ -169,7 +169,7 @@ def work():
 
 @posix
 def test_interrupt_while_python_ends():
-    """Nothing is left to stop, so the exit code is the command's own."""
+    """While Python ends, nothing is left to stop, so the exit code is the command's own."""
     code = """
 class Last:
     def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):
@@ -234,7 +234,7 @@ def test_output_to_a_full_disk_or_a_closed_pipe(where, code, said):
     "after_s", [0.5, *(pytest.param(after_s, marks=pytest.mark.slow) for after_s in (0.0, 0.2, 0.8))]
 )
 def test_interrupt_from_outside(after_s, tmp_path):
-    """The signal arrives while modules are imported, or while the clip is fitted and written."""
+    """The interrupt arrives while modules are imported, or while the clip is fitted and written."""
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     fit = ["fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     ended = interrupted([*map(str, fit)], after_s, tmp_path)

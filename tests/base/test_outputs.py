@@ -39,9 +39,6 @@ def written(out: Path, kind: str = "fit", overwrite: bool = True, **files: str) 
             (folder / f"{name}.csv").write_text(text)
 
 
-# One folder
-
-
 def test_own_unchanged_files_are_replaced_and_obsolete_ones_go(tmp_path):
     (tmp_path / "notes.csv").write_text("mine")
     written(tmp_path, a="1", b="1")
@@ -248,9 +245,6 @@ def test_a_file_that_appears_or_changes_meanwhile_stays(tmp_path):
     assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text() == "mine"
 
 
-# A single output file
-
-
 def test_named_file_is_replaced_if_it_is_own(tmp_path):
     path = tmp_path / "camera.toml"
     for text in ("1", "2"):
@@ -320,9 +314,6 @@ def test_inputs_are_the_existing_paths_of_the_settings(tmp_path):
     )
 
 
-# Outputs made from results
-
-
 def test_files_made_from_results_are_removed_with_them(tmp_path):
     out = tmp_path / "clip"
 
@@ -358,9 +349,6 @@ def test_nothing_is_written_from_results_replaced_meanwhile(tmp_path):
             (staging / "b.csv").write_text("of the earlier ones")
             written(out, a="2" if folder == out else "3")
         assert not (folder / "b.csv").exists()
-
-
-# Locks
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
@@ -405,8 +393,6 @@ def test_another_user_s_lock_is_taken_if_it_is_stale_and_named_if_it_cannot_be_o
             assert said == "in" if mode == 0o644 else f"{lock}: lock: found a lock file of another user (root)" in said
             assert lock.exists() == (mode == 0o600)
 
-
-# Every command
 
 Arguments = Sequence[object]
 
@@ -544,13 +530,13 @@ def other_inputs(tmp_path_factory):
 
 @pytest.mark.parametrize("name", files_and_commands(Path(), Path(), Path()))
 def test_no_command_replaces_a_users_file_that_it_is_given(whole_results, other_inputs, tmp_path, name):
-    """The command is refused before any work, also for a single file."""
+    """A command that would replace a user's file is refused before any work."""
     arguments, names = files_and_commands(whole_results, other_inputs, tmp_path / "mine")[name]
     require_untouched(arguments, tmp_path / "mine", names)
 
 
 def test_no_page_replaces_a_users_file(whole_results, tmp_path, monkeypatch):
-    """`recon report` renews its own page without --overwrite."""
+    """No page replaces a user's file, although `recon report` renews its own page without --overwrite."""
     monkeypatch.setattr("recon.cli.look.run_tasks", run_tasks_here)
     clip = copy_results(whole_results, tmp_path / "all" / "clip")
     put_foreign(clip, [PAGE, "summary.html"])

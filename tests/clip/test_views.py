@@ -23,9 +23,6 @@ from recon.testing.cameras import level_pose
 SAMPLES = samples_folder()
 
 
-# A view
-
-
 def test_poses_of_cameras_keep_the_files_world_where_z_points_up():
     rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     camera = replace(CAMERA, rotation=rotation, translation_m=[1.0, 2.0, 3.0])
@@ -80,17 +77,14 @@ def test_keypoint_noise_scales_with_the_magnification():
         middle = np.median(points, axis=1, keepdims=True)
         steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
         moved, at = view.project(middle + steps)[0], view.project(middle)[0]
-        # two steps along each of three axes, and two coordinates in the picture
+        # The sum has two steps along each of three axes, and two coordinates in the picture.
         along = np.sqrt(np.sum((moved - at) ** 2, axis=(1, 2)) / 4)
         np.testing.assert_allclose(found[-1], 1e6 * along, rtol=1e-4)
     np.testing.assert_allclose(found[1], found[0], rtol=0.06)
 
 
-# Motions
-
-
 def test_two_cameras_find_the_position_and_the_size():
-    """The position is ten times as accurate as with one camera, and the size is within its stated uncertainty."""
+    """Two cameras find the position ten times as accurately as one, and the size within its stated uncertainty."""
     solution = two()
     error = np.linalg.norm(solution.joints_m - truth_m(), axis=-1)
     assert error.mean() < 0.02
@@ -160,7 +154,7 @@ def test_points_between_frames_and_at_the_end_of_a_stretch():
 
 
 def test_known_delay_of_half_a_frame_does_not_matter():
-    """The view states that the pictures were taken half a frame later."""
+    """A delay of half a frame that the view states does not reduce the accuracy."""
     points = truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     late = view_of(between, ASIDE, seed=1)
@@ -173,7 +167,7 @@ def test_known_delay_of_half_a_frame_does_not_matter():
 
 @pytest.mark.slow
 def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
-    """The view does not state the lag. Positions are as accurate as without a lag.
+    """A lag that the view does not state is found, and positions are as accurate as without a lag.
 
     With one camera, the uncertainty of the positions includes the lag.
     """
@@ -200,7 +194,7 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
 
 
 def test_panning_camera_is_as_accurate_as_a_still_camera():
-    """The rays are the same, and so are the motion and its uncertainty."""
+    """A panning camera has the rays of a still camera, and gives the same motion and uncertainty."""
     points = truth_m()
     T = len(points)
     still = still_view(CAMERA, seen(run()), np.ones(points.shape[:2]))
@@ -225,7 +219,7 @@ def test_panning_camera_is_as_accurate_as_a_still_camera():
 
 
 def test_carried_camera_determines_the_size():
-    """The camera's own path is known in metres."""
+    """The size follows from the path of the carried camera, which is known in metres."""
     points = truth_m()
     T = len(points)
     poses = np.stack([level_pose([np.sin(14 * t / FPS), 0.0, 0.3 * np.cos(14 * t / FPS)], np.pi / 2) for t in range(T)])
@@ -250,7 +244,7 @@ def test_driven_camera_determines_the_size_from_standing_feet():
 
 
 def test_displaced_view_equals_the_view_of_a_displaced_camera():
-    """A view and a camera are displaced in the same way."""
+    """`View.corrected` and `Camera.corrected` move a camera in the same way."""
     extrinsic_correction, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
     camera = replace(CAMERA, rotation=ASIDE[:3, :3], translation_m=ASIDE[:3, 3])
     turned, view = camera.corrected(extrinsic_correction), view_of(points, ASIDE).corrected(extrinsic_correction)
@@ -258,7 +252,7 @@ def test_displaced_view_equals_the_view_of_a_displaced_camera():
 
 
 def test_displaced_cameras_are_refined():
-    """The second of two cameras is turned by 1.5 degrees and moved by 4 cm."""
+    """The fit corrects the second of two cameras, which is turned by 1.5 degrees and moved by 4 cm."""
     extrinsic_correction = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     wrong = [views[0], views[1].corrected(-extrinsic_correction)]
@@ -274,7 +268,7 @@ def test_displaced_cameras_are_refined():
 
 
 def test_a_wrong_focal_length_is_found_by_two_cameras():
-    """The focal length is 8 % too short; a single camera keeps it."""
+    """Two cameras find a focal length that is 8 % too short. A single camera keeps its focal length."""
     views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
     options = TrajectoryOptions(fast=True, focal_sigma=0.1)
     found = solve_trajectory([views[0], views[1].with_focal_scale(-0.08)], BODY, PRIOR, FPS, options)
@@ -292,7 +286,7 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
 
 
 def test_unmeasured_lengths_add_to_the_uncertainty_of_one_camera():
-    """The uncertainty is added only if the prior was not learned."""
+    """Unmeasured lengths add to the uncertainty only if the prior was not learned."""
     views = (view_of(truth_m(), AHEAD),)
     body = replace(BODY, subject=None)
     rough = ClipProblem.from_views(views, body, prior_from_body(body), FPS, TrajectoryOptions()).with_free_shape()

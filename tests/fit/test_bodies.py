@@ -218,7 +218,7 @@ def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, 
 
 
 def test_several_cameras_skip_unlikely_headings(monkeypatch):
-    """The skipped headings would lead to the same minimum, or to minima of higher cost."""
+    """Headings that several cameras skip would lead to the same minimum, or to minima of higher cost."""
     body = load_skeleton("human-25")
     views, _ = rigs.random_clip(body, 0.0, 3, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions())
@@ -230,7 +230,7 @@ def test_several_cameras_skip_unlikely_headings(monkeypatch):
 
 
 def test_hovering_drone_does_not_determine_the_size():
-    """The drone drifts by 0.5 m, 8 m above a person."""
+    """A drone that drifts by 0.5 m, 8 m above a person, does not determine the person's size."""
     body, random = load_skeleton("human-25"), np.random.default_rng(0)
     states, poses = walking_person(60, 30.0), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (60, 1, 1))
     centres_m = np.array([0.3, 0.2, 8.0]) + 0.3 * np.arange(-30, 30)[:, None] / 30 * [1.0, 0.0, 0.0]
@@ -242,9 +242,6 @@ def test_hovering_drone_does_not_determine_the_size():
     found = solve_trajectory([seen], body, prior_from_body(body), 30.0, TrajectoryOptions(fast=True))
     assert abs(found.size - 1) < 0.5 * found.size_sigma < 0.05
     assert np.linalg.norm(found.joints_m - markers_m, axis=2).mean() < 0.5
-
-
-# Names
 
 
 @pytest.mark.parametrize(
@@ -306,7 +303,7 @@ def test_points_of_another_skeleton_give_no_quadruped(names: Iterable[str], opti
 
 @pytest.mark.parametrize(("skeleton", "alone"), [("mouse-top", 0), pytest.param("human-25", 2, marks=pytest.mark.slow)])
 def test_draft_from_geometry_fits_the_clip(skeleton, alone, tmp_path):
-    """No segment of the draft has points of two true segments."""
+    """No segment of a draft from geometry has points of two true segments."""
     true = load_skeleton(skeleton)
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
@@ -339,7 +336,7 @@ def test_draft_from_geometry_fits_the_clip(skeleton, alone, tmp_path):
 
 @pytest.mark.slow
 def test_draft_from_a_calibration_in_millimetres(tmp_path):
-    """The command asks for the unit, and for the upward direction or a level first camera."""
+    """A draft from such a calibration asks for the unit, and for the upward direction or a level first camera."""
     true = load_skeleton("mouse-top")
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
@@ -414,9 +411,6 @@ def test_draft_of_a_standing_animal_finds_its_front(names):
     rear, front = tomllib.loads(text)["forward"]
     assert labels == names.split()
     assert still[labels.index(front), 0] < still[labels.index(rear), 0]
-
-
-# Small rigs
 
 
 @pytest.mark.slow

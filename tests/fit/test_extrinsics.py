@@ -53,7 +53,7 @@ def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_two_clips_determine_a_camera_that_one_clip_lacks():
-    """The third camera did not film the first clip."""
+    """The second clip determines the third camera, which did not film the first clip."""
     first = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1), blind(view_of(truth_m(), BEHIND))]
     second = [view_of(across(), p, seed=2 + i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]
     one, both = solve_extrinsics([setting(first[:2])]), solve_extrinsics([setting(first), setting(second)])
@@ -80,7 +80,7 @@ def test_a_camera_moved_between_two_clips_disagrees():
 
 
 def test_levelled_cameras_determine_the_upward_direction():
-    """The ground slopes by 5 degrees."""
+    """Levelled cameras determine the upward direction, although the ground slopes by 5 degrees."""
     slope = rigid(euler_rotation([np.radians(5.0), 0, 0]), np.zeros(3))
     views = [view_of(moved(slope, truth_m()), p, seed=i) for i, p in enumerate((AHEAD, ASIDE))]
     rig = solve_extrinsics([setting(views)], level_rad=np.radians(0.5))

@@ -108,7 +108,7 @@ def test_one_camera_keeps_the_lengths_with_more_uncertain_poses():
 
 
 def test_second_camera_has_the_uncertainty_of_a_calibration():
-    """The uncertainty is not added if the camera's pose is exact, or an unknown of the fit."""
+    """The uncertainty of a calibration is not added if the camera's pose is exact, or an unknown of the fit."""
     known, refined = TrajectoryOptions(cameras_known=True), TrajectoryOptions(refine_cameras=True)
     for options, is_uncertain in ((TrajectoryOptions(), True), (known, False), (refined, False)):
         clip = ClipProblem.from_views(VIEWS[:2], BODY, prior_from_body(BODY), FPS, options)

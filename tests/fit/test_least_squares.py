@@ -93,7 +93,7 @@ def seen_late(shared: bool = True) -> LeastSquares:
     displaced = [SharedUnknown(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
     common = [] if shared else [SharedUnknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
     linear = [t for t in terms() if isinstance(t, Linear)]
-    held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # for the last frame
+    held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # determines the last frame
     free = [*unknown, *displaced] if shared else unknown
     stance = StanceVelocity(FEET, FPS, 2.5, 2.0)
     driven = replace(stance, at=0.9, by_size=rng.normal(size=(T - 1, len(FEET), 3)))
@@ -299,7 +299,7 @@ class _Quiet(LeastSquares):
 
 @pytest.mark.slow
 def test_no_direction_leads_below_the_minimum():
-    """scipy's solver stays at the minimum."""
+    """The cost is higher along all directions, and scipy's solver stays at the minimum."""
     problem = whole_problem()
     found = problem.minimise(some_states(), 1e-10, 200)
     assert found.converged

@@ -82,7 +82,7 @@ def test_unused_and_missing_keypoints(small_trajectory):
 
 
 def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
-    """The skeleton's shoulder keypoints have offsets from the joints."""
+    """Reprojections include the offsets of the skeleton's shoulder keypoints from the joints."""
     body = small_trajectory.body
     shifted = replace(body, keypoint_offset_m={"l_shoulder": (0.0, 0.0, 0.1)})
     motion = replace(small_trajectory, solution=replace(small_trajectory.solution, body=shifted))
@@ -92,9 +92,6 @@ def test_reprojections_lie_where_the_detector_sees_the_joints(small_trajectory):
     difference = motion.pictures[0].reprojected_px - motion.camera.project(motion.joints_camera_m)[0]
     assert difference[0, j, 1] == pytest.approx(-0.1 * focal / depth, rel=0.01)
     assert np.abs(np.delete(difference, j, axis=1)).max() == 0
-
-
-# States
 
 
 def test_states_of_a_body_give_its_joints_in_the_world(world_trajectory):
@@ -140,9 +137,6 @@ def test_states_of_the_frame_method_give_its_joints_in_the_world(small_motion):
     np.testing.assert_allclose(published, small_motion.joints_camera_m[solved], atol=1e-12)
     assert solution.size == np.nanmedian(base) / chain.nominal_base_length_m
     assert small_motion.names == chain.body.keypoint_names("right")
-
-
-# Uncertainty
 
 
 def test_sigmas_are_along_the_axes_of_the_frame_of_reference(small_trajectory, world_trajectory):
@@ -207,9 +201,6 @@ def test_refuses_keypoints_of_another_skeleton(small_motion, small_trajectory):
         replace(small_motion, side="left")
     with pytest.raises(ValueError, match="no frame rate"):
         with_first(small_motion, keypoints=replace(small_motion.keypoints, fps=None))
-
-
-# Several cameras
 
 
 def test_a_second_camera_does_not_change_the_picture_of_the_first(two_cameras, world_trajectory):

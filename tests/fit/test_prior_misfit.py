@@ -36,7 +36,7 @@ CAMERA = Camera.from_hfov(60.0, (1920, 1080))
 
 @pytest.mark.parametrize("fps", [45.0, 200.0])
 def test_misfit_is_the_scale_of_the_variances(fps):
-    """The angles are measured directly in all frames."""
+    """The misfit has this scale if the angles are measured directly in all frames."""
     rng = np.random.default_rng(0)
     prior = pose_term(NARROW, BODY.n_state, fps, 1.0)
     sigma = np.sqrt(np.diagonal(NARROW.covariance) * fps / 90.0)
@@ -91,7 +91,7 @@ def solved(prior: MotionPrior, at: np.ndarray, **options) -> tuple[TrajectorySol
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_prior_of_other_motions_loses_its_weight(fast, monkeypatch):
-    """The angles then stay near the skeleton's expectation."""
+    """With a prior of other motions, angles stay near the skeleton's expectation."""
     at = PLAIN.mean + 0.1 * np.random.default_rng(3).normal(size=len(PLAIN.mean))
     solution, error_m = solved(NARROW, at, fast=fast)
     (segment,) = solution.segments

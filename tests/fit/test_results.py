@@ -129,9 +129,6 @@ def test_sides_of_limbs(whole_results, frame_results):
     assert chain == {"hind leg": "right", "spine": None, "front leg": "right"}
 
 
-# Results of one run
-
-
 def refuses(folder: Path, *expected: object) -> None:
     with refusal(expected):
         Motion.load(folder)

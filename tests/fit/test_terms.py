@@ -100,7 +100,7 @@ def test_steady_gait_of_the_prior_has_no_motion_cost():
 
 
 def test_mixture_of_one_component_is_a_gaussian():
-    """Both have the same cost, up to a constant."""
+    """A mixture of one component has the cost of a Gaussian, up to a constant."""
     from recon.animal.prior_fit import as_one_gaussian
 
     one = as_one_gaussian(PRIOR)

@@ -280,9 +280,6 @@ def test_real_views(shared_data):
         assert evaluate(found, read_pose3d(folder / "truth.csv")).mpjpe_m.mean < below_m
 
 
-# Clips with little information
-
-
 def chain_points(T: int) -> np.ndarray:
     chain = load_chain("cheetah-8u").body
     states = np.zeros((T, chain.n_state))

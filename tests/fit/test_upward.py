@@ -23,12 +23,12 @@ def walking(scale: float) -> np.ndarray:
     """Return joints (T, J, 3), m, of a walk in a circle; each foot stands on z = 0 for two thirds of the time."""
     still = BODY.tree.pose(np.concatenate([np.zeros(4), BODY.mean_rad])[None]).points_m[0]
     still -= [0.0, 0.0, np.mean([still[BODY.markers.index(foot), 2] for foot in BODY.feet])]
-    gone = 0.8 * np.arange(T) / FPS  # m
+    gone_m = 0.8 * np.arange(T) / FPS
     points = np.empty((T, len(still), 3))
     for j, marker in enumerate(BODY.markers):
-        at, lift = gone, np.zeros(T)
+        at, lift = gone_m, np.zeros(T)
         if marker in BODY.feet:
-            phase = gone / 0.5 + 0.25 * BODY.feet.index(marker)
+            phase = gone_m / 0.5 + 0.25 * BODY.feet.index(marker)
             swing = np.clip(phase % 1.0 - 2 / 3, 0.0, None) * 3
             at, lift = 0.5 * (np.floor(phase) + swing - 0.25 * BODY.feet.index(marker)), 0.08 * np.sin(np.pi * swing)
         turn = Rotation.from_euler("z", at[:, None] / 1.5).as_matrix()
@@ -52,7 +52,7 @@ def looking(centre_m: np.ndarray, name: str, rolled_deg: float) -> Camera:
     [(1.0, [4.0, 0, 1.9]), pytest.param(0.1, [4.0, 0, 1.9], marks=pytest.mark.slow), (0.1, [0.0, 0.0, 5.0])],
 )
 def test_up_is_found_from_the_ground_that_feet_stand_on(tmp_path, scale, first):
-    """Keypoints are off by 2 % of the animal's length.
+    """The upward direction is found although keypoints are off by 2 % of the animal's length.
 
     The first camera may look straight down, and the animal may be as small as a mouse.
     """

@@ -114,9 +114,6 @@ FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """Command with which pages begin; `whole_results` has its results, and `test_cli.py` tests the command."""
 
 
-# Running the commands of a page
-
-
 class Workshop:
     """Folder in which the files of `docs_files` are made when a page names them."""
 
@@ -171,7 +168,7 @@ def same_pose(*results: Path) -> bool:
     ],
 )
 def test_command_of_several_pages(command, of_results):
-    """These commands are run separately, so that no page takes long."""
+    """Commands that several pages show are run separately, so that no page takes long."""
     printed, _ = of_results(command)
     assert printed
 
@@ -296,9 +293,6 @@ def test_a_wrong_name_in_python_is_noticed(tmp_path):
         Workshop(tmp_path, "a page", tmp_path, pytest.fail).python("import recon; recon.fit_klip", {})
 
 
-# Faults that no page may have
-
-
 def test_blocks_have_a_language_that_is_checked():
     assert [(b.page.name, b.line, b.language) for p in PAGES for b in blocks(p) if b.language not in LANGUAGES] == []
     for page in PAGES:
@@ -306,7 +300,7 @@ def test_blocks_have_a_language_that_is_checked():
 
 
 def test_toml_blocks_can_be_read():
-    """The tests of skeletons check the fields of these blocks."""
+    """TOML blocks are syntactically correct; the tests of skeletons check their fields."""
     for page in PAGES:
         for block in blocks(page):
             if block.language == "toml" and not SNIPPET.fullmatch(block.text):
@@ -371,13 +365,11 @@ def test_commands_and_scripts_in_the_text_exist():
 
 
 def test_links_of_the_readme_lead_somewhere():
-    """Links of docs/ are checked when the site is built."""
+    """Links of the README are checked here, and links of docs/ when the site is built."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for link in re.findall(r"\]\((?!https?://)([^)#]+)", text):
         assert (ROOT / link).exists(), link
 
-
-# The site
 
 OFFLINE = """
 import socket, sys

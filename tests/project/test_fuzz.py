@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = {"formats": 150, "settings": 250}
-"""Number of cases of each kind of files."""
+"""Number of damaged files that are tested, by kind."""
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")
 
@@ -64,7 +64,7 @@ def pool() -> Iterator[ProcessPoolExecutor]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", CASES)
 def test_damaged_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
-    """More than a tenth of the files can still be read, because the damage is often small."""
+    """More than a tenth of the damaged files can still be read, because the damage is often small."""
     count = CASES[kinds]
     tally = pool.submit(cases, kinds, tmp_path / kinds, count).result()
     assert tally.causes == {}

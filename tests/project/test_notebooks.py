@@ -67,7 +67,7 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
 
 @pytest.mark.usefixtures("undrawn", "no_playback")
 def test_cells_give_their_saved_outputs(monkeypatch: pytest.MonkeyPatch):
-    """The cells run in this process without drawing, which is faster than in a kernel."""
+    """The cells of a notebook run in this process without drawing, which is faster than in a kernel."""
     monkeypatch.setenv("RECON_SHARED_DATA", "")
     monkeypatch.chdir(FOLDER)
     names: dict[str, Any] = {"__name__": "notebook"}

@@ -104,7 +104,7 @@ def test_batch(said, folder, in_process):
 
 @pytest.mark.slow
 def test_calibration(said, folder):
-    """Pictures of a board in all corners are enough; four of them are refused with the names of missing regions."""
+    """Pictures of a board in all corners calibrate a camera. Four of them are refused, with the missing regions."""
     camera, board = BOARD_CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
@@ -181,14 +181,11 @@ def test_video_to_3d(said, folder, monkeypatch):
 
 
 def test_page_contains_every_script():
-    """The page includes the scripts by reference, so that they are never out of date."""
+    """The page of the pipelines includes the scripts by reference, so that it is never out of date."""
     page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
     shown = re.findall(r'--8<-- "(pipelines/.*)"', page)
     assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in PIPELINES.iterdir() if path.is_file())
     assert sorted(re.findall(r"]\(\.\./(pipelines/[^)]+)\)", page)) == sorted(shown)  # for readers on GitHub
-
-
-# Contents of the pipelines
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
