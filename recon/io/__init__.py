@@ -1,4 +1,4 @@
-"""Read and write files: 2D keypoints, 3D positions, bones, and cameras; `FORMATS` is the table of all formats.
+"""Read and write files of 2D keypoints, 3D positions, bones and cameras; `FORMATS` lists all formats.
 
-`recon.io.video` imports OpenCV, which takes a moment: import it inside the function that needs it.
+`recon.io.video` imports OpenCV, which is slow to import, so import it inside the function that needs it.
 """

@@ -130,7 +130,7 @@ def track_files(path: Path) -> tuple[Path, ...]:
 
 
 def track_label(path: Path) -> str:
-    """Return the name of a camera track: the file's name without suffix, or the folder's name for a COLMAP model."""
+    """Return a camera track's name, which is its file's name without suffix, or a COLMAP model's folder name."""
     if path.suffix.lower() in (".csv", *SHOTS):
         return path.stem
     return path.parent.name if path.name == IMAGES else path.name

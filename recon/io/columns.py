@@ -72,7 +72,7 @@ METADATA = b"recon"
 
 
 _Meaning = tuple[str, str, str | None]
-"""Meaning of a column: its bodypart ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
+"""Bodypart of a column ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
 
 
 @dataclass(frozen=True)
@@ -422,7 +422,7 @@ def _points_of_rows(cells: _Cells, column: str) -> tuple[dict[str, int], np.ndar
 
 
 def write_long(keypoints: Keypoints, path: Path) -> None:
-    """Write one row per frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
+    """Write a row of frame, individual (if named), bodypart, x, y, likelihood, fps for each frame and keypoint."""
     start = {} if keypoints.individual is None else {"individual": keypoints.individual}
     end = {} if keypoints.fps is None else {"fps": keypoints.fps}
     values = np.concatenate([keypoints.xy_px, keypoints.confidence[..., None]], axis=2)
@@ -435,7 +435,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
-    """Write one row per frame and joint: frame, joint, x_m, y_m, z_m (metres, z up).
+    """Write a row of frame, joint, x_m, y_m, z_m (in metres with z up) for each frame and joint.
 
     A fit's standard deviations and flags are further columns.
     """

@@ -1,4 +1,4 @@
-"""Read and write corrections.csv: detections corrected by hand.
+"""Read and write corrections.csv, which has detections corrected by hand.
 
 A row has the frame of the keypoint file, the camera (empty if there is only one), the keypoint, its detected position
 (`was_x_px`, `was_y_px`; empty: not detected), its corrected position (`now_x_px`, `now_y_px`; empty: hidden, or not to

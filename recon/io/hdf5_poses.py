@@ -98,7 +98,7 @@ def _keys(path: Path) -> list[str]:
 
 
 def _fixed_frame(group: h5py.Group) -> _Table:
-    """Return a table in pandas' fixed layout: its axes, and blocks of columns of one type, each as an array."""
+    """Return a table in pandas' fixed layout, which has its axes, and an array for the columns of each type."""
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
     place_of = {label: column for column, label in enumerate(columns)}  # columns with the same label are rejected later
@@ -152,7 +152,7 @@ def _is_empty(dataset: h5py.Dataset) -> bool:
 
 
 def _table_frame(group: h5py.Group) -> _Table:
-    """Return a table in pandas' table layout: an array of records, with pickled labels of columns."""
+    """Return a table in pandas' table layout, which is an array of records with pickled labels of columns."""
     ((_, stored_columns),) = _attribute_value(group, "non_index_axes")
     columns = [_label(label) for label in stored_columns]
     dataset = member(group, "table")
@@ -171,7 +171,7 @@ def _label(label: object) -> Label:
 
 
 def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute as PyTables stores it: a text, a number, or a pickle, which ends in a dot."""
+    """Return an attribute written by PyTables, which is a text, a number, or a pickle that ends in a dot."""
     value = raw_attribute(holder, name)
     if not isinstance(value, bytes):
         return value

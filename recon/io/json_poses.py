@@ -254,7 +254,7 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def recognises_alphapose(path: Path) -> bool:
-    """Return whether a file is AlphaPose's JSON or COCO's results JSON: a list with the points of each detection."""
+    """Return whether a file is a JSON list of detections with points, as in AlphaPose's and COCO's results."""
     if not common.starts_with_text(path, b"["):
         return False
     with path.open("rb") as file:

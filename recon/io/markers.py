@@ -201,7 +201,7 @@ def _parameters(section: bytes, order: str) -> Parameters:
 
 
 def _value(section: bytes, position: int, order: str) -> list[str] | np.ndarray:
-    """Return a parameter's data: texts for type -1, bytes for 1, whole numbers for 2, floats for 4."""
+    """Return a parameter's data, which are texts (type -1), bytes (1), whole numbers (2) or floats (4)."""
     kind, dimensions = struct.unpack_from("bB", section, position)
     shape = tuple(section[position + 2 : position + 2 + dimensions])
     position += 2 + dimensions

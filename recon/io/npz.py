@@ -1,4 +1,4 @@
-"""Read and write NumPy archives of 3D positions: recon's own, and those of FMPose3D's animal demo.
+"""Read and write recon's NumPy archives of 3D positions, and read archives of FMPose3D's animal demo.
 
 Recon's archives have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, with z up. FMPose3D's archives are
 `pose3D/0000_3D.npz` with the points of a picture as `pose3d`.

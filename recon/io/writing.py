@@ -208,7 +208,7 @@ def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], n
 
 
 def _with_fps(scorer: str | None, fps: float | None) -> str:
-    """Return the scorer to write, which ends with the frame rate and begins with another program's scorer, if any."""
+    """Return the scorer to write, which is another program's scorer, if any, with the frame rate appended."""
     ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
     if scorer in (None, SCORER):
         return ours

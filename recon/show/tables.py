@@ -1,7 +1,7 @@
 """Write the tables of a fit (docs/report.md) and of `recon analyse` (docs/gait.md).
 
-The tables of a fit are functions of a motion and a path, which they write. The tables of an analysis are functions of a
-`ClipAnalysis` that return a table, which `table_content` rounds. `recon.base.files.staged_folder` writes a folder of
+For each table of a fit, a function writes the table of a motion to a path. For each table of an analysis, a function
+returns the table of a `ClipAnalysis`, which `table_content` rounds. `recon.base.files.staged_folder` writes a folder of
 tables atomically.
 """
 

@@ -144,7 +144,7 @@ def _dark_squares_m(board: Board) -> Array:
 
 
 def _dark_of_charuco_m(board: Board) -> Array:
-    """Return the dark areas of a ChArUco board: the squares without a marker, and the dark bits of the markers."""
+    """Return the dark areas of a ChArUco board, which are squares without a marker and dark bits of markers."""
     assert board.marker_m is not None
     markers = np.asarray(board.charuco.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}

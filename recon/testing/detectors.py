@@ -87,7 +87,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
 
 
 def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: str, padding: float) -> None:
-    """Write a DeepLabCut 3 table of three animals: the sample's animal, and two whose cells are `padding`."""
+    """Write a DeepLabCut 3 table of the sample's animal and of two animals whose cells are `padding`."""
     import pandas as pd
 
     levels = [[scorer], ["animal0", "animal1", "animal2"], list(names), ["x", "y", "likelihood"]]

@@ -1,4 +1,4 @@
-"""Run the published system: fit a clip frame by frame, and write tables and figures of the optimisation."""
+"""Fit a clip frame by frame with the published system, and write tables and figures of the optimisation."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class FrameOptions:
     """Weights of the frame method's objectives, and limits of its search."""
 
     form: Form = "deadband"
-    """Form of f2 to f5, which is "deadband" (penalises only values outside the range) or "printed" (as published)."""
+    """Form of f2 to f5, which is "deadband" (penalises only values outside ranges) or "printed" (as published)."""
     reprojection: Literal["robust", "printed"] = "robust"
     """Form of f1, which is "robust" (and weighted by confidence) or "printed" (as published)."""
     angle_prior: Literal["gaussian", "none"] = "gaussian"
@@ -57,7 +57,7 @@ class FrameOptions:
     robust_c: float = 4.5
     """Error in standard deviations at which the robust penalty on a point is half of the squared error."""
     path: Literal["smooth", "free"] = "smooth"
-    """Path of the reference joint, which is "smooth" over all frames (`recon.thesis.path`) or "free" in every frame."""
+    """Path of the reference joint, "smooth" over all frames (`recon.thesis.path`) or "free" in every frame."""
     path_sigma_m: float = 0.5
     """Standard deviation of the reference joint about a smooth path in metres.
 

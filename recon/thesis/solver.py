@@ -132,7 +132,7 @@ def _total(first: _FrameReport, second: _FrameReport) -> _FrameReport:
 
 @dataclass(frozen=True, eq=False)
 class FrameProblem:
-    """Least-squares problem of one frame: residuals as functions of its unknowns x (D,)."""
+    """Least-squares problem of one frame, with residuals as functions of its unknowns x (D,)."""
 
     chain: UnknownsChain
     terms: tuple[Objective, ...]

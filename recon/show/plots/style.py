@@ -44,9 +44,9 @@ PAGE_MM = 235.0
 MM = 1 / 25.4
 """One millimetre in inches."""
 PNG_DPI = 200
-"""Resolution of a PNG for a screen, dots per inch."""
+"""Resolution in dots per inch of a PNG for a screen."""
 PRINT_DPI = 600
-"""Resolution of a picture for print, dots per inch."""
+"""Resolution in dots per inch of a picture for print."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))

@@ -14,7 +14,7 @@ Line = tuple[str, str]
 
 @dataclass(frozen=True)
 class Section:
-    """Section of a report: a field of report.json and the lines of the summary that state its content."""
+    """Field of report.json, with functions that compute its content and the summary's lines on it."""
 
     name: str
     """Name of the field."""

@@ -44,7 +44,7 @@ _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
 RECORDING = "recording.rrd"
 """Name of the recording in the page's address. The viewer recognises the format by the suffix."""
 LOOK = "theme=dark&persist=0"
-"""Options of the viewer in the page's address: a dark theme, and no settings stored in the browser."""
+"""Options in the page's address, which make the viewer dark and keep it from storing settings in the browser."""
 START_S = 30.0
 """Largest time that rerun's server may take to start, in seconds."""
 TICK_S = 0.05
