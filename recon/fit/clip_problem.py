@@ -425,14 +425,14 @@ class ClipProblem:
         around_m: Array | None = None,
         size: float = 1.0,
     ) -> LeastSquares:
-        """Return the least-squares problem with all of its terms.
+        """Return the least-squares problem of the clip with all of its terms.
 
         This method selects all terms except those of the feet, which `contacts` makes.
 
         Parameters
         ----------
         noise_px
-            Noise of each detection, (V, T, J), pixels.
+            Standard deviation of each detection, (V, T, J), pixels.
         temperature
             Temperature of the prior's mixture of poses; None replaces the mixture with one Gaussian.
         contact_terms

@@ -61,11 +61,11 @@ def correction_gain_m2(
     solution
         The solution of a clip, with V views of T frames and J markers.
     prior
-        The prior used in that solution.
+        Prior with which the solution was fitted.
     fps
         Frames per second.
     options
-        The options used in that solution.
+        Options with which the solution was fitted.
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)

@@ -47,11 +47,12 @@ def solve_points(
     Returns
     -------
     states : (T, D) array
-        NaN in frames with fewer than `MIN_MARKERS` markers. The heading is continuous over time.
+        Unknowns of each frame, NaN in frames with fewer than `MIN_MARKERS` markers. The heading is continuous over
+        time.
     rms_m : (T,) array
         Root mean square distance of the markers from the points.
     size : float
-        The factor on the body's lengths.
+        Factor on the body's lengths, as given or estimated.
 
     Raises
     ------

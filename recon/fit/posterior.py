@@ -403,7 +403,9 @@ def posterior(
         The problem, whose nuisance unknowns are freed.
     body
         The body, with J joints and D unknowns per frame.
-    estimate The minimum of the problem. variance_factor
+    estimate
+        The minimum of the problem.
+    variance_factor
         Factor on all variances, the correlation time of the errors in frames, which the cost ignores.
     normal
         The normal equations with the nuisance unknowns, if they have been computed already.

@@ -59,7 +59,7 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
     Returns
     -------
     xy_px : (T, J, 2) array
-        Pixels, NaN without a pose.
+        Predicted keypoints, pixels; NaN without a pose.
     covariance_px2 : (T, J, 2, 2) array
         Covariances of detections about `xy_px`, px^2. They include the uncertainty of the keypoints in 3D, and the
         noise of detections in the solution's views, scaled to the distance from this view.

@@ -100,7 +100,7 @@ def sample_joints(
     sources
         Keypoints and camera of each view, as in the fit.
     solution
-        The solution of the fit to these data.
+        Solution of the fit to the sources.
     fps
         Frames per second.
     settings

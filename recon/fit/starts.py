@@ -124,13 +124,13 @@ def constant_velocity(
     Parameters
     ----------
     headings
-        Unit vectors, (H, 3).
+        Directions of running as unit vectors, (H, 3).
     shapes
         The shape turned to each heading, (H, J, 3), metres.
     up
         Upward direction, (3,), along which a run may climb.
     rays
-        Unit vectors, (F, J, 3), NaN if missing.
+        Viewing rays as unit vectors, (F, J, 3), NaN if missing.
     time_s
         Times of the rays, (F,), seconds, with mean zero.
     centres_m
