@@ -5,7 +5,7 @@ A table has one row per frame and a header of several levels: `scorer`, `individ
 or three, and have no likelihood. Recon's own files have the frame rate in the scorer, `recon_90fps`, because the format
 has no field for it.
 
-This module has the table and its CSV files; `recon.io.hdf5_poses` has its H5 files.
+This module interprets tables and reads and writes CSV files, and `recon.io.hdf5_poses` reads and writes H5 files.
 """
 
 from __future__ import annotations

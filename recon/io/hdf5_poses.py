@@ -1,13 +1,13 @@
 """Read and write poses in HDF5 files: DeepLabCut, SLEAP, sleap-anipose, movement, and NWB with ndx-pose.
 
-- DeepLabCut's H5: the table of `recon.io.deeplabcut`, as pandas stores it. pandas and PyTables would unpickle whatever
-  a file holds. Tables are read without them here, in pandas' fixed and table layouts. Cells are numbers or texts.
+- DeepLabCut's H5: the table of `recon.io.deeplabcut`, as pandas stores it. pandas and PyTables would unpickle any
+  object in a file, so this module reads pandas' fixed and table layouts without them. Cells are numbers or texts.
   Column labels, which are pickled in the table layout, are lists and tuples of texts; anything else is refused.
 - SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The attribute `dims` of
   each dataset has the order of its axes; files without it have the order of SLEAP's first version. The frame axis
   counts from frame 0 of the video. Frames in which a track is not occupied are left out.
-- sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of
-  other programs also have names, and the rate as `recording_frame_rate`.
+- sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, with the first frame number and
+  the one after the last. Files of other programs also have names, and the frame rate as `recording_frame_rate`.
 - movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
   `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a unit that
   only recon's own files state (`length_unit`, `up_axis`). Recon's files have the names of movement 0.17, and times in

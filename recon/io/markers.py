@@ -5,8 +5,8 @@ TRC is text, separated by tabs or commas, with the unit in the header and y up b
 C3D (c3d.org, user guide) has blocks of 512 bytes: a header, a section of parameters in groups, and for each frame four
 numbers of every point, x, y, z and a word with the residual, -1 for a missing point, followed by the analog samples.
 The unit and the screen's axes are in the header. Numbers are stored as on Intel's or MIPS' processors; files with DEC's
-floats are not read. C3D counts frames from 1: its frame 1 is frame 0 here. Recon's own files list their frame numbers,
-which may have gaps, in which all points are missing. Files are read without ezc3d, which crashes on damaged ones.
+floats are not read. C3D counts frames from 1, which is frame 0 in recon. Recon's own files list their frame numbers,
+and have no points in the gaps between these. Files are read without ezc3d, which crashes on damaged ones.
 """
 
 from __future__ import annotations

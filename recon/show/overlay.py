@@ -2,9 +2,9 @@
 
 On the picture, limbs have the colour of their side. They are light and thick if they are nearer to the camera than the
 animal's middle, and dark and thin if they are farther away. Rings are detections within the expected error. Red crosses
-are detections with larger errors, with a line to the reprojection. A strip below the picture shows the pose from the
-side, from above and from ahead, at one scale and in the animal's own direction, and the key to the colours. An animal
-that is small in the picture is also shown enlarged, in the corner that its path avoids most.
+are detections with larger errors, with a line to the reprojection. A strip below the picture shows the key to the
+colours, and the pose from the side, from above and from ahead, at one scale and aligned with the animal's heading. An
+animal that is small in the picture is also shown enlarged, in the corner that its path avoids most.
 """
 
 from __future__ import annotations

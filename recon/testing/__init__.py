@@ -1,6 +1,6 @@
 """Simulate animals, cameras, rigs, boards and films with known ground truth, for tests.
 
-No fit uses these modules:
+Fits do not use these modules:
 
 - `recon.testing.gallop`: a galloping cheetah in front of one camera, and detections with noise, gaps and outliers;
 - `recon.testing.steady_gait`: a gallop and a trot with exact forces;

@@ -1,11 +1,11 @@
 """Simulate a cheetah that accelerates in a gallop, and exact detections of it by one camera.
 
-The motion is given by formulas. Speed and stride frequency rise towards a limit. The links' inclinations to the ground
-are short Fourier series in the stride's phase, whose amplitudes grow slowly with speed. The coefficients were optimised
-so that the feet are nearly still and on the ground in stance, and clear of the ground in swing; that angles and rates
-are within the ranges of the skeleton `cheetah-8u`; and that means and spreads of the angles are close to those of
-galloping cheetahs in AcinoSet (Joska et al. 2021). The transverse angles, the trunk's yaw and roll and its sideways
-sway are slow waves drawn from a seed.
+Formulas define the motion. Speed and stride frequency rise towards a limit. The links' inclinations to the ground are
+short Fourier series in the stride's phase, whose amplitudes grow slowly with speed. The coefficients were optimised so
+that the feet are nearly still and on the ground in stance, and clear of the ground in swing; that angles and rates are
+within the ranges of the skeleton `cheetah-8u`; and that means and spreads of the angles are close to those of galloping
+cheetahs in AcinoSet (Joska et al. 2021). The transverse angles, the trunk's yaw and roll and its sideways sway are slow
+waves drawn from a seed.
 
 The world frame is right-handed, with z up, in metres. The origin is on the ground, in the middle of the first second's
 path. The camera is on the side of negative y. "Near" means the side of the animal that faces the camera.

@@ -2,10 +2,10 @@
 
 scipy's `least_squares(method="lm")` (MINPACK) minimises the stacked residuals of all objectives. A frame starts from
 the solution of the previous frame, with its position extrapolated along the path. The first frame starts from geometry
-alone (`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the lowest cost
-wins.
+alone (`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the solution with
+the lowest cost is kept.
 
-The depths of the frames jitter. By default all frames are therefore solved a second time, from their first solutions,
+Depths jitter from frame to frame. By default all frames are therefore solved a second time, from their first solutions,
 with the reference joint tied to a smooth path through all frames (`recon.thesis.path`).
 """
 

@@ -1,7 +1,7 @@
 """Estimate the direction of travel and a rough first pose from geometry, without measured angles.
 
-The mean pose is placed on the rays of the detections (`recon.fit.starts`), for many headings and all frames of a
-stretch. The poses of the chosen heading fit best and agree with the path that they imply.
+The mean pose is placed on the rays of the detections (`recon.fit.starts`), for many headings and all frames of about
+one second. The heading is chosen whose poses fit the detections and their own path best.
 """
 
 from __future__ import annotations

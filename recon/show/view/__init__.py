@@ -18,7 +18,7 @@ at most 25 times a second.
 - `angles/...` has the angles in degrees as `left`, `right` and `middle`, split if there are many. `speed` is the speed
   of the reference point in m/s. `residuals` are in px over all cameras, the median of a frame and the largest one
   without outliers.
-- `uncertainty` is in m. States over time are each flag of a frame by its name, and each foot while it stands.
+- `uncertainty` is in m. States over time show which frames have each flag, and when each foot stands.
 - If an analysis is given, `analysis/...` has its curves, and `world/forces` arrows under the feet, with the path
   `world/forces/centre_of_mass`.
 
