@@ -52,7 +52,7 @@ class SegmentRow:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
-    """Motion prior: statistics of the poses and accelerations of A angles, with a mixture of K Gaussians.
+    """Statistics of the poses and accelerations of A angles in a kind of motion, with a mixture of K Gaussians.
 
     Raises
     ------

@@ -126,7 +126,7 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
 
 @dataclass(frozen=True, eq=False)
 class SceneRefit:
-    """Solution of a part of a clip with another camera: states (T, D) of an animal of nominal size, and their cost."""
+    """Solution of a part of a clip with another camera: states (T, D) at the animal's nominal size, and their cost."""
 
     cost: float
     """Cost of the solution, in which errors within the correlation time count only once."""

@@ -64,7 +64,10 @@ def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding |
 
 
 def foreign_half(clip: ClipProblem, solution: TrajectorySolution) -> str:
-    """Return words for the half whose detections disagree with the pose far more often, or for both halves."""
+    """Return the name of the half whose detections disagree with the pose far more often than those of the other half.
+
+    If neither half stands out, return words for both halves.
+    """
     view, is_hind = clip.views[0], hind_markers(clip)
     projected_px, _ = view.project(view.shift_to_exposure(solution.markers_m))
     with np.errstate(invalid="ignore"):  # NaN in frames without a pose

@@ -519,7 +519,7 @@ picture (`python benchmarks/wrong_inputs.py --only input-limits`).
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """Yield at most one finding: no animal moves like this over the ground, or the animal stands still."""
+    """Yield a finding if no animal moves like this over the ground, or if the animal stands still; at most one."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):

@@ -82,7 +82,7 @@ def single_view(clip: ClipProblem, view: View) -> ClipProblem:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Solution of a part of a clip: states (n, D) of an animal of nominal size about the origin, and likelihoods."""
+    """States (n, D) of the animal, at nominal size, that solve a part of a clip, and their negative log-likelihoods."""
 
     states: Array
     correlated: float
@@ -92,7 +92,7 @@ class Refit:
 
     @classmethod
     def of_states(cls, clip: ClipProblem, states: Array) -> Refit:
-        """Return the refit with given states (n, D); both values are infinite if a frame has no state."""
+        """Return given states (n, D) with their negative log-likelihoods, which are infinite if a frame has no state."""
         if not np.isfinite(states).all():
             return cls(states, np.inf, np.inf)
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
@@ -302,7 +302,7 @@ the rays is six times as large, or more. Level cameras around an animal hardly d
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
 """Codes of findings on camera files whose poses, or only rotations, are given from camera to world."""
 _Alternative = tuple[str, dict[str, Any], View]
-"""Hypothesis on a view: code and numbers of the finding, and the view if the hypothesis is true."""
+"""Hypothesis on a view, as the code and numbers of the finding, and the view that would be right."""
 
 
 def unit_square_finding(baseline: Baseline) -> Finding | None:

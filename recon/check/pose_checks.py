@@ -127,7 +127,7 @@ def _running_median(values: Array) -> Array:
 
 
 def _unit(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of the unit: the decimal logarithm of the ratio of the animal's size to the possible sizes."""
+    """Yield the decimal logarithm of the ratio of the animal's size to the possible sizes, as a measure of the unit."""
     ratios = [
         float(np.nanmedian(np.linalg.norm(points.positions[:, a] - points.positions[:, b], axis=1))) / expected_m
         for (a, b), expected_m in points.roles.bones_m.items()
@@ -170,7 +170,7 @@ def _upward(points: AuditedPoints) -> Array | None:
 
 
 def _up(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of the upward axis: 1 minus the cosine of the angle between z and the line from feet to trunk."""
+    """Yield 1 minus the cosine of the angle between the z axis and the mean direction from the feet to the trunk."""
     up = _upward(points)
     if up is None:
         return
@@ -182,7 +182,7 @@ def _up(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of exchanged sides: the fraction of left points, over all frames, on the animal's right."""
+    """Yield the fraction of left points, over all frames, on the animal's right, as a measure of exchanged sides."""
     left_of = _left(points)
     if left_of is None:
         return
@@ -219,7 +219,7 @@ def leg_length_m(points: AuditedPoints) -> float:
 
 
 def _gravity(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of gravity: the ratio of the acceleration in flights to gravity, as a power of `RATIO`."""
+    """Yield the ratio of the acceleration in flights to gravity, expressed as a power of `RATIO`."""
     leg_m = leg_length_m(points)
     if points.fps is None or not leg_m > 0 or len(points.roles.feet) < 4:
         return
@@ -280,7 +280,7 @@ def _ground_m(z_m: Array) -> Array:
 
 
 def _slide(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of sliding feet: the velocity of standing feet along the trunk, relative to its limit."""
+    """Yield the velocity of standing feet along the trunk, relative to its limit, as a measure of sliding feet."""
     leg_m, trunk, feet = leg_length_m(points), points.roles.trunk, list(points.roles.feet)
     if points.fps is None or trunk is None or not leg_m > 0 or len(points.frames) < 2 * FLIGHT_FRAMES:
         return
@@ -313,7 +313,7 @@ def _slide(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _ranges(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of the joints' ranges: the largest angle beyond a range of flexion, relative to `BEYOND_DEG`."""
+    """Yield the largest angle by which a joint exceeds its range of flexion, relative to `BEYOND_DEG`."""
     left = _left(points)
     if left is None:
         return

@@ -27,7 +27,7 @@ WIDE_OFFSET_S = 0.5
 NARROW_OFFSET = 3
 """Largest time offset that is tried for a camera that agrees, frames."""
 _ROBUST = 3.0
-"""Residual at which its robust weight is 0.5, in standard deviations."""
+"""Residual, in standard deviations, that has a robust weight of 0.5."""
 _POINT_ROUNDS = 3
 """Number of iterations of robust reweighting in the triangulation of points."""
 _MEDIAN_OF_LINE = 0.4549

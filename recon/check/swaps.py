@@ -131,7 +131,7 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """Trial of a swap: the stretch with exchanged sides, the new solution around it, and the log-likelihood gain."""
+    """Stretch in which the sides were exchanged on trial, with the solution around it and the log-likelihood gain."""
 
     stretch: _Stretch
     refit: Refit

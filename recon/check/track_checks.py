@@ -99,7 +99,7 @@ def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of identical points, for the two points that have the same coordinates in the most frames."""
+    """Yield the number of frames in which two points are identical, relative to its limit, for the worst pair."""
     values, T = points.positions, len(points.frames)
     worst: tuple[float, int, int, Bools] | None = None
     for i in range(len(points.names)):
@@ -124,7 +124,7 @@ def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield measures of repeated frames: the longest run, and the number of repetitions if all frames are repeated."""
+    """Yield the longest run of repeated frames, and the number of repetitions if all frames are repeated."""
     repeats = repeats_of(points.positions)
     if not repeats.any():
         return
@@ -139,7 +139,7 @@ def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of frozen points: the longest run in which a point keeps its coordinates while others move."""
+    """Yield the length of the longest run in which a point keeps its coordinates while most other points move."""
     values = points.positions
     is_same = np.zeros(values.shape[:2], dtype=bool)
     is_same[1:] = (values[1:] == values[:-1]).all(axis=2)
@@ -162,7 +162,7 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of interpolated points: the longest run of a point on a straight line at a constant speed.
+    """Yield the length of the longest run in which a point moves on a straight line at a constant speed.
 
     Only points whose tracks usually bend are tested.
     """
@@ -194,7 +194,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _jumps(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of jumps: the largest jump of a point away from its track and back, relative to its limit."""
+    """Yield the largest jump of a point away from its track and back, relative to the limit of jumps."""
     gains = jumps_of(points)
     if not np.isfinite(gains).any():
         return
@@ -261,7 +261,7 @@ def _path(positions: Array) -> Array:
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of missing frames, their log Bayes factor, from the changes of the points' speed."""
+    """Yield the log Bayes factor for missing frames, computed from the changes of the points' speed."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     changes = _speed_changes(points.positions * scale, points.follows)
     if np.isfinite(changes).sum() >= LEAST_CHANGES:
@@ -270,7 +270,7 @@ def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _speed_changes(tracks: Array, follows: Bools) -> Array:
-    """Return the changes of log(speed): the logarithm of each step's length relative to the step before.
+    """Return the change of log(speed) from each step to the next, the logarithm of the ratio of the steps' lengths.
 
     Parameters
     ----------
@@ -354,7 +354,7 @@ def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
 
 
 def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of swapped sides, for the most likely swap of all points or of one pair of limbs."""
+    """Yield the log-likelihood gain of the most likely left-right swap, of all points or of one pair of limbs."""
     partners = opposites(points.names)
     left = np.array(
         [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"], dtype=int
@@ -413,7 +413,7 @@ def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
 
 
 def _normalised(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of normalised keypoints: 1 if the coordinates look like fractions of the picture, otherwise 0."""
+    """Yield 1 if the coordinates look like fractions of the picture's width and height, otherwise 0."""
     numbers = points.positions[points.known]
     if len(numbers) and points.resolution < 1:
         is_small = (numbers >= -0.5).all() and (numbers < NORMALISED).all()
@@ -421,7 +421,7 @@ def _normalised(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield a measure of y counted upwards: the trunk's height below the feet, relative to their distance."""
+    """Yield the distance of the trunk below the feet in the picture, relative to the distance between the two."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return

@@ -92,7 +92,7 @@ class Evidence:
     The error of the size moves all joints together, and is usually smaller than stated.
     """
     misfit: float
-    """Prior misfit: the factor by which the prior's variances are too small; 1 without a prior."""
+    """Factor by which the variances of the prior are too small for the motion (misfit); 1 without a prior."""
     distance_m: float
     """Distance of the animal from the nearest camera."""
     end_on: float

@@ -401,7 +401,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 
     The means of the common joints coincide. If `scale` is true, the pose is also scaled by a factor that is not
     negative, since a negative factor would mirror the animal. If `turn` is true, the pose is also rotated, without
-    reflection; frames with fewer than 3 common joints are then NaN, since so few joints do not determine a rotation.
+    reflection. Frames with fewer than 3 common joints are then NaN, since so few joints do not determine a rotation.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
     aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)

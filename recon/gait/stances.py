@@ -85,7 +85,7 @@ HEIGHT_SIGMA_M = 0.03
 
 @dataclass(frozen=True)
 class Stance:
-    """Stance of a foot: the foot is on the ground from `start_s` to `end_s`."""
+    """Stance of a foot, which is on the ground from `start_s` to `end_s`."""
 
     foot: str
     start_s: float

@@ -254,7 +254,8 @@ def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int
 def _angles_of_frames(tree: Tree) -> Index:
     """Return the index of the angle that turns each frame about z, y and, if any joint rolls, x.
 
-    The shape is (2, S + 1) or (3, S + 1). The index is K where no angle turns a frame about an axis.
+    The shape is (2, S + 1) or (3, S + 1). Where no angle turns a frame about an axis, the index is K, the number of
+    rotations.
     """
     rotations, S = tree.rotations, len(tree.segments)
     angles = np.full((3 if any(axis == "x" for _, axis in rotations) else 2, S + 1), len(rotations), dtype=np.intp)

@@ -97,7 +97,7 @@ def test_a_late_or_early_camera_is_named_with_its_lag(n, which, frames):
 
 
 def test_a_known_lag_is_taken_into_account():
-    """A known lag is taken into account: half a frame is in the view, and the other half is found."""
+    """A lag of half a frame is reported only if the view does not already state it."""
     views, points = run_views(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, offset_frames=0.5)

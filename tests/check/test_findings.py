@@ -326,7 +326,7 @@ def test_cameras_in_another_unit_and_low_likelihoods_are_reported(small_trajecto
 
 
 def test_a_misfit_hidden_by_the_noise_is_compared_with_usual_detectors(small_trajectory):
-    """A misfit is compared with usual detectors, not with the noise: all detections and the noise are 100 px off."""
+    """A misfit of 100 px is reported although the estimated noise is 100 px, because usual detectors are better."""
     xy_px = small_trajectory.sources[0].keypoints.xy_px + 100.0
     keypoints = replace(small_trajectory.sources[0].keypoints, xy_px=xy_px)
     source, solution = replace(small_trajectory.sources[0], keypoints=keypoints), small_trajectory.solution

@@ -64,7 +64,7 @@ def test_a_straight_joint_has_0_degrees_and_flexes_to_its_side(joint, angle):
 
     A positive pitch turns a hanging segment backwards, and lowers the front of a segment that points forwards.
     """
-    if joint in ("right_carpus", "right_hock"):  # the markers above the others are not on the bone's axis
+    if joint in ("right_carpus", "right_hock"):  # the first marker of these joints is not on the axis of the bone
         assert of(joint, states()) == pytest.approx(0.0, abs=1e-6)
     sign = FLEXES_CAUDALLY[joint.split("_")[-1]]
     for degrees in (30.0, -20.0):

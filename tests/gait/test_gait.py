@@ -182,7 +182,7 @@ def test_stances_of_the_simulated_gallop():
 
 
 def test_the_simulated_gallop_is_transverse():
-    """The simulated gallop is transverse: the same side leads behind (by 0.08 of a stride) and in front (0.11)."""
+    """The simulated gallop is transverse, since one side leads behind (by 0.08 of a stride) and in front (0.11)."""
     found = gait(pose_tracks(simulated(90.0, 90), 90.0))
     assert found.name.name == "transverse gallop"
     assert (found.name.phase["LH"] - found.name.phase["RH"]) % 1 == pytest.approx(0.08, abs=0.01)
@@ -291,7 +291,7 @@ def test_gaits_in_less_than_a_stride_are_named_correctly_or_not_at_all(name):
 
 
 def test_a_stride_across_standing_still_does_not_count():
-    """A stride across standing still does not count: the animal stops on all feet for a second."""
+    """A stride does not count if the animal stops on all feet for a second in it."""
     pose, at = runner(PATTERNS["trot"][0], 0.65), 56
     assert np.ptp(pose.xyz_m[at - 1 : at + 2, :4], axis=0).max() < 1e-9
     stops = np.concatenate([pose.xyz_m[:at], np.repeat(pose.xyz_m[at : at + 1], 90, axis=0), pose.xyz_m[at:]])
@@ -436,7 +436,7 @@ def test_bad_input():
 
 
 def test_stances_are_those_of_the_force_plates(shared_data: Path):
-    """Stances are those of the force plates: all are found, touch-downs to two frames, lift-offs to four.
+    """All stances on the force plates are found, with touch-downs within two frames and lift-offs within four.
 
     The reconstructions come from several cameras at 200 Hz.
     """
