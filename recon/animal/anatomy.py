@@ -49,7 +49,7 @@ def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str,
 
 
 def joint_and_side(name: str) -> tuple[str, Side | None]:
-    """Split a name such as left_elbow into joint and side; the side is None for a name without a side."""
+    """Split a name such as left_elbow into joint and side, which is None for a name without a side."""
     side, _, joint = name.partition("_")
     if side == "left" or side == "right":
         return joint, side

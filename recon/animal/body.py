@@ -108,7 +108,7 @@ def side_of(name: str) -> Side | None:
 
 
 def other_side(name: str) -> str:
-    """Return the name on the other side, such as r_paw for l_paw; a name without a side is unchanged."""
+    """Return the name on the other side, such as r_paw for l_paw, or the same name if it has no side."""
     word = SIDE_WORD.search(name)
     return name if word is None else name[: word.start()] + opposite_word(word[0]) + name[word.end() :]
 
@@ -187,7 +187,7 @@ class Body(Brief):
     mass_source: str | None = None
     """Publication or data from which the masses were taken; None if the masses are unknown."""
     anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
-    """Markers above, at and below each anatomical joint; the keys are names with sides, such as left_elbow."""
+    """Markers above, at and below each anatomical joint, with names such as left_elbow as keys."""
     subject: str | None = None
     """Name of the animal whose measured lengths the body has; None if the lengths are those of the skeleton file."""
 

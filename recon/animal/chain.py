@@ -75,7 +75,7 @@ class _Link(FileTable):
 
     @property
     def free(self) -> bool:
-        """Return whether the link has angles; a link without angles is in line with its parent."""
+        """Return whether the link has angles, so that it need not be in line with its parent."""
         return self.theta is not None
 
 
@@ -293,7 +293,7 @@ def chain_of(raw: dict[str, Any], source: str) -> Chain:
     Raises
     ------
     InputError
-        If the tables cannot be used; every problem is listed.
+        If the tables cannot be used. The error lists every problem.
     """
     file = validated(_ChainFile, _extended(raw, source), source)
     raise_problems(_chain_problems(file, source))

@@ -36,7 +36,7 @@ def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
     Raises
     ------
     InputError
-        If the table cannot be used; every problem is listed.
+        If the table cannot be used. The error lists every problem.
     """
     return validated(_SubjectFile, table, source)
 

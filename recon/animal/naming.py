@@ -312,7 +312,7 @@ def _words(name: str) -> list[str]:
 
 
 def without_side(name: str) -> str:
-    """Return a name without its side, such as front_paw for front_left_paw; other names are unchanged."""
+    """Return a name without its side, such as front_paw for front_left_paw, or the same name if it has no side."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name
@@ -323,7 +323,7 @@ def without_side(name: str) -> str:
 
 
 def both_sides(name: str) -> str:
-    """Return a name for both sides, such as l/r_paw for l_paw or r_paw; other names are unchanged."""
+    """Return a name for both sides, such as l/r_paw for l_paw or r_paw, or the same name if it has no side."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name

@@ -26,7 +26,7 @@ ANGLES = slice(4, None)
 NONE = "none"
 """Name of the prior that consists only of the expected angles in the skeleton file."""
 LARGEST = 1e12
-"""Largest absolute value in the arrays of a valid prior; a larger value means that the file is damaged."""
+"""Largest absolute value in the arrays of a valid prior. A larger value means that the file is damaged."""
 SHAPES = {
     "weights": "K",
     "means": "KA",
@@ -71,7 +71,7 @@ class MotionPrior:
     means: Array
     covariances: Array
     mean: Array
-    """Mean of a single Gaussian of the same poses, shape (A,); its covariance has the shape (A, A)."""
+    """Mean of a single Gaussian of the same poses, shape (A,). Its covariance has the shape (A, A)."""
     covariance: Array
     drift: Array
     """Matrix of the linear model of accelerations, d2z/dt2 = drift @ [z - mean, dz/dt] + noise, shape (A, 2A)."""

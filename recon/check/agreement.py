@@ -63,7 +63,7 @@ CLEAR_OFFSET = 3.0
 CLEAR_GAIN = 1.5
 """Minimum factor by which a rotation or a time offset must reduce the error ratio of a camera that agrees."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
-"""Largest rotation of a camera that is reported as a cause; a larger one is more likely another fault."""
+"""Largest rotation of a camera that is reported as a cause. A larger rotation is more likely another fault."""
 FRAMES = 480
 """Maximum number of frames in which cameras are compared.
 
@@ -311,7 +311,7 @@ def _largest_agreeing_group(sights: Sequence[Sight], fps: float, limit: float, p
 
 
 class _RemovalCost(NamedTuple):
-    """Cost of removing a camera from a group; the camera with the lowest cost is removed first."""
+    """Cost of removing a camera from a group, of which the camera with the lowest cost is removed first."""
 
     is_unexplained: bool
     """Whether neither a rotation nor a time offset makes the camera agree."""

@@ -31,7 +31,7 @@ _TRUNK = re.compile(
 )
 _WORD = re.compile(r"[A-Za-z]{3}")
 DECIMALS = 6
-"""Largest number of decimals to which the numbers in a file can be rounded; otherwise they have full precision."""
+"""Largest number of decimals at which the numbers in a file count as rounded."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Measure:
 
     code: str
     value: float
-    """Value that is compared with the check's limit (`recon.check.audit.LIMITS`); larger values are more suspicious."""
+    """Value that is compared with the check's limit (`recon.check.audit.LIMITS`). Larger values are more suspicious."""
     rows: tuple[int, int] | None = None
     """Index of the first frame that the result is about, and of the frame after the last; None means all frames."""
     numbers: Mapping[str, Any] = field(default_factory=dict)

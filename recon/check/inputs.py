@@ -275,7 +275,7 @@ The same limit is used for the fourth differences of points that lie on a cubic.
 STRAIGHT = 0.02
 """Largest second difference of the positions of linearly interpolated points, relative to the step between frames."""
 _CUBIC_FRAMES = 5
-"""Number of successive frames from which a fourth difference is computed; it is 0 if they lie on a cubic."""
+"""Number of successive frames in a fourth difference, which is 0 for points on a cubic."""
 CURVED_PX = 0.1
 """Smallest second difference of positions at which points are tested for lying on a cubic, pixels.
 
@@ -462,7 +462,7 @@ LEAST_S = 0.25
 STILL = 0.95
 """Fraction of the frames in which the speed must be below `STILL_M_S` for an animal that stands still."""
 STILL_M_S = 0.3
-"""Largest speed of an animal that stands still, m/s; for a trunk of less than 0.3 m, one trunk length per second."""
+"""Largest speed of an animal that stands still, m/s, but at most one trunk length per second."""
 STILL_RAD_S = 0.6
 """Largest median angular speed of the joints of an animal that stands still, rad/s."""
 STILL_TRUNKS = 0.5

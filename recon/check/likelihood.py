@@ -92,7 +92,7 @@ class Refit:
 
     @classmethod
     def of_states(cls, clip: ClipProblem, states: Array) -> Refit:
-        """Return given states (n, D) with their negative log-likelihoods, which are infinite if a frame has no state."""
+        """Return given states (n, D) with their negative log-likelihoods, or infinity if a frame has no state."""
         if not np.isfinite(states).all():
             return cls(states, np.inf, np.inf)
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
@@ -162,11 +162,11 @@ class Baseline:
     other_views: tuple[View, ...] = ()
     """The other views of the clip, which contributed to the states."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
-    """Cached fits of parts of the clip as given; the keys are the first frame and the frame after the last."""
+    """Cache of the fits of parts of the clip as given, with the first frame and the frame after the last as keys."""
     _settled: dict[tuple[int, int], Estimate] = field(default_factory=dict, init=False, repr=False)
-    """Cached results of `settled`; the keys are the first frame of a part and the frame after the last."""
+    """Cache of the results of `settled`, with the first frame of a part and the frame after the last as keys."""
     _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
-    """Cached triangulated points of parts of the clip; the keys are the first frames of the parts."""
+    """Cache of the triangulated points of parts of the clip, with the first frames of the parts as keys."""
 
     @property
     def view(self) -> View:
@@ -613,7 +613,7 @@ def with_calibration_at_either_end(item: Finding) -> Finding:
 # The frame rate
 
 RATE_STEP = 2**0.5
-"""Ratio of successive frame rates that are tried; the best rate between them is found with a parabola."""
+"""Ratio of successive frame rates that are tried. A parabola gives the best rate between them."""
 RATE_STEPS = 8
 """Maximum number of steps upwards or downwards, which correspond to a factor of 16."""
 NEARLY = 1.02
@@ -659,7 +659,7 @@ def frame_rate_finding(
     stated_hz
         Frame rate that a keypoint file states, or None.
     by_motion
-        Whether the angles may also lead to a finding; otherwise only `stated_hz` does.
+        Whether the angles may lead to a finding, in addition to `stated_hz`.
     """
     if stated_hz is not None and not 1 / NEARLY < stated_hz / clip.fps < NEARLY:
         return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)

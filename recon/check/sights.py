@@ -35,7 +35,7 @@ _MEDIAN_OF_LINE = 0.4549
 _MEDIAN_OF_POINT = 1.3863
 """Median of the squared length of a normal error in two dimensions, in units of its variance along an axis."""
 _PARALLEL = 1e-4
-"""Minimum ratio of a point's precision along its rays to the precision across them; otherwise the rays are parallel."""
+"""Ratio of a point's precision along its rays to the precision across them, below which the rays are parallel."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ LEAST_S = 0.25
 The clip must also show a leg.
 """
 OF_LEG = 3
-"""Number of markers at the end of a leg that show its side; the upper markers hardly do."""
+"""Number of markers, from the end of a leg on, that show its side. The upper markers hardly show it."""
 _STRAIGHT = 3
 """Number of frames before and after an end of a swap in which the tracks are assumed to be straight."""
 _LEAST_OFF_PX = 3.0

@@ -75,7 +75,7 @@ NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector with three normal components of equal variance, relative to its root mean square length."""
 _LEAST_M2 = 1e-8
-"""Lower limit of a variance, m^2; smaller values are rounding errors of a variance that is due to the size alone."""
+"""Lower limit of a variance, m^2. Smaller values are rounding errors of a variance that is due to the size alone."""
 _MEAN_OF_SIGMA = 0.8
 """Mean absolute deviation of a normally distributed quantity, in standard deviations."""
 
@@ -304,7 +304,7 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
 
 
 class _UnusableClip(Problem):
-    """Problem with a clip whose verdict is "do not use"; the message names the option to use the clip anyway."""
+    """Problem with a clip whose verdict is "do not use", whose message names the option to use the clip anyway."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")

@@ -18,7 +18,7 @@ stance. `GALLOP_FORE` is the fraction of the impulse on the fore feet. The left 
 equally, within `FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at
 an instant is the mean of the draws. The maximum of this force is lower than the peak, because the time of the peak is
 not known exactly. The shape and the spread within a pair were measured by force plates under two galloping cheetahs
-(`benchmarks/gait.py`); other animals or gaits may differ by more. Joint torques are left out, because their intervals
+(`benchmarks/gait.py`). Other animals or gaits may differ by more. Joint torques are left out, because their intervals
 would be wider than the values.
 """
 

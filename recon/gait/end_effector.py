@@ -25,7 +25,7 @@ REAR_SHARE = 0.25
 SWING_SHARE = 0.5
 """Position in its horizontal range, from 0 at the rear to 1, that the foot has to reach between two boundaries."""
 _SHORT_M = 0.1
-"""Shortest distance that the body has to travel to define the direction of travel; otherwise the heading is used."""
+"""Distance travelled by the body below which its heading is used as the direction of travel."""
 
 
 @dataclass(frozen=True, eq=False)

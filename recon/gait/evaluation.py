@@ -191,7 +191,7 @@ def evaluate_files(
 def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     """Return a reference, interpolated at the times of a pose's frames if the frame rates differ.
 
-    Frame 0 of both is at 0 s; in a reference that counts frames from 1, as TRC files do, frame 1 is at 0 s. An
+    Frame 0 of both is at 0 s. In a reference that counts frames from 1, as TRC files do, frame 1 is at 0 s. An
     interpolated position is unknown if one of its neighbours is unknown.
 
     Raises

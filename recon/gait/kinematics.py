@@ -384,7 +384,7 @@ def joint_angle(
     pose : Pose3D
         T frames of J joints.
     joints : tuple of str
-        Names of the three joints; the angle is at the second.
+        Names of the three joints, of which the second has the angle.
     fps : float
         Frames per second.
     errors : sequence of Errors

@@ -312,7 +312,7 @@ def degree_of_closure(path: Array) -> float:
 
 
 def scaled(path: Array) -> Array:
-    """Return the path (N, dim) with each coordinate divided by its range; a constant coordinate becomes 0."""
+    """Return the path (N, dim) with each coordinate shifted and divided by its range, so that it is between 0 and 1."""
     span = np.ptp(path, axis=0)
     return np.divide(path - path.min(axis=0), span, out=np.zeros_like(path), where=span > 0)
 

@@ -42,7 +42,7 @@ PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
 NEXT_STEP = 0.6
 """Longest time between the touch-downs of the left and the right foot that counts as a step, in strides.
 
-A step takes half a stride in symmetrical gaits; the value adds a margin of 0.1 strides.
+A step takes half a stride in symmetrical gaits, to which the value adds a margin of 0.1 strides.
 """
 LONGEST_PERIOD = 1.3
 """Longest period of the motion that is used as the stride duration, relative to the clip's duration.

@@ -105,7 +105,7 @@ class Stance:
 
     @property
     def start_frame(self) -> float:
-        """Return `start_row` under its former name; in tables, `start_frame` is the frame number in the video."""
+        """Return `start_row` under its former name. In tables, `start_frame` is the frame number in the video."""
         return self.start_row
 
     @property
@@ -240,7 +240,7 @@ def pose_tracks(
     errors : sequence of Errors
         Independent errors of the joints' positions, each (T, J, 3), metres.
     feet : mapping
-        Name of each foot's joint; the keys are LH, RH, LF and RF.
+        Name of each foot's joint, with LH, RH, LF and RF as keys.
     body : tuple of str
         Names of the joints whose mean position represents the body.
     segments : sequence of slice

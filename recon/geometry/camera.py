@@ -26,7 +26,7 @@ from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
 LARGEST = 1e9
-"""Largest absolute value that an array of a camera may contain; a larger value means that the file is damaged."""
+"""Largest absolute value that an array of a camera may contain. A larger value means that the file is damaged."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
     "distortion": ((), "the lens coefficients"),

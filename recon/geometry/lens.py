@@ -31,14 +31,14 @@ _LARGEST_RADIUS = 1e8
 
 
 class Lens:
-    """Base class of lens models; an instance has the coefficients of one lens."""
+    """Base class of lens models, whose instances have the coefficients of one lens."""
 
     name: ClassVar[str]
     """Name of the lens model in recon's own files and options."""
     coefficients: ClassVar[tuple[str, ...]] = ()
     """Names of all coefficients of the lens model, in OpenCV's order."""
     counts: ClassVar[tuple[int, ...]] = (0,)
-    """Numbers of coefficients that a camera may state; the other coefficients are 0."""
+    """Allowed numbers of coefficients in a camera file. The other coefficients are then 0."""
     aliases: ClassVar[tuple[str, ...]] = ()
     """Names of the lens model in ROS (`distortion_model`) and other files."""
     colmap: ClassVar[Mapping[str, str]] = {}
