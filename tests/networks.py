@@ -21,7 +21,7 @@ def narrow_networks(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(network, name, value)
     patch.setattr(train, "EVALUATIONS", EVALUATIONS)
     patch.setattr(network, "fast_half", lambda device: None)
-    patch.setattr("recon.check.inputs.other_picture_finding", lambda given: None)
+    patch.setattr("recon.check.inputs._other_pictures", lambda motion, clip, named: {})
 
 
 NAMES = ("nose", "left_paw", "right_paw")
