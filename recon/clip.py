@@ -523,7 +523,7 @@ class View(Brief):
         return replace(self, T_camera_world=T_correction @ self.T_camera_world)
 
     def with_focal_scale(self, log_scale: float) -> View:
-        """Return the view of a camera that does not zoom with its focal lengths multiplied by exp(log_scale)."""
+        """Return the view with focal lengths multiplied by exp(log_scale), for a camera without zoom."""
         return replace(self, camera=self.camera.with_focal_scale(log_scale)) if log_scale else self
 
     def mask_outside_image(self) -> View:

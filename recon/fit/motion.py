@@ -173,8 +173,8 @@ class Motion:
     def to_xarray(self) -> xr.Dataset:
         """Return the joints as a dataset of poses in the format of the package movement.
 
-        The dataset has `position` and `position_sigma` (time, space, keypoint, individual) in metres, `confidence`,
-        which is NaN, and the frame rate, the source and the verdict as attributes.
+        The variables are `position` and `position_sigma` (time, space, keypoint, individual) in metres, and
+        `confidence`, which is NaN. The attributes include the frame rate, the source and the verdict.
 
         Raises
         ------

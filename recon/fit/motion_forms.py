@@ -75,7 +75,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
-    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # else saved by `Motion.save`
+    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # `Motion.save` writes none of these
         read_manifest(folder).require(MOTION)
     hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)

@@ -75,10 +75,10 @@ _PRIOR_COUNT = 8
 _NOISE_ROUNDS = 2
 """Maximum number of rounds that estimate the noise of detections about their keypoint bias."""
 _EXPLAINED = 0.05
-"""Fraction of the squared residuals that the shared unknowns explain, below which one round estimates the noise.
+"""Maximum fraction of the squared residuals explained by shared unknowns at which one round estimates the noise.
 
-The limit also applies to the fraction of the detections that determine these unknowns. A second round corrects only the
-explained part, and hardly changes the noise if this part is small.
+The limit also applies to the fraction of the detections that determine the shared unknowns. A second round corrects
+only the explained part, and hardly changes the noise if this part is small.
 """
 _NOISE_FACTOR = (0.05, 4.0)
 """Minimum and maximum factor on the variance of the noise in one round."""

@@ -288,7 +288,7 @@ class Solution(Brief):
     """Seconds that each stage took, by name, and in total under "all"; empty if the method measures no times."""
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the findings that only the solution's own method can make."""
+        """Return the findings of the solution's own fitting method, before any other check."""
         return ()
 
     def report_sections(self) -> tuple[object, ...] | None:

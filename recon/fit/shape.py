@@ -27,7 +27,7 @@ from recon.fit.trajectory import solve_segments
 from recon.geometry.kinematics import TreePose
 
 MODEL_SIGMA = 0.04
-"""Relative standard deviation of a measured length due to movements that a rigid skeleton cannot follow.
+"""Relative standard deviation of a measured length due to effects that a rigid skeleton cannot describe.
 
 Examples are sliding shoulders, and keypoints that are not at their joints. `python benchmarks/parts/bone_lengths.py`
 measures how many lengths are within the 90 % intervals.

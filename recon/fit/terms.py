@@ -6,9 +6,9 @@ cost, and J'J its curvature. Residuals are divided by standard deviations and mu
 loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets of the frames that a row reads: at most
 (-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because spans overlap by one frame.
 
-States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
-at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that stays
-at the origin can determine the size: only the `Reprojection` of other cameras reads it.
+States belong to a body of nominal size in a scene about an origin, the first camera's centre. The point p of this scene
+lies at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that
+stays at the origin can determine the size. Only the `Reprojection` of other cameras reads it.
 
 Errors of the prior persist over many frames. The weight of a prior per second is therefore the same at every frame rate
 (`REFERENCE_HZ`).
@@ -179,7 +179,7 @@ class Term(Protocol):
 
     @property
     def name(self) -> str:
-        """Return the name of the term in the costs."""
+        """Return the name under which the term's cost is listed."""
         ...
 
     @property
