@@ -61,12 +61,12 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     path : path, or sequence of paths
         The calibration file or files.
     image_size_px : (width, height), optional
-        Picture size for files without one; it must agree with the size in a file.
+        Picture size in pixels for files that state none. It must agree with a size that a file states.
 
     Raises
     ------
     InputError
-        If the files cannot be used; the message lists every problem.
+        If the files cannot be used. The message lists every problem.
     """
     if not isinstance(path, str | Path):
         of_file = collect_problems(*(partial(read_cameras, file, image_size_px) for file in path))

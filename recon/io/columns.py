@@ -276,7 +276,7 @@ def points_of_columns(
 ) -> StoredPoints:
     """Return the points of one animal in a long or wide table that is in memory.
 
-    `column_map` has the name of the column for each role; if None, columns are recognised by their names.
+    `column_map` has the name of the column for each role. If it is None, columns are recognised by their names.
 
     Raises
     ------

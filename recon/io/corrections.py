@@ -60,7 +60,7 @@ def read_corrections(path: Path) -> list[Correction]:
     Raises
     ------
     InputError
-        If lines cannot be read; the message lists all of them.
+        If lines cannot be read. The message lists all of them.
     """
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", _EXPECTED))
@@ -178,7 +178,8 @@ def _outside(
 ) -> Iterable[str]:
     """Yield a note if corrected positions lie outside the picture.
 
-    They may be right: detectors pad the picture, and a limb that leaves the picture can be placed by eye.
+    Such positions may be right, because detectors pad the picture, and a limb that leaves the picture can be placed by
+    eye.
     """
     width, height = size_px
     outside = [

@@ -401,12 +401,12 @@ def read_points(
     by : mapping, optional
         Columns of a plain table (`recon.io.columns.parse_map`).
     fps : float, optional
-        Frame rate; if the file has times, each time is assigned to the nearest frame.
+        Frame rate in Hz. If the file has times, each time is assigned to the nearest frame.
 
     Raises
     ------
     InputError
-        For a file that is missing, of no known format, damaged, or of another kind; and if no animal can be chosen.
+        If the file is missing, of no known format, damaged, or of another kind, or if no animal can be chosen.
     """
     path = Path(path)
     if os.path.isdir(path) or path.suffix.lower() in (".yaml", ".yml"):

@@ -326,7 +326,7 @@ def _require_readable(dataset: h5py.Dataset) -> None:
 
 
 def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
-    """Return whether an HDF5 type is a number, a text, or a record whose fields are such or arrays of such types."""
+    """Return whether an HDF5 type is a number, a text, or a record of numbers, texts or arrays of these."""
     type_class = kind.get_class()
     if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]

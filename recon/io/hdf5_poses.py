@@ -217,7 +217,7 @@ def recognises_sleap(path: Path) -> bool:
 def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the keypoints of one track in a SLEAP analysis file.
 
-    Scores are unknown if the file has none; every track is in every frame if it has no occupancy.
+    Scores are unknown if the file has none. If the file does not state occupancy, every track is in every frame.
 
     Raises
     ------

@@ -50,8 +50,8 @@ def read_pose3d(
     Raises
     ------
     InputError
-        For a file that is missing, of no known format, or faulty; for a unit that is missing or unknown; and for a unit
-        or axis that contradicts the file.
+        If the file is missing, of no known format, or faulty, if the unit is missing or unknown, or if the unit or the
+        axis contradicts the file.
     """
     reader, stored = read_points(path, individual, "3D")
     return in_metres(Path(path), reader, stored, unit, up)
@@ -99,7 +99,7 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
 def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     """Return the segments of motion in one CSV file, by name.
 
-    The file has a first header row `segment, frame, <joints>` and a second with x, y, z; positions are in metres. Any
+    The file has a first header row `segment, frame, <joints>`, a second with x, y, z, and positions in metres. Any
     other file that `read_pose3d` reads is one segment with the file's name.
 
     Raises

@@ -135,7 +135,7 @@ def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
     times : (T,)
         Times in a unit of `PER_SECOND`; NaN if unknown.
     unit : str, optional
-        The unit that the file states; without one, times are seconds, and stamps since 1970 are in the unit that gives
+        Unit that the file states. If it is None, times are in seconds, and stamps since 1970 in the unit that gives
         plausible dates.
     """
     largest = float(np.nanmax(times)) if np.isfinite(times).any() else 0.0
@@ -178,10 +178,10 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
-    """Return the times of texts such as 30/11/2026 10:15:00.5, in seconds after the first.
+    """Return the times of texts such as 30/11/2026 10:15:00.5 in seconds after the first, or None.
 
-    Returns None unless every text has a date and a time, all with the same date and the same half of the day (AM or
-    PM). The date's format does not matter.
+    The result is None unless every text has a date and a time, all with the same date and the same half of the day (AM
+    or PM). The date's format does not matter.
     """
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
     dated = [match for match in matches if match is not None]

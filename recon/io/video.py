@@ -126,7 +126,7 @@ def read_picture(path: Path, flags: int) -> Image | None:
 def missing_frames(times_s: Array) -> dict[int, int] | None:
     """Return the number of frames missing before each frame, from gaps in time stamps (T,) that are otherwise even.
 
-    Returns an empty dictionary if there are no time stamps, and None if they are too uneven to tell.
+    The dictionary is empty if there are no time stamps. The result is None if they are too uneven to tell.
     """
     steps = np.diff(times_s)
     if not steps.any():
@@ -218,7 +218,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
     """Yield a function that appends a picture (height, width, 3; blue, green, red) to a new video.
 
     `size_px` is (width, height), both even. The file appears, or replaces an earlier one, when the block ends without
-    an exception; otherwise nothing is left.
+    an exception. After an exception, nothing is left.
 
     Raises
     ------

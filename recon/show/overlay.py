@@ -233,7 +233,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
     """Return pictures of the frames in `rows`, cropped around the animal at one scale.
 
-    `pictures` are the video's pictures of these frames; without pictures, the background is plain.
+    `pictures` are the video's pictures of these frames. If it is None, the background is plain.
     """
     boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
     largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)

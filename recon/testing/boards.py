@@ -47,7 +47,7 @@ def draw_board(
     board
         Board, as returned by `recon.calibrate.boards.parse_board`.
     camera
-        Camera of any lens model; its pose is ignored.
+        Camera of any lens model, whose pose is ignored.
     rotation, translation_m
         Pose of the board in the camera's frame, (3, 3) and (3,).
     oversample
@@ -134,7 +134,7 @@ def board_poses(
 
 @cache
 def _dark_quads_m(board: Board) -> Array:
-    """Return all dark areas of the board as quadrilaterals (Q, 4, 3)."""
+    """Return all dark areas of the board as quadrilaterals (Q, 4, 3) in metres."""
     return _dark_squares_m(board) if board.marker_m is None else _dark_of_charuco_m(board)
 
 

@@ -81,7 +81,7 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
     Parameters
     ----------
     camera
-        Camera with the lens of the view; its pose is ignored.
+        Camera with the lens of the view, whose pose is ignored.
     points_m
         Points (T, K, 3) in metres in the world.
     T_camera_world

@@ -381,7 +381,7 @@ def whole_gallop(
 ) -> tuple[SyntheticClip, SyntheticClip]:
     """Simulate a whole cheetah (skeleton `cheetah-24`) in the gallop that the function `gallop` simulates.
 
-    The poses match the gallop's trunk and legs as closely as possible; the head stays level and the tail swings.
+    The poses match the gallop's trunk and legs as closely as possible, the head stays level, and the tail swings.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def solve_frames(
 ) -> FrameSolution:
     """Fit the chain frame by frame to the view of a camera that does not move.
 
-    A frame that cannot be solved raises no error; its report states the failure. Detections outside the camera's
+    A frame that cannot be solved raises no error, and its report states the failure. Detections outside the camera's
     picture are left out (`Camera.sees`).
 
     Parameters

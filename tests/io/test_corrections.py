@@ -55,7 +55,7 @@ def test_all_unknown_cameras_keypoints_and_frames_are_reported(keypoints: Keypoi
 
 
 def test_positions_outside_the_picture_are_named(keypoints: Keypoints):
-    """A position above the picture is used but named; the centre of the first pixel is 0."""
+    """A position above the picture is used, and a note names it."""
     rows = [
         Correction(4, "", "nose", None, (9.0, -5.0)),
         Correction(5, "", "nose", None, (-0.5, 19.5)),

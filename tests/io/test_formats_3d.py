@@ -115,8 +115,8 @@ def test_bvh_by_hand(tmp_path):
     """Positions of a BVH file agree with positions computed by hand.
 
     At rest the knee is 2 below the hips, and its end is 1 from the knee along x. In the second frame the hips, at (1,
-    2, 3), turn by 90 degrees about z, so that -y becomes x: the knee is at (3, 2, 3). A turn of the knee about its own
-    x axis does not move its end, which lies on that axis.
+    2, 3), turn by 90 degrees about z, so that -y becomes x, and the knee is at (3, 2, 3). A turn of the knee about its
+    own x axis does not move its end, which lies on that axis.
     """
     pose = read_pose3d(save(tmp_path / "a.bvh", BVH), unit="m", up="z")
     assert pose.names == ("hips", "knee", "knee_end")

@@ -131,7 +131,7 @@ def clip_page(
     motion : Motion
         The result.
     stills
-        Pictures of frames, each with an alternative text; they are shown on paper and in browsers without scripts.
+        Pictures of frames, each with an alternative text, for paper and for browsers without scripts.
     video
         Name of the video from which the stills are; None if their background is plain.
     files

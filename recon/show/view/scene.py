@@ -470,8 +470,8 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
     If there are several cameras, the entity is `picture/<name>/video`. `first_frame` is the frame number, in the clip,
     of the video's first frame, and `number` is the index of the camera, whose pictures have the same size.
 
-    Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos; in other codecs they
-    jump from key frame to key frame. In rerun, (0, 0) is the corner of the top left pixel, but for keypoints it is the
+    Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos, and jump from key
+    frame to key frame in others. In rerun, (0, 0) is the corner of the top left pixel, but for keypoints it is the
     centre of this pixel. Therefore the picture is shifted by half a pixel to the right and down.
 
     Raises
@@ -508,7 +508,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
     Raises
     ------
     OSError
-        If the file cannot be written; the message has the path.
+        If the file cannot be written. The message has the path.
     """
     stream = rr.RecordingStream("recon")
     try:
