@@ -136,7 +136,7 @@ def carry_the_body(*found: ClipAnalysis) -> str:
 
 
 def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
-    """Analyse every run of cheetah-runs from each camera alone, and compare the energies with those from all cameras.
+    """Analyse every run of cheetah-runs from each camera alone, and compare the energies with a fit of all cameras.
 
     Returns
     -------

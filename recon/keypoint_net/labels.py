@@ -79,7 +79,7 @@ class LabelSource(Settings):
     first_frame: Integer = 0
     """Frame number that the labels use for the video's first frame, such as 50 if 0050.png is the first frame."""
     individual: str | None = None
-    """Name of the animal, if the labels have several."""
+    """Name of the animal, if the labels have several animals."""
     rename: Annotated[str | None, RENAME] = None
     validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
     """Pictures for validation and calibration, as a fraction or as frame numbers A:B (B excluded)."""
@@ -412,7 +412,7 @@ class Evaluate2DSettings(Settings):
     frames: FrameRange | None = None
     """Frame numbers of the labels to compare, A:B (B excluded)."""
     individual: str | None = None
-    """Name of the animal, if the files have several."""
+    """Name of the animal, if the files have several animals."""
     rename: Annotated[str | None, RENAME] = None
     likelihood_min: Annotated[Number, Option(expected="a number from 0 to 1")] = 0.5
     """Smallest likelihood of a point that counts as likely."""

@@ -167,7 +167,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
 
 
 def _longest_complete(motion: Motion, tracks: Tracks, trunk: Array) -> Index:
-    """Return the rows of the longest stretch that shows all feet and the trunk; raise InputError if it is too short."""
+    """Return the samples of the longest part that shows all feet and the trunk; raise InputError if it is too short."""
     columns = np.column_stack([tracks.foot_m.reshape(len(tracks.time_s), -1), tracks.body_m, trunk])
     ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
     rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))

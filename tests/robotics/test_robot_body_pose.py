@@ -1,4 +1,4 @@
-"""Test the pose of a body on planted feet against the published trigonometry, forward and back."""
+"""Compare the pose of a body on planted feet with the published trigonometry."""
 
 import numpy as np
 import pytest
