@@ -123,7 +123,7 @@ def copy_results(results: Path, to: Path) -> Path:
 
 
 def run_tasks_here(work: Work, tasks: Sequence[tuple[str, Any]], tell: Callable[[Event], None], **_: Any) -> None:
-    """Replace `run_tasks` in tests that need no other process: run the tasks in this process."""
+    """Run tasks in this process, instead of `run_tasks`, in tests that need no other process."""
     for name, task in tasks:
         tell(Event("progress", name, stage=STARTING))
         tell(Event("ended", name, outcome=outcome_of(work, task, silent)))

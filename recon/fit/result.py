@@ -288,7 +288,7 @@ class Solution(Brief):
     """Seconds that each stage took, by name, and in total under "all"; empty if the method measures no times."""
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the findings of the solution's own fitting method, before any other check."""
+        """Return the findings that only the fitting method of the solution can provide."""
         return ()
 
     def report_sections(self) -> tuple[object, ...] | None:

@@ -37,7 +37,7 @@ def test_deviations_are_those_of_a_gaussian_process():
 
 
 def test_keypoints_that_leave_their_markers_are_followed(two_cameras):
-    """Keypoints that are 6 cm above their markers in both cameras are predicted there."""
+    """Keypoints that are 6 cm above their markers in both cameras are predicted above their markers."""
     solution, seen_m = two_cameras.solution, two_cameras.solution.markers_m + np.array([0.0, 0.0, 0.06])
     views = [replace(v, xy_px=v.project(seen_m)[0], confidence=np.ones(seen_m.shape[:2])) for v in solution.views]
     solution = replace(solution, views=tuple(views), noise_px=np.full_like(solution.noise_px, 10.0))

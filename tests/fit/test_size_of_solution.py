@@ -16,7 +16,7 @@ def test_another_size_keeps_the_pictures_of_a_moving_camera(other_size):
     """
     size, origin_m = 0.78, np.array([3.8, -14.0, 1.5])
     centres_m = origin_m + np.linspace(-3.5, 3.5, 30)[:, None] * [1.0, 0.1, 0.0]
-    from_camera = np.random.default_rng(0).normal([0.0, 14.0, -1.0], 0.1, (30, 3))  # at nominal size
+    from_camera = np.random.default_rng(0).normal([0.0, 14.0, -1.0], 0.1, (30, 3))  # for an animal of nominal size
     states = np.concatenate([(centres_m - origin_m) / size + from_camera, np.zeros((30, 4))], axis=1)
     by_size = np.zeros_like(states)
     by_size[:, :3] = -(centres_m - origin_m) / size**2
