@@ -3,11 +3,11 @@
     python benchmarks/parts/starts.py [FOLDER]
 
 Windows are all frames of each run, as in `cameras.py`, seen by each single camera, each pair of cameras, and all
-cameras of a run. Each window is approached (`recon.fit.starts.approach`) as in a fit, with all starts (`_WORSE`
-infinite; for one camera none is left out), and without giving any start up (`_HOPELESS` infinite). The columns are the
-windows in which the constant has an effect; how many of these windows have a best minimum, or a second minimum that
-would be reported, whose cost is lower by at least `LOWER` without the constant; and the largest decrease of the best
-minimum's cost. Costs are half squared standard deviations.
+cameras of a run. Each window is approached (`recon.fit.starts.approach`) as in a fit, with all starts
+(`_MAX_EXTRA_MISFIT` infinite; for one camera none is left out), and without giving any start up (`_GIVE_UP_FACTOR`
+infinite). The columns are the windows in which the constant has an effect; how many of these windows have a best
+minimum, or a second minimum that would be reported, whose cost is lower by at least `LOWER` without the constant; and
+the largest decrease of the best minimum's cost. Costs are half squared standard deviations.
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ def main() -> None:
     ]
     rows = []
     for label, constant, has_several in (
-        ("several cameras, starts left out", "_WORSE", True),
-        ("one camera, starts given up", "_HOPELESS", False),
-        ("several cameras, starts given up", "_HOPELESS", True),
+        ("several cameras, starts left out", "_MAX_EXTRA_MISFIT", True),
+        ("one camera, starts given up", "_GIVE_UP_FACTOR", False),
+        ("several cameras, starts given up", "_GIVE_UP_FACTOR", True),
     ):
         clips = [clip for several, clip in windows if several == has_several]
         lower, count = [], 0

@@ -42,16 +42,16 @@ from scipy.linalg.lapack import dtbtrs, dtrtri
 
 from recon.base.arrays import Array, Integers
 
-_UNKNOWN = 1e-9
+_REGULARISATION = 1e-9
 """Relative increase of the diagonal of H if H is not positive definite to rounding (`factored` with `bounded`)."""
-_IN_BLOCKS = 8
+_MIN_BLOCK_COLUMNS = 8
 """Minimum number of right-hand sides for which matrix products replace LAPACK's solver.
 
 LAPACK solves for one right-hand side after the other, which is slower for many of them.
 """
 _FRAMES_AT_ONCE = 64
 """Number of frames whose blocks are rearranged at once, few enough for the processor's cache."""
-_KEPT = 1 << 24
+_MAX_KEPT_VALUES = 1 << 24
 """Maximum number of values (128 MB) in the windows that are kept until the shared unknowns are solved."""
 
 
@@ -170,7 +170,7 @@ def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> 
     shared_gradient: Array | float = 0.0
     for window in eliminated(pieces, damping, ahead=ahead):
         kept += window.factor.band.size + window.whitened.size
-        is_kept = window.whitened.shape[-1] >= _IN_BLOCKS and kept < _KEPT
+        is_kept = window.whitened.shape[-1] >= _MIN_BLOCK_COLUMNS and kept < _MAX_KEPT_VALUES
         windows.append((window.without_piece() if is_kept else window.solved(), window.reduced()))
         gradients.append(window.piece.gradient)
         shared_gradient = shared_gradient + window.piece.shared_gradient
@@ -287,7 +287,7 @@ class _Factor:
 
     def _solved(self, right: Array, transposed: Literal["N", "T"], overwrite: bool) -> Array:
         flat = np.reshape(right, (self.band.shape[1], -1))
-        if flat.shape[1] >= _IN_BLOCKS:
+        if flat.shape[1] >= _MIN_BLOCK_COLUMNS:
             solution = flat if overwrite else np.array(flat, dtype=float, order="C")
             self._solve_in_blocks(solution, transposed)
             return solution.reshape(right.shape)
@@ -403,7 +403,7 @@ def _factored_of(parts: Sequence[Array], damping: Array, bounded: bool) -> _Fact
         if not bounded:
             raise
         diagonal = np.concatenate([np.diagonal(blocks[:, 0], axis1=1, axis2=2) for blocks in parts])
-        return _factored_of(parts, _UNKNOWN * np.maximum(diagonal, 1.0) + damping, bounded=False)
+        return _factored_of(parts, _REGULARISATION * np.maximum(diagonal, 1.0) + damping, bounded=False)
     return _Factor(band, damping.shape[1])
 
 

@@ -47,14 +47,14 @@ _FRAMES_AT_ONCE = 128
 _PIECE_S = 5.5
 """Time between frames, s, at which they hardly influence each other, so that a long clip can be solved in pieces."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
-_BEYOND = 0.1
+_MIN_EXTENSION_GAIN = 0.1
 """Minimum expected decrease of the cost for which a step is extended.
 
 The value is a fraction of the decrease below which the search ends.
 """
-_LONGEST = 4.0
+_MAX_EXTENSION = 4.0
 """Maximum factor by which a step is extended."""
-_TRIED = 4
+_TRIAL_ITERATIONS = 4
 """Number of iterations after which a search stops if its cost is above the limit `useful_cost`."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
@@ -270,7 +270,7 @@ class LeastSquares:
 
         The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps,
         it also stops if the next step is expected to do so, from the ratio of the last two decreases. It is given up if
-        the cost after `_TRIED` iterations is above `useful_cost`.
+        the cost after `_TRIAL_ITERATIONS` iterations is above `useful_cost`.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
@@ -284,7 +284,7 @@ class LeastSquares:
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # also if no direction lowers the cost, which is a minimum to rounding
                 break
-            if iteration >= _TRIED and current.cost > useful_cost:
+            if iteration >= _TRIAL_ITERATIONS and current.cost > useful_cost:
                 break
             last_decrease = decrease if is_whole else 0.0
         return current
@@ -293,7 +293,7 @@ class LeastSquares:
         """Return an estimate of lower cost along a step, whether it is the whole step or more, and the next damping.
 
         The estimate is None if no damping leads to a lower cost. A step is extended only if this lowers the cost by
-        more than `_BEYOND` times `enough`.
+        more than `_MIN_EXTENSION_GAIN` times `enough`.
         """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
@@ -307,7 +307,7 @@ class LeastSquares:
                             return trial, False, next_damping
                         # If the cost fell by more than half the slope, it curves less than its quadratic model.
                         beyond = current.cost - trial.cost + 0.5 * slope
-                        if _BEYOND * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
+                        if _MIN_EXTENSION_GAIN * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
                             length = _best_length(current.cost - trial.cost, slope)
                             further = self._moved(current, states_step, shared_step, length)
                             trial = further if further.cost < trial.cost else trial
@@ -397,9 +397,9 @@ def _no_markers(states: Array) -> TreePose:
 
 
 def _best_length(decrease: float, slope: float) -> float:
-    """Return the factor, at most `_LONGEST`, on a step that minimises a parabola through the costs along it."""
+    """Return the factor, at most `_MAX_EXTENSION`, on a step that minimises a parabola through the costs along it."""
     bend = -decrease - slope  # the cost at length x is slope x + bend x^2
-    return min(-0.5 * slope / bend, _LONGEST) if bend > 0 else _LONGEST
+    return min(-0.5 * slope / bend, _MAX_EXTENSION) if bend > 0 else _MAX_EXTENSION
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ _PRIOR_COUNT = 8
 """Weight of the expected variance of the keypoint bias in its estimate, as an equivalent number of unknowns."""
 _NOISE_ROUNDS = 2
 """Maximum number of rounds that estimate the noise of detections about their keypoint bias."""
-_EXPLAINED = 0.05
+_MAX_EXPLAINED = 0.05
 """Maximum fraction of the squared residuals explained by shared unknowns at which one round estimates the noise.
 
 The limit also applies to the fraction of the detections that determine the shared unknowns. A second round corrects
@@ -333,7 +333,7 @@ def _with_reestimated_noise(
         explained = max(shared_squares * factor / max(all_squares, 1.0), shared_detections / max(detections, 1))
         factor *= float(np.clip(constants.NOISE_ABOUT_BIAS * squares / noise_detections, *_NOISE_FACTOR))
         scaled = _with_noise_factor(problem, factor)
-        if explained < _EXPLAINED:
+        if explained < _MAX_EXPLAINED:
             break
     return scaled, equations.normal(factor)
 

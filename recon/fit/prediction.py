@@ -40,7 +40,7 @@ LASTING_S = 0.03, 0.08, 0.25, 1.0, 4.0
 """Candidates for the duration of a keypoint's deviations, s."""
 NOISE_SHARES = 0.35, 0.5, 0.7, 1.0
 """Candidates for the variance of the detections' noise about the deviations, relative to the fit's variance."""
-OTHERS = 1.0
+SHARED_EVIDENCE_WEIGHT = 1.0
 """Weight of the mean evidence of all keypoints in the choice for one keypoint, relative to its own evidence."""
 
 
@@ -219,7 +219,7 @@ def _likeliest_process(
             for share in NOISE_SHARES
         ]
     ).reshape(-1, len(noise_m))
-    best = np.argmax(evidence + OTHERS * evidence.mean(axis=1, keepdims=True), axis=0)
+    best = np.argmax(evidence + SHARED_EVIDENCE_WEIGHT * evidence.mean(axis=1, keepdims=True), axis=0)
     noise_number, number = np.divmod(best, len(shares))
     return shares[number] * noise_m, fps * lasting_s[number], np.array(NOISE_SHARES)[noise_number]
 

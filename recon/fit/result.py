@@ -45,7 +45,7 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 """Levels of a verdict, the worst first."""
 
 
-_NOTHING = 0.1
+_NEGLIGIBLE = 0.1
 """Lower end of an interval, relative to its upper end, below which the text gives only the upper end."""
 
 
@@ -71,7 +71,7 @@ class ExpectedError(Brief):
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
         cause = f", because the finding {self.widened_by} may be right" if self.widened_by else ""
         ends = error.expected, error.low, error.high
-        return interval(*ends, unit, level="90 %", least=_NOTHING * error.high, remark=cause)
+        return interval(*ends, unit, level="90 %", least=_NEGLIGIBLE * error.high, remark=cause)
 
     def times(self, factor: float) -> ExpectedError:
         """Return the error multiplied by a factor, to convert its unit."""

@@ -33,7 +33,7 @@ _DIFFERENCE = (1.0, -2.0, 1.0)
 """Coefficients of three consecutive frames in their second difference."""
 _ROUNDS = 20
 """Maximum number of rounds in which the factors are estimated."""
-_CLOSE = 0.03
+_MAX_CHANGE = 0.03
 """Relative change of all factors in a round below which the rounds end."""
 _LEAST_FRAMES = 10
 """Minimum number of frames required to estimate the standard deviations."""
@@ -83,7 +83,7 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
         ratio = np.sqrt(squares / np.maximum(determined, _LEAST_DETERMINED))
         change = np.where(determined > _LEAST_DETERMINED, ratio, 1.0)
         next_scale = np.clip(scale * np.clip(change, 0.1, 10.0), *SCALES)
-        is_close = np.abs(np.log(next_scale / scale)).max() < _CLOSE
+        is_close = np.abs(np.log(next_scale / scale)).max() < _MAX_CHANGE
         scale = next_scale
         if is_close:
             break

@@ -200,7 +200,7 @@ _SAME_M = 0.05
 """Mean distance between the markers of two motions, m, below which they count as the same minimum."""
 ALTERNATIVE_COST = 20.0
 """Maximum extra cost at which a second solution is reported."""
-_HOPELESS = 2.0
+_GIVE_UP_FACTOR = 2.0
 """Factor on the maximum cost of a reported second solution, above which the search from a start is given up early.
 
 `python benchmarks/accuracy.py --only starts` counts the starts that are given up, and the minima that would be lower
@@ -212,7 +212,7 @@ _RAYS = 16
 """Approximate number of frames, over all views, whose rays determine the headings."""
 _MIN_RAYS = 2
 """Minimum number of rays in a frame that determine the position of a shape."""
-_WORSE = 0.2
+_MAX_EXTRA_MISFIT = 0.2
 """Maximum difference between the misfits of a start and of the best start, for several cameras.
 
 Starts with a larger misfit are not tried. The heading is often ambiguous for one camera, but not for several. `python
@@ -251,7 +251,7 @@ def approach(clip: ClipProblem) -> list[Estimate]:
     likeliest, *further = (states[kept_frames] for states in _starts(clip))
     first = minimum(likeliest, _NOISE_FACTORS[0], 1e-2, 12)
     minima = minima_from(first)
-    useful_cost = _HOPELESS * (minima[-1].cost + ALTERNATIVE_COST)
+    useful_cost = _GIVE_UP_FACTOR * (minima[-1].cost + ALTERNATIVE_COST)
     starts = [first, *(minimum(states, _NOISE_FACTORS[0], 1e-2, 12, useful_cost) for states in further)]
     starts.sort(key=lambda start: start.cost)
     if starts[0] is not first:
@@ -304,7 +304,7 @@ def _starts(clip: ClipProblem) -> list[Array]:
     if len(clip.views) == 1:
         order.append(-best % len(misfit))
     else:
-        order = [i for i in order if misfit[i] < misfit[best] + _WORSE]
+        order = [i for i in order if misfit[i] < misfit[best] + _MAX_EXTRA_MISFIT]
     chosen: list[int] = []
     for i in order:
         angles = [abs(np.angle(np.exp(1j * (headings_rad[i] - headings_rad[j])))) for j in chosen]

@@ -210,7 +210,7 @@ def test_the_noise_is_estimated_twice_only_if_the_bias_explains_much(explained, 
     (one,) = solve_segments(setting)
     usual = with_reestimated_noise(one.problem, one.estimate, setting.correlation_frames).terms[0].view.confidence
     made, of_problem = [], posterior._shared_curvature
-    monkeypatch.setattr(posterior, "_EXPLAINED", explained)
+    monkeypatch.setattr(posterior, "_MAX_EXPLAINED", explained)
     monkeypatch.setattr(posterior, "_shared_curvature", lambda *at, **how: made.append(at) or of_problem(*at, **how))
     counted = with_reestimated_noise(one.problem, one.estimate, setting.correlation_frames)
     assert len(made) == rounds
@@ -223,7 +223,7 @@ def test_several_cameras_skip_unlikely_headings(monkeypatch):
     views, _ = rigs.random_clip(body, 0.0, 3, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions())
     few = starts.approach(setting)
-    monkeypatch.setattr(starts, "_WORSE", np.inf)
+    monkeypatch.setattr(starts, "_MAX_EXTRA_MISFIT", np.inf)
     every = starts.approach(setting)
     assert len(few) < len(every)
     assert few[0].cost == pytest.approx(every[0].cost, rel=1e-2)

@@ -205,7 +205,7 @@ def test_giving_up_starts_does_not_change_the_result(monkeypatch):
     view = still_view(CAMERA, seen(truth), np.ones((len(truth), len(BODY.markers))))
     clip = ClipProblem.from_views([view], BODY, PRIOR, FPS, TrajectoryOptions())
     *tried, given_up = approach(clip)
-    monkeypatch.setattr(least_squares, "_TRIED", 100)
+    monkeypatch.setattr(least_squares, "_TRIAL_ITERATIONS", 100)
     *every, last = approach(clip)
     assert (given_up.converged, last.converged) == (False, True)
     assert given_up.iterations < last.iterations
