@@ -62,5 +62,5 @@ def anatomy_problems(table: Mapping[str, tuple[str, str, str]], source: str) -> 
         if joint not in FLEXES_CAUDALLY:
             yield Problem(source, f"anatomy.{joint}", "no joint with this name", f"one of {', '.join(FLEXES_CAUDALLY)}")
         if len({*markers}) < 3:
-            expected = "three markers: one above the joint, the joint, one below it"
+            expected = "three different markers: above, at and below the joint"
             yield Problem(source, f"anatomy.{joint}", ", ".join(markers), expected)

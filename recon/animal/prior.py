@@ -125,7 +125,7 @@ def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, s
         if array.shape != expected:
             problems.append((name, f"shape {array.shape}", f"{expected} for {lengths['K']} components"))
         elif not (np.abs(array) < LARGEST).all():
-            problems.append((name, "numbers that are not finite, or absurdly large", "finite numbers"))
+            problems.append((name, "numbers that are not finite, or impossibly large", "finite numbers"))
         elif shape.endswith("AA") and not _is_positive_definite(array):
             problems.append((name, "a matrix that is not positive definite", "covariances"))
         elif name == "weights" and ((array < 0).any() or abs(array.sum() - 1) > 1e-5):

@@ -32,13 +32,13 @@ FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTL
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the neighbouring frames",
     "diverged": "the best pose was outside the camera's view, and the frame has no pose",
-    "data poor": "few joints were seen and trusted: the pose is mostly the expected one",
+    "data poor": "few joints were detected reliably: the pose is mostly the expected one",
     "ambiguous depth": (
         "seen from the front or the back, or nearly as well explained by another pose: depths in the pose may be wrong"
     ),
     SWAPPED: "left and right look swapped in the detections, and the pose has them swapped too",
     OUTLIERS: (
-        "the detections are not those of an animal: they were left out, and the pose comes from the neighbouring frames"
+        "the detections do not show an animal: they were left out, and the pose comes from the neighbouring frames"
     ),
 }
 """Meaning of each flag of a frame, in the order in which summaries list them."""

@@ -58,7 +58,7 @@ USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rat
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, which makes the poses uncertain.",
-    "end_on": "The animal is seen from the front or the back, which hides its pose: a camera at its side helps.",
+    "end_on": "The animal is seen from the front or the back, which hides its pose. A camera at its side would help.",
     "unseen": "Much of the animal is hardly ever detected, and its pose there is only the expected one.",
     "rate": "The frame rate is low, so the pose between the frames is hardly known.",
 }

@@ -216,8 +216,8 @@ def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     weight = share[inside, None, None]
     start_m, end_m = truth.xyz_m[first[inside]], truth.xyz_m[second[inside]]
     xyz_m = np.where(weight > 0, start_m + weight * (end_m - start_m), start_m)
-    note = f"The reference has {rates}: it is compared at the same times, "
-    note += "frame 0 of both at 0 s." if not start else "its frame 1 at the time of frame 0."
+    note = f"The reference has {rates}. Positions are compared at equal times, with "
+    note += "frame 0 of both at 0 s." if not start else "frame 1 of the reference at the time of frame 0."
     return replace(
         truth,
         xyz_m=xyz_m,

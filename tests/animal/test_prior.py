@@ -324,7 +324,7 @@ NOT_DEFINITE = np.eye(24) - 2 * np.eye(24, k=0) * (np.arange(24) == 5)
         ({"covariance": NOT_DEFINITE}, [("covariance", "not positive definite")]),
         ({"covariance": np.eye(24) + 0.1 * np.eye(24, k=1)}, [("covariance", "not positive")]),
         ({"mean": np.full(24, np.nan)}, [("mean", "not finite")]),
-        ({"mean": np.full(24, 1e300)}, [("mean", "absurdly large")]),
+        ({"mean": np.full(24, 1e300)}, [("mean", "impossibly large")]),
         ({"weights": np.ones(3)}, [("weights", ["from 1", "add up to 3"])]),
         (
             {"means": np.zeros((2, 24)), "drift": np.zeros((24, 24))},

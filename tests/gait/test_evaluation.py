@@ -44,7 +44,7 @@ def test_the_truth_has_no_error():
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("fps", [25.0, 60.0, 200.0])
 def test_a_reference_with_another_frame_rate_is_interpolated(fps, first):
-    """A reference of another frame rate is compared at the same times.
+    """A reference with another frame rate is interpolated at the times of the reconstruction's frames.
 
     A point between a known and an unknown one is unknown. TRC counts frames from 1.
     """
@@ -66,7 +66,7 @@ def test_a_reference_with_another_frame_rate_is_interpolated(fps, first):
     assert len(lost)
     assert (np.abs(lost - 10) < 1).all()
     assert "60 frames per second, and 100" in there.notes[-1] or fps != 60
-    assert ("its frame 1" in there.notes[-1]) == bool(first)
+    assert ("frame 1 of the reference" in there.notes[-1]) == bool(first)
 
 
 def test_a_reference_with_the_same_frame_rate_is_unchanged():

@@ -125,7 +125,7 @@ def test_a_page_states_the_numbers_of_the_report(page, folder):
         "The animal moved 2.1 m, at 9.0 m/s (90 %: 8.1 to 9.9) on average and at most 9",
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
-        "few joints were seen and trusted",
+        "few joints were detected reliably",
         "The grey line is the ground under the feet",
         "rings: detections within the expected error",
         "The instantaneous acceleration is not shown, because it is mostly smaller than its standard deviation.",
