@@ -412,15 +412,16 @@ def test_settings_without_an_option(words, expected):
 
 
 def test_setting_without_an_option_is_checked():
-    problems = ("a.csv", "file", "no such file"), ("--set sigma-px", "sigma_px", "'0'", "greater than 0")
+    files = ("a.csv", "file", "no such file"), ("c.toml", "file", "no such file")
+    sigma = "--set sigma-px", "sigma_px", "'0'", "greater than 0"
     height = "--height-m", "height_m", "'1e300'", "less than or equal to 10"  # larger heights overflow
     given = ["fit", "a.csv", "--camera", "c.toml", "--out", "x", "--set", "sigma-px=0", "--height-m", "1e300"]
-    refused(given, *problems, height)
+    refused(given, *files, sigma, height)
 
 
 def test_a_setting_of_several_values_is_set_several_times(tmp_path):
     files = [samples_folder() / "whole.csv", "--camera", samples_folder() / "camera.toml", "--out", tmp_path / "x"]
-    others = ["--set", "fast=true", "--no-fix-swaps"]
+    others = ["--fps", "60", "--set", "fast=true", "--no-fix-swaps"]
     refused(
         ["fit", *files, "--set", "offset-s=0", "--set", "offset_s=0.5", *others],
         ("--set offset-s", "offset_s", "2: 0.0, 0.5", "1 value, one for each keypoint file"),
