@@ -293,10 +293,10 @@ effect on these clips.
 """
 
 MEETING = 2.0
-"""Error of triangulated points, relative to the smallest under any cause, up to which the cameras' rays meet.
+"""Largest reprojection error of triangulated points, relative to that of the best hypothesis, at which rays meet.
 
-In a clip of three cameras whose world, or whose keypoints, are upside down, the error under any wrong cause that moves
-the rays is six times as large, or more. Level cameras around an animal hardly distinguish some of the causes.
+In a clip of three cameras whose world, or whose keypoints, are upside down, the error under any wrong hypothesis that
+changes the rays is at least six times as large. Level cameras around an animal hardly distinguish some hypotheses.
 """
 
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
@@ -323,7 +323,7 @@ def other_picture_finding(baseline: Baseline) -> Finding | None:
 
 
 def other_pictures(baseline: Baseline) -> tuple[list[_Alternative], list[float]]:
-    """Return the hypotheses of other pictures of a view, and their log-likelihood gains over the view as given."""
+    """Return the hypotheses of another picture or world for a view, and their log-likelihood gains."""
     view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
     alternatives = (
         [*_turned(view), *_smaller(view)] if feet_below_trunk(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
@@ -339,16 +339,16 @@ def other_pictures(baseline: Baseline) -> tuple[list[_Alternative], list[float]]
 def common_picture_finding(
     baselines: Sequence[Baseline], trials: Sequence[tuple[Sequence[_Alternative], Sequence[float]]]
 ) -> Finding | None:
-    """Return the finding of the cause that all cameras of a clip have in common, or None without such a cause.
+    """Return a finding if the same hypothesis of another picture or world explains the detections of all cameras.
 
-    The cameras share a world and usually a detector, so one cause in all of them is likelier than another in each. The
-    log-likelihood gains are summed over the cameras, and only those causes count under which the cameras' rays meet:
-    no other world changes how well the rays meet, but other pictures do.
+    The cameras share a world and usually a detector, so a common cause is more likely than a different one in each
+    camera. The log-likelihood gains are summed over the cameras. Only hypotheses under which the rays of the cameras
+    meet are compared, because wrong pictures change whether the rays meet, although a wrong world does not.
 
     Parameters
     ----------
     baselines
-        The views of all cameras of the clip.
+        The baseline of each camera of the clip.
     trials
         The hypotheses and their log-likelihood gains for each camera, from `other_pictures`.
     """
@@ -619,7 +619,7 @@ RATE_STEPS = 8
 NEARLY = 1.02
 """Largest ratio of two frame rates that count as equal."""
 ANOTHER = 1.3
-"""Smallest ratio between the rates of angles in the clip and in the prior, or its inverse, that suggests another rate.
+"""Smallest ratio, either way, of the speeds of angles in the clip and in the prior that suggests another frame rate.
 
 Animals of the same gait move their angles up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a
 rendered clip), with a standard deviation of a tenth.

@@ -17,8 +17,9 @@ middle. The stated standard deviations include this effect.
 For a given lam, a spline is a linear function of its values, so the covariance C of the values propagates exactly, C' =
 W C W^T, where the columns of W are the splines through unit vectors. Coordinates are independent of one another, and so
 are several `Errors` of the same values. Each of them has the covariance C_ij = sigma_i sigma_j exp(-((t_i - t_j) /
-correlation_s)^2 / 2). The errors of a fit over time are smooth: with independent frames, the standard deviations of the
-rates would be too large. The propagation includes neither the choice of lam nor the motion that smoothing removes.
+correlation_s)^2 / 2). The errors of a fit over time are smooth, so that independent errors of the frames would make the
+standard deviations of the rates too large. The propagation includes neither the choice of lam nor the motion that
+smoothing removes.
 """
 
 from __future__ import annotations

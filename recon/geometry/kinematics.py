@@ -98,7 +98,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Positions of a tree's J markers for N states; their derivatives are empty unless they were requested."""
+    """Positions of a tree's J markers for N states, and their derivatives, which are empty arrays unless requested."""
 
     points_m: Array
     """Positions of the markers in the world frame, shape (N, J, 3)."""
