@@ -438,7 +438,7 @@ def _source(keypoints: Keypoints) -> str:
 class View(Brief):
     """Keypoints of one camera in the T frames of a clip, and the camera's poses.
 
-    Lengths are metres. Pixels are those of the distorted picture.
+    Lengths are in metres, and positions in the distorted picture in pixels.
     """
 
     camera: Camera
@@ -654,7 +654,7 @@ class Source(Brief):
     keypoints: Keypoints
     """Cleaned keypoints to fit, in the order of the body, on the frames of the clip.
 
-    Frame numbers are those of the first camera.
+    The frame numbers are the first camera's.
     """
     cleaning: CleaningReport
     file_names: tuple[str, ...]

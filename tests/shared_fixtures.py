@@ -252,10 +252,10 @@ def small_motion() -> Motion:
 def small_trajectory() -> Motion:
     """Return eight frames (10 to 17) of a whole cheetah as the trajectory method would give it.
 
-    The mean pose glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera. Pixels are those that the detector
-    would see, except the `nose` of frame 14, which is 300 px off with a low weight. Frame 13 has no detections. Frame
-    15 has a second solution. `ear` is in the file but not in the skeleton, and `r_eye` is in the skeleton but not in
-    the file. The left front paw stands in frames 11 and 12.
+    The mean pose glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera. Keypoints are exactly where the
+    detector would see them, except the `nose` of frame 14, which is 300 px off with a low weight. Frame 13 has no
+    detections. Frame 15 has a second solution. `ear` is in the file but not in the skeleton, and `r_eye` is in the
+    skeleton but not in the file. The left front paw stands in frames 11 and 12.
     """
     body = load_skeleton("cheetah-24")
     camera = Camera.from_hfov(64.0, (1920, 1080))

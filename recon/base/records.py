@@ -60,7 +60,7 @@ def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
     with staged_file(path) as staged:
         try:
             with zipfile.ZipFile(staged, "w", zipfile.ZIP_DEFLATED) as archive:
-                # Arrays are packed one at a time, because those of a long clip need much memory.
+                # Arrays are packed one after the other, because the arrays of a long clip need much memory.
                 for name, (array, layout) in arrays.items():
                     entry = zipfile.ZipInfo(f"{name}.npy")
                     entry.compress_type = zipfile.ZIP_DEFLATED

@@ -19,7 +19,7 @@ Unknowns that all frames share border the matrix:
     [H  B] [x]   [b]          S = C - B' Y,  Y = H^-1 B
     [B' C] [s] = [c],    s = S^-1 (c - Y' b),  x = H^-1 b - Y s
 
-The covariance of s is S^-1, that of x with s is -Y S^-1, and that of x is H^-1 + Y S^-1 Y'.
+Then cov(s) = S^-1, cov(x, s) = -Y S^-1, and cov(x) = H^-1 + Y S^-1 Y'.
 
 A long clip is processed in pieces (`eliminated`). Frames before a piece are eliminated exactly. Let L21 be the rows of
 L from the last W frames of a piece to the first W of the next, and z = L^-1 b: the next piece gets -L21 L21' on H and

@@ -54,7 +54,7 @@ A data sheet usually errs by this much for a video, which uses only a part of th
 TIME_OFFSET_FRAMES = 12**-0.5
 """Standard deviation of a camera's time offset, in frames, if the offset is not estimated.
 
-Pictures may be taken at any time within a frame, so the value is that of a uniform distribution.
+Pictures may be taken at any time within a frame, so the value belongs to a uniform distribution over one frame.
 """
 SOUGHT_OFFSET_FRAMES = 2.0
 """Prior standard deviation of a camera's time offset, in frames, if the offset is estimated."""
@@ -180,8 +180,8 @@ CLIMB_M_S = 0.5
 MISFIT_USUAL = 3.6
 """Mean squared residual of the prior at which the misfit is defined as 1.
 
-The value is a usual mean for real clips of motions like those of the prior. It exceeds 1 because a prior's errors
-persist over many frames. `python benchmarks/accuracy.py --only prior` measures misfits.
+The value is a usual mean for real clips of motions like the prior's. It exceeds 1 because a prior's errors persist over
+many frames. `python benchmarks/accuracy.py --only prior` measures misfits.
 """
 MISFIT_LEVEL = 2.0
 """Minimum misfit at which a motion is called unlike the prior's motions.

@@ -2,9 +2,8 @@
 
 1. Each view is solved on its own, which gives the joints in the frame of its camera, in metres if the body has the
 animal's lengths.
-2. A rigid motion that maps the joints of one camera to those of the others is fitted robustly to all joints, frames and
-clips. It gives the pose of that camera relative to those already known. The upward direction is that of the first
-camera.
+2. A rigid motion from the joints of one camera to the joints of the others is fitted robustly to all joints, frames and
+clips. It gives the camera's pose relative to the cameras with known poses. The upward direction is the first camera's.
 3. All views of a clip are solved together with fixed cameras. At the minimum, the unknowns of the clip alone (states,
 time offsets, and the keypoint bias of each view) are eliminated from the normal equations (`recon.fit.banded`). The
 poses, and the first camera's tilt and roll, take the Gauss-Newton step of the sum over the clips. The upward direction
@@ -12,9 +11,9 @@ follows from the ground under the feet, the animal's climb and its upright postu
 and moving the cameras lead to the minimum over all unknowns, and the inverse of the summed curvature is the covariance
 of the poses.
 
-If the poses are roughly known, only the third step is done, and the first camera's pose is kept; the distances between
-the cameras then determine the size of the animal. Otherwise the animal determines the scale: its size is fixed at that
-of the body.
+If the poses are roughly known, only the third step is done, and the first camera's pose is kept. The distances between
+the cameras then determine the size of the animal. Otherwise the animal determines the scale, because its size is fixed
+at the size of the body.
 """
 
 from __future__ import annotations
@@ -166,7 +165,7 @@ def _with_fixed_cameras(clip: ClipProblem, posed: bool) -> ClipProblem:
 def search_offsets(clip: ClipProblem) -> Array:
     """Return the delay (V,), in whole frames, of each camera relative to the first, beyond the views' stated delay.
 
-    The cameras need no poses, because the joints of each camera's own solution are compared with those of the first.
+    The cameras need no poses, because the joints of each camera's own solution are compared with the first camera's.
     The delay is NaN if they never match.
     """
     joints = [_joints_by_view(clip, view) for view in clip.views]

@@ -25,10 +25,10 @@ if the detections show a larger bias (`_bias_scale`). The noise of the detection
 follows from the other terms alone. The information fraction is 1 - variance / variance without pixels.
 
 **5. Prior misfit and prior weight.** At a minimum the angles deviate from what the prior expects by whitened residuals
-r. Let P be the prior's curvature, H that of all terms, and n the number of unknowns. If the prior fits, |r|^2 is n -
-tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which is above
-1 because errors persist over many frames (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992). The ratio
-of the two is the most likely scale of the prior's variances, and its inverse is the new weight of the prior.
+r. Let P be the prior's curvature, H the curvature of all terms, and n the number of unknowns. If the prior fits, |r|^2
+is n - tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which
+is above 1 because errors persist over many frames (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992).
+The ratio of the two is the most likely scale of the prior's variances, and its inverse is the new weight of the prior.
 
 **6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
 Gaussian into a Student's t. Let V be the covariance of an error e in k dimensions. Then e' V^-1 e is k (nu - 2) / nu
@@ -302,7 +302,7 @@ def with_reestimated_noise(problem: LeastSquares, estimate: Estimate, variance_f
 
     A solution assumes a bias of 0, so its residuals contain bias and noise. If all of the residuals counted as noise,
     the bias would count twice. The most likely variance of the noise is the sum of squared residuals about the best
-    bias, divided by the number of detections minus those that determine the bias.
+    bias, divided by the number of detections minus the number that determines the bias.
     """
     return _with_reestimated_noise(problem, estimate, variance_factor)[0]
 
@@ -556,9 +556,9 @@ def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: f
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     """Return the information fraction of each joint, (J,), 0 to 1.
 
-    The fraction is the median over the frames of 1 - variance / variance without pixels. Both variances (T, J) are
-    those of a joint relative to the mean of the joints, at a given position and heading. The fraction is NaN for joints
-    that cannot move relative to the mean.
+    The fraction is the median over the frames of 1 - variance / variance without pixels. Both variances (T, J) belong
+    to a joint's position relative to the mean of the joints, at a given position and heading. The fraction is NaN for
+    joints that cannot move relative to the mean.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)

@@ -214,7 +214,7 @@ def _solved_shape(
 ) -> SolvedShape | None:
     """Return the estimated lengths and offsets of the body; None if they were not estimated.
 
-    Standard deviations are those of the mean over the segments, weighted by their numbers of frames.
+    Standard deviations belong to the mean over the segments, weighted by their numbers of frames.
     """
     if clip.shape is None or len(clip.views) == 1 or not segments:
         return None

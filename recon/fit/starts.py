@@ -216,7 +216,7 @@ _MAX_EXTRA_MISFIT = 0.2
 """Maximum difference between the misfits of a start and of the best start, for several cameras.
 
 Starts with a larger misfit are not tried. The heading is often ambiguous for one camera, but not for several. `python
-benchmarks/accuracy.py --only starts` counts the starts that are left out, and those of them that would lead to a lower
+benchmarks/accuracy.py --only starts` counts the starts that are left out, and how many of them would lead to a lower
 minimum.
 """
 

@@ -2,9 +2,9 @@
 
 Three objects appear throughout: `clip` is the `ClipProblem`, the fixed inputs of one fit; a *segment* (`SegmentFit`) is
 a part of the clip that is solved separately, with its solution; `problem` is the `LeastSquares` problem of one segment.
-Everything is in the world frame (`recon.geometry.frames`). The unknown motion is that of a body of nominal size about
-the first camera's centre (`recon.fit.terms`). The size follows from its prior, and from other views or the ground's
-distance below the camera if they determine it. The steps to the minimum are:
+Everything is in the world frame (`recon.geometry.frames`). The unknowns describe the motion of a body of nominal size
+about the first camera's centre (`recon.fit.terms`). The size follows from its prior, and from other views or the
+ground's distance below the camera if they determine it. The steps to the minimum are:
 
 1. Starts. The prior's mean pose runs straight through about a second of the clip, in 18 headings, and is fitted to the
 viewing rays (`recon.fit.starts`). The best headings, and the best one mirrored in depth, start the clip.

@@ -269,8 +269,8 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
     Returns
     -------
     Triangulation
-        The smoothed points. Their covariances remain those of single frames, and overestimate those of the splines. In
-        filled gaps, covariances are those of the nearest known frame.
+        The smoothed points. Their covariances still apply to single frames, and overestimate the splines' errors.
+        Filled gaps have the covariances of the nearest known frame.
 
     References
     ----------

@@ -336,7 +336,7 @@ def test_draft_from_geometry_fits_the_clip(skeleton, alone, tmp_path):
 
 @pytest.mark.slow
 def test_draft_from_a_calibration_in_millimetres(tmp_path):
-    """A draft from such a calibration asks for the unit, and for the upward direction or a level first camera."""
+    """A draft from such cameras asks for the unit, and for the upward direction or a level first camera."""
     true = load_skeleton("mouse-top")
     views, true_m = rigs.random_clip(true, 0.0, 4, 0)
     names, files = tuple(f"point {j}" for j in range(len(true.markers))), []

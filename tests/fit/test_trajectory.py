@@ -262,7 +262,7 @@ def test_chain_fits_the_noisy_sample():
 
 @pytest.mark.slow
 def test_real_views(shared_data):
-    """The errors for two views of a known subject are those of the benchmark, with a margin."""
+    """Two views of a known subject have the errors that the benchmark measures, with a margin."""
     for name, camera, below_m in (
         ("2017_08_29-top-phantom-run1_1", "cam5", 0.06),
         ("2017_08_29-top-jules-run1_1", "cam2", 0.06),
