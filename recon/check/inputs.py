@@ -266,7 +266,7 @@ SHARE = 0.2
 FRAMES = 0.05
 """Fraction of repeated frames above which they are reported, because cameras sometimes repeat a few frames."""
 FEWEST = 4
-"""Minimum number of identical keypoints in a frame that is not chance."""
+"""Minimum number of identical keypoints in a frame that counts as a copy, because fewer may be equal by chance."""
 STRAIGHT_PX = 0.01
 """Largest second difference of the positions of linearly interpolated points, pixels.
 

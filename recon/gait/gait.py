@@ -99,8 +99,8 @@ class Stride:
     """Stride of a foot, from one touch-down to the next.
 
     If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
-    given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_WORDS` describes all kinds
-    of strides.
+    given by the user does not belong to a foot, and its length and duty factor are NaN. `STRIDE_WORDS` describes all
+    kinds of strides.
     """
 
     foot: str

@@ -36,7 +36,10 @@ class LevelSigmas:
     """Standard deviation of the measurement error, common to all strides of a run, if one camera films the run."""
 
     def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
-        """Return the variance of the mean of an animal with `runs` runs of `strides` strides each."""
+        """Return the variance of an animal's mean value over `runs` runs with `strides` strides each.
+
+        Every run is filmed by `cameras` cameras.
+        """
         of_run = self.run**2 + self.measurement**2 / cameras + self.stride**2 / strides
         return self.animal**2 + of_run / runs
 

@@ -205,9 +205,9 @@ def lens_named(text: str) -> str | None:
 
 
 def _first_positive_root(coefficients: npt.ArrayLike) -> float:
-    """Return the smallest positive real root of a polynomial, inf if there is none.
+    """Return the smallest positive real root of a polynomial; inf without such a root.
 
-    Coefficients are in increasing order.
+    The coefficients are in the order of increasing powers.
     """
     array = np.asarray(coefficients, dtype=float)
     trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # polyroots divides by the last one
