@@ -459,7 +459,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
     import cv2  # slow to import
 
     if path.suffix.lower() in (".yaml", ".yml"):
-        # OpenCV 4 and 5 write different headers, and ROS writes none; all versions of OpenCV read the header below.
+        # OpenCV 4 and 5 write different headers, and ROS writes none. All versions of OpenCV read the header below.
         text = re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
         text = "%YAML:1.0\n---\n" + _with_indented_lists(text)
     if _nesting(text) > MAX_NESTING:

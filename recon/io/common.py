@@ -95,7 +95,7 @@ class StoredPoints:
     times_s: np.ndarray | None = None
     """Times of the frames in seconds, shape (T,), if the file has uneven times instead of frame numbers."""
     time_problems: tuple[Problem, ...] = ()
-    """Problems to report if the times fit no frame rate and none is given for the file (`recon.io.times`)."""
+    """Problems that `recon.io.times` found in times that fit no frame rate, raised unless the user gives a rate."""
 
     @property
     def in_space(self) -> bool:

@@ -566,7 +566,7 @@ def _describe_head(head: bytes) -> str:
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "a text in UTF-16 (save it in UTF-8)"
     text = head.decode("utf-8", errors="ignore").lstrip("\ufeff").strip()
-    # The head may end within a character of up to 4 bytes; only binary files lose more than that.
+    # The head may end within a character of up to 4 bytes. Only binary files lose more than that.
     if len(text.encode()) < len(head.strip()) - 6 or not all(c.isprintable() or c.isspace() for c in text):
         return "a binary file"
     if not text:

@@ -34,7 +34,7 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
     motion : Motion
         The fit.
     fps : float, optional
-        Frame rate in Hz; the motion's frame rate by default.
+        Frame rate in Hz. The default is the motion's frame rate.
     body_mass_kg : float
         Mass of the animal in kg, which is divided among the segments in the skeleton's proportions.
 

@@ -243,9 +243,10 @@ _DECIMALS = {
     "N": 2,
     "N s": 3,
 }
-"""Number of decimals for each unit in tables of an analysis; for lengths, `metre_decimals` returns it.
+"""Number of decimals of each unit except metres in tables of an analysis.
 
-The rounding steps are finer than a hundredth of the standard deviations of clips of several cameras.
+For metres, `metre_decimals` returns it. The rounding steps are finer than a hundredth of the standard deviations of
+clips of several cameras.
 """
 WITHOUT_UNIT = 5
 """Number of decimals of fractions, phases, and quantities whose unit is not in the column's name."""
@@ -592,7 +593,7 @@ def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:
-    """Return the components x, y and z of vectors (N, 3) as columns, whose names fill the format `name`."""
+    """Return the components of vectors (N, 3) as columns, named by x, y and z in `name`, such as "v{}_m_s"."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
 
 

@@ -388,7 +388,7 @@ def whole_gallop(
     fps, n_frames
         Frame rate in Hz, and number of frames T.
     detector
-        TOML file of a detector's keypoint offsets; none by default.
+        TOML file of a detector's keypoint offsets. If it is None, keypoints are the markers.
 
     Returns
     -------

@@ -496,7 +496,7 @@ def precision_shares(C: Array, J_data: Array) -> Array:
     """Return the fraction (D,) of each unknown's precision that comes from the pixels.
 
     Since C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
-    not negative. The first part, as a fraction of the variance, is returned; it is NaN if C is NaN.
+    not negative. The first part is returned as a fraction of the variance, NaN if C is NaN.
 
     Parameters
     ----------

@@ -21,7 +21,10 @@ from recon.io.video import Image
 STRIP_BYTES = 2_500_000
 """Largest size of all pictures of a page before base64 encoding, which adds a third."""
 LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
-"""Widths and qualities, the best first. The first with which the pictures fit into `STRIP_BYTES` is used."""
+"""Widths in pixels and WebP qualities of pictures, the best first.
+
+The first with which the pictures fit into `STRIP_BYTES` is used.
+"""
 MARGIN = 0.2
 """Margin around the part of the picture through which the animal passes, as a fraction of the animal's size."""
 SMALL_PX = 150.0

@@ -87,7 +87,7 @@ def composites(
     ground : sequence, optional
         Planes of the ground, each with the rows of the clip for which it holds.
     title : str
-        Title of the figure; empty for none.
+        Title of the figure, or an empty text for none.
     sides : mapping
         Side of each limb, by name. Left limbs are dashed, and limbs without a side are thick.
     """
