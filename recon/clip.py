@@ -224,7 +224,10 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
 
     B is not included, as in a Python slice. A and B are the file's frame numbers, not row indices.
 
-    Raises ------ InputError If the text is not a frame range.
+    Raises
+    ------
+    InputError
+        If the text is not a frame range.
     """
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
@@ -327,7 +330,10 @@ def leave_out(
 def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | None) -> Keypoints:
     """Return the keypoints in frames of the half-open range (A, B), where None means no limit.
 
-    Raises ------ InputError If no frame is left.
+    Raises
+    ------
+    InputError
+        If no frame is left.
     """
     start, stop = frames or (None, None)
     keep = keypoints.frames >= (-np.inf if start is None else start)

@@ -71,7 +71,10 @@ _Written = dict[str, tuple[WrittenFile, ...]]
 def read_record(folder: Path) -> _Written:
     """Return the files that recon wrote into a folder, from its `RECORD`; empty without a record.
 
-    Raises ------ InputError If `RECORD` is another kind of file.
+    Raises
+    ------
+    InputError
+        If `RECORD` is another kind of file.
     """
     path = folder / RECORD
     try:

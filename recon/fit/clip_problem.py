@@ -105,7 +105,7 @@ class ClipProblem:
     time_offset_frames: float
     """Standard deviation of the pictures' time offset, in frames, if the offset is not estimated."""
     body_prior: MotionPrior
-    """Prior from the skeleton file alone, which replaces the part of its weight that `prior` loses."""
+    """Prior from the skeleton file alone, which gets the weight that `prior` loses."""
     prior_weight: float = 1.0
     """Factor on the weight of the prior, 0 to 1, as in `MotionSegment.prior_weight`."""
     known_states: Array | None = None
