@@ -105,7 +105,7 @@ export class Controls {
     return `#t=${this.clip.time(this.cursor.row).toFixed(4)}`;
   }
 
-  /** Show the frame at the time, in seconds of the clip, that the address states. */
+  /** Show the frame at the time that the address states, in seconds of the clip. */
   followAddress() {
     const found = /[#&]t=(-?[\d.]+)/.exec(window.location.hash);
     if (found) this.cursor.go(this.clip.rowOfFrame(Math.round(Number(found[1]) * this.clip.fps)));

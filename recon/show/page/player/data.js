@@ -42,7 +42,7 @@ class CameraPicture {
     return Number.isNaN(values[i]) || Number.isNaN(values[i + 1]) ? null : [values[i], values[i + 1]];
   }
 
-  /** Return how far a detection is from the pose, px, or NaN. */
+  /** Return the distance in px between a detection and the pose, or NaN. */
   error(row, joint) {
     const i = 2 * (row * this.joints + joint);
     return Math.hypot(this.detected[i] - this.reprojected[i], this.detected[i + 1] - this.reprojected[i + 1]);
@@ -52,7 +52,7 @@ class CameraPicture {
     return this.state[row * this.joints + joint];
   }
 
-  /** Return the median error of a frame, px, or NaN. */
+  /** Return the median error of a frame in px, or NaN. */
   medianError(row) {
     const errors = [];
     for (let j = 0; j < this.joints; j++) {
@@ -156,7 +156,7 @@ export class Clip {
     return [0, 0, 0];
   }
 
-  /** Return the plane under a row: height and slope, or null. */
+  /** Return the height and slope of the ground plane in a row, or null. */
   groundAt(row) {
     return this.ground.find((plane) => row >= plane.rows[0] && row < plane.rows[1]) || this.ground[0] || null;
   }

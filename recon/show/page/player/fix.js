@@ -7,7 +7,7 @@ import { ON_PICTURE, label } from "./theme.js";
 
 const GRAB_PX = 14, ON_MARK_PX = 6;
 
-/** All corrections by detection, with what is needed to undo the latest correction. */
+/** All corrections by detection, and the data to undo the latest correction. */
 class Corrections {
   constructor(rows) {
     this.rows = new Map(rows.map((row) => [Corrections.key(row), row]));
@@ -60,7 +60,7 @@ class EditedPicture extends PictureView {
     super.reset();
   }
 
-  /** Return the keypoint whose mark, not its expected position, is at a point of the canvas; or -1. */
+  /** Return the keypoint whose mark is at a point of the canvas, or -1. Expected positions are no marks. */
   markAt(x, y, reach = GRAB_PX) {
     let best = -1, least = reach;
     for (let j = 0; j < this.clip.joints; j++) {
@@ -179,7 +179,7 @@ class Editor {
     this.listen(state.version);
   }
 
-  /** Take a fit from the server. */
+  /** Show a fit that the server sent. */
   take(state) {
     this.clip = new Clip({ ...state.clip, pictures: state.video ? this.pictures(state.clip) : null });
     Object.assign(this, { version: state.version, later: state.later_frames, pairs: state.pairs, video: state.video });
@@ -205,7 +205,7 @@ class Editor {
     return this.camera.known ? this.camera.point(this.camera.detected, row, joint) : null;
   }
 
-  /** Return where a keypoint is marked, as corrected or as detected; or null. */
+  /** Return the corrected or the detected position of a keypoint, or null. */
   pointOf(joint, row = this.cursor.row) {
     const correction = this.corrections.get(this.cell(joint, row));
     return correction ? correction.now_px : this.detected(joint, row);

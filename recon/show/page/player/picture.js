@@ -11,7 +11,7 @@ export class PictureView {
   constructor(canvas, clip, cursor) {
     Object.assign(this, { canvas, clip, cursor, images: new Map(), video: null, marks: true });
     this.follow = false;
-    this.window = null; // part of the picture that is shown, px of the video: [left, top, width, height]
+    this.window = null; // part of the picture that is shown, in px of the video: [left, top, width, height]
     this.boxes = new Map();
     gestures(canvas, {
       drag: (dx, dy) => this.move(dx, dy),
@@ -87,7 +87,7 @@ export class PictureView {
     this.video.currentTime = Math.max(0, (this.clip.frames[this.due] - first + 0.5) / rate);
   }
 
-  /** Return the part of the picture to show, px of the video. */
+  /** Return the part of the picture to show, in px of the video. */
   wholeWindow() {
     const { pictures, camera } = this;
     if (this.video) return [0, 0, ...camera.size];
@@ -100,7 +100,7 @@ export class PictureView {
     return this.boxes.get(camera);
   }
 
-  /** Return the middle and the sides, px, of the box around the pose of a row, or null. */
+  /** Return the middle and the sides in px of the box around the pose of a row, or null. */
   poseBox(row) {
     const { camera } = this, box = [Infinity, Infinity, -Infinity, -Infinity];
     if (!camera.known) return null;
@@ -116,7 +116,7 @@ export class PictureView {
     return { middle: [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], sides: [box[2] - box[0], box[3] - box[1]] };
   }
 
-  /** Return the animal's usual length in the picture, px. */
+  /** Return the animal's usual length in the picture in px. */
   get animalLength() {
     const lengths = [], step = Math.max(1, Math.floor(this.clip.count / 50));
     for (let row = 0; row < this.clip.count; row += step) {

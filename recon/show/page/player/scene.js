@@ -28,7 +28,7 @@ export class SceneView {
     });
   }
 
-  /** Look from the side, the front, above, or from where the camera stands. */
+  /** Look from the side, the front, above, or the camera's position. */
   preset(name) {
     const { clip, cursor } = this;
     const heading = this.heading();
@@ -46,7 +46,7 @@ export class SceneView {
     this.draw();
   }
 
-  /** Return the direction of the run, or of the trunk of an animal that stays where it is. */
+  /** Return the direction of the run, or of the trunk if the animal does not move on. */
   heading() {
     const { clip } = this, rows = [];
     for (let row = 0; row < clip.count; row++) if (clip.hasPose(row)) rows.push(row);

@@ -39,7 +39,7 @@ export class Strip {
     return this.clip.rowOfFrame(frames[0] + share * span);
   }
 
-  /** Show the frame that was clicked; some subclasses show the first frame of the bar that was hit. */
+  /** Show the frame that was clicked. Some subclasses show the first frame of the bar that was hit. */
   clicked(x) {
     this.cursor.go(this.rowAt(x));
   }
@@ -182,7 +182,7 @@ export class CurveStrip extends Strip {
     }
   }
 
-  /** Return the points to draw as row and value; in a long clip, the least and the greatest in each half pixel. */
+  /** Return the points to draw as row and value. In a long clip, these are the least and the greatest in each half pixel. */
   thinned(values, wide) {
     const every = Math.floor(this.clip.count / (2 * wide)), points = [];
     if (every < 2) { values.forEach((value, row) => points.push([row, value])); return points; }
@@ -238,7 +238,7 @@ function withMinus(text) {
   return text.replace("-", "\u2212");
 }
 
-/** Return a number with a fixed number of digits; zero has no sign. */
+/** Return a number with a fixed number of digits, and zero without a sign. */
 function fixed(value, digits) {
   return withMinus(value.toFixed(digits).replace(/^-(?=[0.]*$)/, ""));
 }
