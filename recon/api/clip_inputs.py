@@ -318,22 +318,22 @@ def _scaled_to_height(body: Body, height_m: float) -> Body:
 
 
 def _cleaned(
-    body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
+    body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, later_frames: float
 ) -> Source:
     """Return the source of a file as `cleaned_source` does, if the file has enough keypoints of the body."""
     _, source = collect_problems(
         lambda: _require_keypoints_of(body, file),
-        lambda: cleaned_source(settings, fps, file, clip_camera, late_frames),
+        lambda: cleaned_source(settings, fps, file, clip_camera, later_frames),
     )
     return source
 
 
 def cleaned_source(
-    settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
+    settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, later_frames: float
 ) -> Source:
     """Return all keypoints of a file at the clip's frame rate.
 
-    `late_frames` is the delay of the file's frame 0 relative to the clip's, in frames of the clip. Keypoints far
+    `later_frames` is the delay of the file's frame 0 relative to the clip's, in frames of the clip. Keypoints far
     outside the picture and those in frames without a camera pose are left out.
 
     Raises
@@ -344,7 +344,7 @@ def cleaned_source(
     camera, track = clip_camera
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None
-    shift, per_frame = math.floor(late_frames), file.fps / fps  # the frames of the clip are those of the first camera
+    shift, per_frame = math.floor(later_frames), file.fps / fps  # the frames of the clip are those of the first camera
 
     def file_frame(frame: int | None) -> int | None:
         return None if frame is None else math.ceil((frame - shift) * per_frame)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +13,15 @@ import pytest
 from command_line import says
 
 from recon import Motion
+from recon.check import rules
 from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, sentence
 from recon.check.rules import detections_not_explained, findings_of, likelihoods_low, no_pose
 from recon.check.verdict import add_verdict
 from recon.fit.result import Finding
 from recon.show.sections.keypoints import keypoint_lines, keypoints_data
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "findings.md"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs" / "findings.md"
 AGAINST = {"error_px": 31.4, "level": 5.24}
 SENTENCES = {
     "gross_outliers": ("in frame 10 are gross outliers", {}),
@@ -227,6 +231,24 @@ def test_every_code_has_its_sentence(code):
     assert one.severity == CODES[code][0]
     assert words in sentence(one)
     assert sentence(one).endswith((".", "?"))
+
+
+def test_each_code_in_the_source_has_an_entry_and_each_entry_is_used():
+    """A code without an entry would otherwise be noticed only when its rule yields a finding for the first time."""
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "recon").rglob("*.py")]
+    trees = [ast.parse(text) for text in sources if "finding(" in text]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    calls = [n for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name) and n.func.id == "finding"]
+    texts = [n.value for call in calls for n in ast.walk(call.args[0]) if isinstance(n, ast.Constant)]
+    assert len(texts) > len(CODES) / 2
+    assert {*texts} <= {*CODES}
+    assert not [code for code in CODES if not any(f'"{code}"' in text for text in sources)]
+
+
+def test_each_rule_is_listed():
+    functions = inspect.getmembers(rules, inspect.isfunction)
+    yielding = [f for _, f in functions if f.__annotations__.get("return") == "Iterator[Finding]"]
+    assert {*yielding} == {*rules.RULES, *rules.TRAJECTORY_RULES, no_pose}
 
 
 def test_the_name_of_a_single_camera_is_not_stated():

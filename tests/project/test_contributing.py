@@ -1,4 +1,4 @@
-"""Test that the functions in CONTRIBUTING.md's map exist, lead to each other, and have about as many lines as stated."""
+"""Test that the functions in CONTRIBUTING.md's map exist, lead to each other, and have the stated number of lines."""
 
 import ast
 import re
