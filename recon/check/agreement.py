@@ -1,11 +1,13 @@
 """Test whether the cameras of a clip agree, by comparing each camera's detections with points seen by the others.
 
-The rays of the cameras are compared by their error ratios (`recon.check.sights`). The test uses no body and no fit, so
-it also detects a camera that pulls the fit away from the others.
+The rays of the cameras are compared by their error ratios (`recon.check.sights`). The test uses no body and no fitted
+pose, so it also detects a camera that pulls the fit away from the others. The cameras' poses are those of the fit,
+which are refined only if the fit refined them.
 
 If error ratios are too high, cameras are left out one by one until the others agree (`_largest_agreeing_group`). For
 each camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If the
-rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown.
+rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown. Two
+cameras have no third one that could show a cause: they are reported together if their files are not exchanged.
 Exchanged files of two cameras are tried first, since they explain the errors of two cameras at once
 (`_exchanged_pair`). If no two cameras agree, a single error names all of them.
 """
@@ -84,7 +86,7 @@ Comparison = dict[str, float]
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
-    """Return the findings from a comparison of a motion's cameras with each other, at their given poses.
+    """Return the findings from a comparison of a motion's cameras with each other.
 
     There is a note on each camera, and an error for each camera that is exchanged, turned, late, or off for an unknown
     reason. If no two cameras agree, a single error names all cameras. The result is deterministic.
@@ -92,7 +94,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     Parameters
     ----------
     motion
-        The motion, with its sources and views.
+        The motion, with its sources and with the views of its solution. Poses and focal lengths are those of the views,
+        which a fit may have refined, and time offsets those of the sources.
     sigma_px
         Standard deviation of the detector's noise, pixels.
     keypoint_sigma_m

@@ -25,11 +25,11 @@ MIN_POINTS = 30
 WIDE_OFFSET_S = 0.5
 """Largest time offset that is tried for a camera that does not agree, seconds."""
 NARROW_OFFSET = 3
-"""Largest time offset that is tried for a camera that agrees, frames."""
+"""Largest time offset that is tried for a camera that agrees, frames, unless the best offset is this one."""
 _ROBUST = 3.0
 """Residual, in standard deviations, that has a robust weight of 0.5."""
 _POINT_ROUNDS = 3
-"""Number of iterations of robust reweighting in the triangulation of points."""
+"""Number of iterations of robust reweighting in the triangulation of points, and in the estimate of a drift."""
 _MEDIAN_OF_LINE = 0.4549
 """Median of the squared length of a normal error in one dimension, in units of its variance."""
 _MEDIAN_OF_POINT = 1.3863
@@ -55,6 +55,7 @@ class Sight:
     def later(self, frames: float) -> Sight:
         """Return the directions if the camera's pictures were taken later by a number of frames."""
         rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
+        # whole frames for the rotation, because the mean of two rotation matrices is no rotation
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
     def part(self, rows: Index) -> Sight:
@@ -139,7 +140,10 @@ def meeting_points(sights: Sequence[Sight]) -> Points:
 
 
 def squared_errors(sight: Sight, points: Points) -> tuple[Array, Array]:
-    """Return unit vectors from a camera to points (T, J, 3), and squared errors of its rays (T, J), in variances."""
+    """Return unit vectors from a camera to points (T, J, 3), and squared errors of its rays (T, J), in variances.
+
+    The squared error of a point behind the camera is infinite.
+    """
     position_m, covariance_m2 = points
     offset_m = position_m - sight.centre_m[:, None]
     distance = np.linalg.norm(offset_m, axis=-1, keepdims=True)
@@ -173,18 +177,20 @@ def error_ratio(sight: Sight, points: Points) -> float:
 def error_ratio_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
     """Return the error ratio of two cameras, the median angle between rays and epipolar planes, rad, and their number.
 
-    A ray of a is compared with the plane through both cameras' centres and the corresponding ray of b.
+    A ray of a is compared with the plane through both cameras' centres and the corresponding ray of b. The error ratio
+    is the same if a and b are exchanged.
     """
     line = b.centre_m - a.centre_m
     plane_of_b, plane_of_a = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
-    size_a, size_b = np.linalg.norm(plane_of_b, axis=-1), np.linalg.norm(plane_of_a, axis=-1)
+    # The triple product of both rays and the line changes by this much for each radian of an error of a's or b's ray.
+    by_a, by_b = np.linalg.norm(plane_of_b, axis=-1), np.linalg.norm(plane_of_a, axis=-1)
     off_plane = np.abs(np.sum(a.rays * plane_of_b, axis=-1))
-    is_known = np.isfinite(off_plane) & (size_a > 0) & (size_b > 0)
+    is_known = np.isfinite(off_plane) & (by_a > 0) & (by_b > 0)
     if is_known.sum() < MIN_POINTS:
         return np.nan, np.nan, int(is_known.sum())
-    sigma = np.hypot(size_a * a.noise_rad, size_b * b.noise_rad)[is_known]
+    sigma = np.hypot(by_a * a.noise_rad, by_b * b.noise_rad)[is_known]
     ratio = np.sqrt(np.median((off_plane[is_known] / sigma) ** 2) / _MEDIAN_OF_LINE)
-    return float(ratio), float(np.median(off_plane[is_known] / size_a[is_known])), int(is_known.sum())
+    return float(ratio), float(np.median(off_plane[is_known] / by_a[is_known])), int(is_known.sum())
 
 
 def error_ratios(sights: Sequence[Sight], agreeing: Sequence[int], points_of: PointsOf) -> Array:
@@ -224,7 +230,9 @@ def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
 def best_shifted(sight: Sight, points: Points, fps: float, wide: bool) -> tuple[Sight, float]:
     """Return the directions with the time offset that fits the points best, and the offset in frames.
 
-    Offsets up to `WIDE_OFFSET_S` are tried if `wide` is true, otherwise offsets up to `NARROW_OFFSET`.
+    Offsets up to `WIDE_OFFSET_S` are tried if `wide` is true, otherwise offsets up to `NARROW_OFFSET`, and the wider
+    range only if the best offset is at the end of the narrow one. Offsets of whole frames are tried first, then
+    quarters of a frame about the best.
     """
     reach = min(max(round(WIDE_OFFSET_S * fps), NARROW_OFFSET) if wide else NARROW_OFFSET, len(sight.rays) // 2)
     ratios = {float(frames): error_ratio(sight.later(frames), points) for frames in range(-reach, reach + 1)}

@@ -1,25 +1,37 @@
 """Compute the uncertainty of a trajectory: the Gaussian approximation of the posterior at the minimum.
 
+A fit calls `posterior_with_reestimated_noise` once for each segment, at its minimum. The function estimates the noise
+of several cameras' detections again (part 3), frees the nuisance unknowns and computes the curvature (part 1), then the
+covariances of the joints (part 2) and the information fractions (part 4). The `Posterior` belongs to a given size, and
+`with_size` adds the uncertainty of the size. During a fit, `prior_misfit_of` weighs the prior (part 5), and
+`pair_poses_of` weighs hypotheses about the poses of two cameras (`recon.fit.pair_poses`). Later rooms use `radius` for
+regions and intervals (part 6).
+
 **1. Covariance of the states.** Let H be the curvature of the cost at the minimum with respect to the states x of all
 frames, B that between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s with x eliminated
 (`recon.fit.banded`). If s moves by ds, x follows by -Y ds. The covariance of s is S^-1. The covariance of a frame is a
 block of H^-1, with s fixed, plus Y S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the
 ground may determine it further. `curvature` computes these parts, and `posterior` adds them up frame by frame.
 
-**2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p with respect to the frame's
-unknowns, and let a be the derivative of these unknowns with respect to the size (`state_by_size`). With q = p + size J
+**2. Covariance of the joints.** A joint lies at origin + size p. Let G be the Jacobian of p with respect to the frame's
+unknowns, and let a be the derivative of these unknowns with respect to the size (`state_by_size`). With q = p + size G
 a,
 
-    cov(joint) = size^2 J C J' + var(size) q q'
+    cov(joint) = size^2 G C G' + var(size) q q'
 
-where C is the frame's covariance at a given size. The covariance relative to the mean of all joints is the same with J
-and q minus their means over the joints.
+where C is the frame's covariance at a given size. The covariance relative to the mean of all joints is the same with G
+and q minus their means over the joints. If lengths are unknown, they are appended to the frame's unknowns in G, C and a
+(`_add_shape`). Two parts are the same in every frame: the variance of the common keypoint bias beyond its expected
+variance (`excess_bias_m2`), and the variance of a marker about the same point of the real animal
+(`Body.marker_sigma_m`).
 
 **3. Persistent errors.** The cost treats the errors of neighbouring frames as independent, but they are correlated. All
-variances are therefore multiplied by `variance_factor`, the correlation length in frames. A keypoint bias is constant
-over the whole clip. The bias is not an unknown of the solution but of the posterior. Its expected variance is increased
-if the detections show a larger bias (`_bias_scale`). The noise of the detections is then estimated again
-(`with_reestimated_noise`), because otherwise the bias would count twice.
+variances except that of a marker are therefore multiplied by `variance_factor`, the correlation time in frames. A
+keypoint bias is constant over the whole clip. Each camera has a bias of its own, and several cameras also have a common
+bias. A camera's own bias is an unknown of the posterior only, and so is the common bias unless the fit estimates the
+body's shape. The expected variance of the common bias is increased if the detections show a larger bias
+(`_bias_scale`). The noise of the detections is estimated again about the best common bias (`with_reestimated_noise`),
+because the residuals at the minimum contain bias and noise, and the bias would count twice.
 
 **4. Information fraction.** The variance of a joint or an angle is compared with its variance without the pixels, which
 follows from the other terms alone. The information fraction is 1 - variance / variance without pixels.
@@ -300,9 +312,10 @@ def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_fa
 def with_reestimated_noise(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> LeastSquares:
     """Return the problem with the noise of the detections estimated again, without their keypoint bias.
 
-    A solution assumes a bias of 0, so its residuals contain bias and noise. If all of the residuals counted as noise,
-    the bias would count twice. The most likely variance of the noise is the sum of squared residuals about the best
-    bias, divided by the number of detections minus the number that determines the bias.
+    A solution that does not estimate the bias assumes a bias of 0, so its residuals contain bias and noise. If all of
+    the residuals counted as noise, the bias would count twice. The most likely variance of the noise is the sum of
+    squared residuals about the best bias, divided by the number of detections minus the number that determines the
+    bias. Without a common keypoint bias, as for a single camera, the problem is returned unchanged.
     """
     return _with_reestimated_noise(problem, estimate, variance_factor)[0]
 
@@ -344,6 +357,7 @@ def _reprojections(problem: LeastSquares) -> list[Reprojection]:
 
 def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
     """Return the problem with the variance of all detections multiplied by a factor."""
+    # Through the confidence, not the noise, because a larger noise would also widen the robust loss.
     reprojections = [
         replace(term, view=replace(term.view, confidence=term.view.confidence / factor))
         for term in _reprojections(problem)
@@ -406,7 +420,7 @@ def posterior(
     estimate
         The minimum of the problem.
     variance_factor
-        Factor on all variances, the correlation time of the errors in frames, which the cost ignores.
+        Factor on the variances, the correlation time of the errors in frames, which the cost ignores.
     normal
         The normal equations with the nuisance unknowns, if they have been computed already.
     """

@@ -94,7 +94,7 @@ OUT_OF_SIGHT = 50.0
 """Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
 POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
 PRIOR_TERMS = POSE, MOTION
-"""Names of the terms that come from a prior."""
+"""Names of the terms that come from a prior, also from the body's own prior, which has the rest of the weight."""
 ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
 """Names of the terms that penalise accelerations."""
 
@@ -179,7 +179,7 @@ class Term(Protocol):
 
     @property
     def name(self) -> str:
-        """Return the name under which the term's cost is listed."""
+        """Return the name under which the term's cost is listed, which `recon.check.inputs.JOLTS` also uses."""
         ...
 
     @property
