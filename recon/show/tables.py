@@ -164,7 +164,7 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.cs
 """Functions that write the tables of every clip, by file name."""
 
 REPROJECTION = "reprojection.csv"
-"""File name of the reprojections of a single camera; with several cameras, it includes the camera's name."""
+"""File name of a single camera's table of reprojections (`camera_files` names those of several cameras)."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:

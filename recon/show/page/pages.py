@@ -336,11 +336,15 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     """Return the content of a clip's row in the table of a batch, from the clip's row of summary.csv.
 
-    The content has these fields: `cells`, the row of summary.csv; `reason`, the reason of the verdict, if there is one;
-    `numbers`, texts with 90 % intervals, and with the mean keypoint error if it is far above the median; `page`, the
-    address of the clip's page relative to the summary, with forward slashes; `flagged`, the number of flagged frames
-    (None without a result), and `share`, their fraction; `state`, the verdict or the reason why there is none; and
-    `rank`, which sorts the clips to look at to the top.
+    The content has these fields:
+
+    - `cells`: the row of summary.csv
+    - `reason`: the reason of the verdict, if there is one
+    - `numbers`: texts with 90 % intervals, and with the mean keypoint error if it is far above the median
+    - `page`: the address of the clip's page relative to the summary, with forward slashes
+    - `flagged` and `share`: the number of flagged frames, None without a result, and their fraction
+    - `state`: the verdict, or the reason why there is none
+    - `rank`: a number by which clips that need a check are sorted to the top
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
