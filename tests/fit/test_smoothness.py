@@ -18,9 +18,8 @@ def solved_problem(acceleration_share: float) -> tuple[LeastSquares, np.ndarray]
     """Return a problem whose angles accelerate by a fraction of the skeleton's expectation, and its noisy states."""
     body, random = load_skeleton("mouse-top"), np.random.default_rng(0)
     D, prior = body.n_state, prior_from_body(body)
-    per_frame = (
-        acceleration_share * body.acceleration_rad_s2 / FPS**2 * np.sqrt(FPS / 90.0)
-    )  # scaled as in the acceleration term
+    # scaled as in the acceleration term
+    per_frame = acceleration_share * body.acceleration_rad_s2 / FPS**2 * np.sqrt(FPS / 90.0)
     angles = np.cumsum(np.cumsum(random.normal(size=(T, D - 4)) * per_frame, axis=0), axis=0)
     states = np.zeros((T, D))
     states[:, ANGLES] = angles + random.normal(0, NOISE_RAD, angles.shape)
