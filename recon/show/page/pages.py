@@ -344,7 +344,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     - `page`: the address of the clip's page relative to the summary, with forward slashes
     - `flagged` and `share`: the number of flagged frames, None without a result, and their fraction
     - `state`: the verdict, or the reason why there is none
-    - `rank`: a number by which clips that need a check are sorted to the top
+    - `rank`: a key for sorting, which puts clips that need a check first
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
