@@ -297,7 +297,7 @@ class Motion:
 
     @property
     def size(self) -> float:
-        """Return the factor on the body's lengths, the median over the frames for the frame method."""
+        """Return the animal's size, a factor on the body's lengths (in the frame method, the median over frames)."""
         return self.solution.size
 
     @cached_property

@@ -357,7 +357,7 @@ def _reprojections(problem: LeastSquares) -> list[Reprojection]:
 
 def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
     """Return the problem with the variance of all detections multiplied by a factor."""
-    # Through the confidence, not the noise, because a larger noise would also widen the robust loss.
+    # The confidence is scaled instead of the noise, because a larger noise would also widen the robust loss.
     reprojections = [
         replace(term, view=replace(term.view, confidence=term.view.confidence / factor))
         for term in _reprojections(problem)

@@ -1,4 +1,4 @@
-"""Predict the detections of a camera that a solution was not fitted to.
+"""Predict the detections of a camera that was not used in a fit.
 
 **Deviations.** Skin, labels and a skeleton's rigid segments let keypoints deviate from the body's markers for a while.
 The deviation d (3,) of each keypoint is modelled as a once differentiable Gaussian process (Matern 3/2), and is

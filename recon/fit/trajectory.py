@@ -100,7 +100,7 @@ def solve_trajectory(
     progress
         Function that is called with the name of the stage and the fraction that is done.
     ground_near_zero
-        Whether the ground is known to be near z = 0; None for whether the camera files state which way is up.
+        Whether the ground is known to be near z = 0. None means that it is, if all camera files state which way is up.
     start
         Solution for nearly the same detections of the same frames, from which the search begins; None for a full
         search. No other start is tried, which is several times faster, but correct only if the solution is near.
