@@ -116,10 +116,47 @@ def say(console: Console, text: str | Text, style: str = "") -> None:
 
 
 def say_table(console: Console, table: Table) -> None:
-    """Print a table, which is as wide as its words need in a file or a pipe, so that no column is cut."""
-    least = console.measure(table, options=console.options.update(width=_WIDEST)).minimum
-    width = console.width if console.is_terminal else max(console.width, least)
-    console.print(table, width=width, crop=console.is_terminal)
+    """Print a table so that no column is cut.
+
+    In a file or a pipe, the table is as wide as its words need. On a narrow terminal, its columns continue in further
+    tables below, each of which begins with the names of the rows.
+    """
+    width = console.options.update(width=_WIDEST)
+    if not console.is_terminal:
+        least = console.measure(table, options=width).minimum
+        console.print(table, width=max(console.width, least), crop=False)
+        return
+    for part in _parts(table, lambda part: console.measure(part, options=width).minimum <= console.width):
+        console.print(part)
+
+
+def _parts(table: Table, fits: Callable[[Table], bool]) -> Iterator[Table]:
+    """Yield tables with the first column and as many of the others as fit, in their order."""
+    if fits(table):
+        yield table
+        return
+    count, first = len(table.columns), 1
+    while first < count:
+        end = first + 1
+        while end < count and fits(_with_columns(table, first, end + 1)):
+            end += 1
+        yield _with_columns(table, first, end)
+        first = end
+
+
+def _with_columns(table: Table, first: int, end: int) -> Table:
+    """Return a table with the first column of another and its columns from `first` up to but not including `end`."""
+    columns = [table.columns[0], *table.columns[first:end]]
+    part = Table(
+        *(column.copy() for column in columns),
+        box=table.box,
+        padding=table.padding,
+        title=table.title if first == 1 else None,
+        title_justify=table.title_justify,
+    )
+    for cells in zip(*(column.cells for column in columns), strict=True):
+        part.add_row(*cells)
+    return part
 
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
@@ -146,10 +183,11 @@ def table_of(
         *(Column(name, justify="right") for name in numbers),
     )
     for i, column in enumerate(columns):
-        cells = [str(row[i]) for row in rows] if i >= len(texts) else []
-        column.min_width = max(
-            (len(word) for text in (str(column.header), *cells) for word in text.split()), default=None
-        )
+        cells = [str(row[i]) for row in rows]
+        texts_shown = (str(column.header), *(cells if i >= len(texts) else []))
+        column.min_width = max((len(word) for text in texts_shown for word in text.split()), default=None)
+        if all(len(text.split()) < 2 for text in (str(column.header), *cells)):
+            column.no_wrap = True  # rich would make such a column narrower than its words before it wraps others
     table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **options)
     for row in rows:
         table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))

@@ -37,7 +37,8 @@ def ik(settings: IkSettings) -> Answer:
 def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     stride = summary["stride"]
     origin = STRIDE_WORDS[stride["how"]].ends
-    yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
+    size = f"{len(summary['joints'])} joints, {summary['dimensions']}D"
+    yield f"chain from {summary['base_at']} to {summary['foot']}: {size}"
     if summary["misfit_m"]:
         yield (
             f"the chain's end lies {quantity(1000 * summary['misfit_m'], 0, 'mm')} from the foot's projection (median)"
@@ -49,7 +50,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
         yield "note: the gap is too wide for one stride: a touch-down was missed, or the clip is too short"
     driven, along = summary["to_target"], summary["along_stride"]
     if driven:
-        yield from _target_lines(driven, summary["target_m"])
+        yield from _target_lines(driven, summary)
     if along:
         yield from _stride_lines(along, summary)
     if driven or along:
@@ -80,7 +81,7 @@ def _step_time(row: dict[str, Any]) -> str:
     return "-" if row["us_per_step"] is None else f"{row['us_per_step']:.0f}"
 
 
-def _target_lines(driven: dict[str, Any], target_m: list[float]) -> Iterator[str | Table]:
+def _target_lines(driven: dict[str, Any], summary: dict[str, Any]) -> Iterator[str | Table]:
     columns: dict[str, Callable[[Any], str]] = {
         "reached": lambda row: "yes" if row["reached"] else "failed",
         "steps": lambda row: str(row["iterations"]),
@@ -89,7 +90,9 @@ def _target_lines(driven: dict[str, Any], target_m: list[float]) -> Iterator[str
         "path m": lambda row: f"{row['length_m']:.2f}",
         "limits": _limits,
     }
-    yield _table(driven, f"to ({', '.join(f'{x:.3f}' for x in target_m)}) m", columns)
+    target = ", ".join(f"{x:.3f}" for x in summary["target_m"])
+    axes = ", ".join(summary["base_frame"].split(", ")[: summary["dimensions"]])
+    yield _table(driven, f"to the target ({target}) m from {summary['base_at']} ({axes})", columns)
     yield from (f"{name} failed: {row['reason']}" for name, row in driven.items() if not row["reached"])
 
 

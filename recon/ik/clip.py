@@ -185,6 +185,7 @@ class IkRun:
             "dimensions": limb.chain.dim,
             "joints": list(limb.chain.names),
             "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
+            "base_at": limb.base_at,
             "misfit_m": limb.misfit_m,
             "stride": stride_s | {"how": stride.origin} | picked(stride, "notes", "gap_m", "gap_percent"),
             "parameters": {"used": settings.parameters, "fitted": fitted, "alpha": settings.alpha},

@@ -67,6 +67,8 @@ class Limb:
     """Time of the clip's first frame, seconds."""
     base: Literal["UVW", "xyz"]
     """Meaning of the base frame's axes: U forwards, V down and W left, or x forwards, y left and z up."""
+    base_at: str
+    """Point of the animal at which the chain begins, the origin of the base frame, in words."""
     misfit_m: float
     """Median distance of the chain's end from the foot, metres."""
 
@@ -98,16 +100,19 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     if isinstance(motion.chain, Chain):
         chain = spine_front_leg(motion.chain, motion.size * motion.chain.nominal_base_length_m, dim, limited)
         q = chain_angles(motion.chain, motion.states, dim=dim)
+        base_at = motion.chain.links[0].start
     elif dim == 3:
         marker, base = motion.joints[motion.names.index(name)], "xyz"
         chain = body_chain(motion.body, marker, motion.size, limited)
         q = body_chain_angles(motion.body, marker, motion.states)
+        base_at = f"the beginning of {motion.body.tree.segments[0].name}"
     else:
         along = next(along for along in limb_chains(motion).values() if along[-1] == name)
         points = motion.upright.xyz_m[:, [motion.names.index(joint) for joint in along]]
         chain, q, misfit = projected_chain(points, body_travel(motion.states))
         chain = replace(chain, names=tuple(along[:-1]))
-    return Limb(name, chain, q, motion.fps, float(motion.time_s[0]), base, float(np.nanmedian(misfit)))
+        base_at = along[0]
+    return Limb(name, chain, q, motion.fps, float(motion.time_s[0]), base, base_at, float(np.nanmedian(misfit)))
 
 
 def _foot_label(motion: Motion, foot: str | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 
 import pytest
@@ -53,3 +54,26 @@ def test_a_table_in_a_pipe_is_not_wrapped():
     short = terminal(file=io.StringIO(), width=80)
     say_table(short, table_of("method", rows=[["damped"]]))
     assert max(map(len, short.file.getvalue().split("\n"))) <= 80
+
+
+@pytest.mark.parametrize("width", [40, 80, 130])
+def test_a_table_on_a_narrow_terminal_goes_on_below(width):
+    """No word of a table is cut, and each of its parts begins with the names of the rows."""
+    names = [f"column_{i}_of_nine" for i in range(9)]
+    rows = [[method, *(f"{method}_{i}" for i in range(9))] for method in ("damped", "weighted")]
+    narrow = terminal(file=io.StringIO(), width=width, force_terminal=True)
+    say_table(narrow, table_of("method", numbers=names, rows=rows, title="closure"))
+    text = re.sub(r"\x1b\[[0-9;]*m", "", narrow.file.getvalue())
+    assert max(map(len, text.split("\n"))) <= width
+    words = text.split()
+    assert words.count("closure") == 1
+    assert [word for word in words if word in names] == names
+    assert [word for word in words if word.startswith("weighted_")] == rows[1][1:]
+    assert words.count("weighted") == words.count("method") == math.ceil(9 / ((width - 12) // 19))
+
+
+def test_a_column_of_single_words_is_not_cut_before_others_wrap():
+    narrow = terminal(file=io.StringIO(), width=60, force_terminal=True)
+    row = ["extended-differences", "1.0", "27", "front_trunk_roll", "12"]
+    say_table(narrow, table_of("method", numbers=("worst error mm", "off °", "limits", "each"), rows=[row]))
+    assert {*row} <= {*narrow.file.getvalue().split()}

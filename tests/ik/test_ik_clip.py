@@ -169,6 +169,7 @@ def test_all_methods_reach_the_target_and_follow_the_stride(dim, whole_results, 
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
     assert summary["stride"]["how"] == "gait"  # the sample has complete strides
     assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
+    assert summary["base_at"] == ("spine" if dim == 2 else "the beginning of rear_trunk")
     target = np.array(summary["target_m"])
     for name in METHODS:
         row = summary["to_target"][name]
