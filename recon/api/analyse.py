@@ -23,7 +23,7 @@ from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
-from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
+from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride, validity_text
 from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP, Gait, Stride, rejection_text
 from recon.gait.quantities import GaitQuantity
 from recon.gait.stances import interval_of
@@ -193,7 +193,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         yield f"Not counted for similar reasons: {counted(count_more, 'more stride')}."
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."
-        yield "Forces were validated on galloping cheetahs on level ground."
+        yield validity_text("unknown" if gait is None else gait.name.name)
         yield from (sentence(finding, named=False) for finding in findings_of_dynamics(motion, analysis.dynamics))
     elif motion.side is None and gait is not None:
         yield "The skeleton has no masses ([mass]), so centre of mass, energies and forces are not computed."

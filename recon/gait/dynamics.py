@@ -33,6 +33,7 @@ import numpy as np
 
 from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array, Brief, Integers, mean
+from recon.base.numbers import percent
 from recon.check.codes import finding
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
@@ -61,7 +62,9 @@ The two values summarise these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (gr
 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50 (racehorses, 222:jeb204107).
 """
 OTHER_FORE = (0.5, 0.16)
-"""Fraction of the impulse on the fore feet in other gaits, and its standard deviation, both guessed."""
+"""Fraction of the impulse on the fore feet in other gaits and in unknown ones, and its standard deviation, both
+guessed.
+"""
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse, relative to the mean of the left and the right foot."""
 STANCE_SPREAD = 0.2
@@ -69,6 +72,11 @@ STANCE_SPREAD = 0.2
 
 Markers on a dog that walks, trots and gallops give 0.07 to 0.21. The fore and hind feet of galloping racehorses differ
 by 9 to 20 % (J. Exp. Biol. 209:4389).
+"""
+SHORTEST_STANCE = 1.0 - 3.0 * STANCE_SPREAD
+"""Duration of a stance, relative to the clip's median, below which it is an error of detection and has no force.
+
+The stance would have the impulse of a whole stance, and therefore a force that no foot can bear.
 """
 DRAWS = 400
 """Number of random draws from which the intervals of the forces are computed."""
@@ -344,8 +352,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     start, end, start_sigma, end_sigma = np.nan_to_num(stance_rows).T
     starts = start + normal(count) * start_sigma
     ends = end + normal(count) * end_sigma
-    is_gallop = "gallop" in gait.name.name or gait.name.name == "unknown"
-    fore_mean, fore_sigma = GALLOP_FORE if is_gallop else OTHER_FORE
+    fore_mean, fore_sigma = GALLOP_FORE if "gallop" in gait.name.name else OTHER_FORE
     fore = np.clip(fore_mean + fore_sigma * normal(1)[:, 0], 0.1, 0.9)
     factor = np.exp(FOOT * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
@@ -379,7 +386,7 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
     """Return the forces of complete stances, and a dictionary of each foot's force over time, shape (N, 3).
 
     The columns are the expected force and the ends of its 90 % interval, body weights. The force is NaN in stances that
-    the clip cuts.
+    the clip cuts, and in those that are too short to be stances.
     """
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []
@@ -387,8 +394,10 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
     peaks = impulses / (MEAN_OF_PEAK * durations_s)
     peak, impulse = (np.stack([draws[0], *np.quantile(draws[1:], _ENDS, axis=0)]) for draws in (peaks, impulses))
     force = {foot: np.zeros((len(time_s), 3)) for foot in gait.tracks.feet}
+    whole_s = durations_s[0][np.isfinite(durations_s[0])]
+    shortest_s = SHORTEST_STANCE * float(np.median(whole_s)) if len(whole_s) else 0.0
     for i, stance in enumerate(gait.stances):
-        is_whole = stance.begins and stance.ends
+        is_whole = stance.begins and stance.ends and durations_s[0, i] >= shortest_s
         reach = 4 * max(stance.start_sigma_s, stance.end_sigma_s) if is_whole else 0.0
         first, last = stance.start_s - reach, stance.end_s + reach
         nearby = slice(*np.searchsorted(time_s, [first, np.nextafter(last, np.inf)]))
@@ -442,6 +451,19 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
     worst = result.flight_parts[int(np.argmax(deviation))]
     frames = int(motion.frames[worst.first]), int(motion.frames[worst.stop - 1]) + 1
     return (finding("flight_against_gravity", frames, up_m_s2=worst.up_m_s2, sigma_m_s2=worst.sigma_m_s2),)
+
+
+def validity_text(gait_name: str) -> str:
+    """Return for which animals and gaits the forces were validated, and what they assume for another gait."""
+    validated = "Forces were validated on galloping cheetahs on level ground."
+    if "gallop" in gait_name:
+        return validated
+    words = "an unknown gait" if gait_name == "unknown" else f"a {gait_name}"
+    share, sigma = OTHER_FORE
+    return (
+        f"{validated} For {words}, the fore feet are assumed to carry {100 * share:.0f} ± {percent(sigma)} of the "
+        "weight, and forces may be further off than their intervals say."
+    )
 
 
 OVER_STRIDE = {"net_work": "_j_kg", "net_power": "_w_kg", "net_acceleration": "_m_s2", "exchange": ""}

@@ -416,8 +416,8 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     In symmetrical gaits both pairs are at least 0.4 apart. The gait is a walk if the duty factor is over 0.5; otherwise
     a trot or a pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot. In asymmetrical
     gaits both pairs are less than 0.4 apart. The gait is a bound if both pairs land within 0.05, and a half-bound if
-    only the hind pair does. Otherwise it is a gallop: transverse if the same side leads (lands second) in both pairs,
-    else rotary.
+    only the hind pair does. Otherwise it is a gallop, unless the duty factor is over 0.5: transverse if the same side
+    leads (lands second) in both pairs, else rotary.
 
     Parameters
     ----------
@@ -457,8 +457,10 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     if abs(fore) < TOGETHER:
         return "unknown", measured + ": the fore pair lands together, the hind pair does not"
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
-    kind = "transverse" if leads[0] == leads[1] else "rotary"
-    return f"{kind} gallop", f"{measured}; leading: {leads[0]} hind, {leads[1]} fore"
+    measured += f"; leading: {leads[0]} hind, {leads[1]} fore"
+    if duty_factor > 0.5:
+        return "unknown", f"{measured}; but the feet stand for {percent(duty_factor)} of the stride, as in no gallop"
+    return f"{'transverse' if leads[0] == leads[1] else 'rotary'} gallop", measured
 
 
 def _first(lag: float) -> str:

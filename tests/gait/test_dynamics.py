@@ -26,6 +26,7 @@ from recon.gait.dynamics import (
     off_gravity,
     over_stride,
     shape,
+    validity_text,
 )
 from recon.gait.series import Errors
 from recon.gait.stances import Stance
@@ -197,10 +198,42 @@ def test_an_uncertain_stance_lasts_about_as_long_as_the_others(found: ClipAnalys
     # A part of a stance also gets the usual duration. A stance with known ends keeps its own.
     part = replace(known, end_s=known.start_s + quarter_s / 2, start_sigma_s=quarter_s / 6, end_sigma_s=quarter_s / 6)
     longer = first_force(part)
+    assert longer.start_s == part.start_s
     assert longer.peak_bw < 3 * before.peak_bw  # eight times as high if the short duration were used
     sure = replace(known, start_sigma_s=1e-4, end_sigma_s=1e-4)
     taken = first_force(sure)
+    assert taken.start_s == sure.start_s
     assert taken.impulse_bw_s == pytest.approx(taken.peak_bw * MEAN_OF_PEAK * sure.duration_s, rel=0.01)
+
+
+def test_a_detection_much_shorter_than_a_stance_has_no_force(found: ClipAnalysis):
+    """The detection would have the impulse of a whole stance, and several times the force of the other stances."""
+    gait = found.gait
+    assert gait is not None
+    i = next(i for i, stance in enumerate(gait.stances) if stance.begins and stance.ends)
+    known = gait.stances[i]
+    wrong = replace(known, end_s=known.start_s + known.duration_s / 10, start_sigma_s=1e-4, end_sigma_s=1e-4)
+    rows, over_time = _forces(replace(gait, stances=(*gait.stances[:i], wrong, *gait.stances[i + 1 :])))
+    usual_rows, usual_over_time = _forces(gait)
+    assert len(rows) == len(usual_rows) - 1
+    assert all(row.start_s != wrong.start_s for row in rows)
+    assert max(row.peak_bw for row in rows) < 1.2 * max(row.peak_bw for row in usual_rows)
+    inside = (gait.tracks.time_s > wrong.start_s) & (gait.tracks.time_s < wrong.end_s)
+    assert np.isnan(over_time[known.foot][inside]).all()
+    assert np.isfinite(usual_over_time[known.foot][inside]).all()
+
+
+def test_an_unknown_gait_is_not_taken_for_a_gallop(found: ClipAnalysis):
+    gait = found.gait
+    assert gait is not None
+    rows = {
+        name: _forces(replace(gait, name=replace(gait.name, name=name)))[0]
+        for name in ("rotary gallop", "walk", "unknown")
+    }
+    assert rows["unknown"] == rows["walk"] != rows["rotary gallop"]
+    assert "unknown gait" in validity_text("unknown")
+    assert "a walk" in validity_text("walk")
+    assert "assumed" not in validity_text("rotary gallop")
 
 
 def test_the_force_begins_and_ends_at_zero_and_peaks_early():

@@ -29,6 +29,7 @@ from recon.check.verdict import reason_in_list, verdict_lines
 from recon.fit.motion import Motion
 from recon.fit.result import LEVELS
 from recon.gait.clip import ClipAnalysis
+from recon.gait.dynamics import validity_text
 from recon.gait.kinematics import JointKinematics
 from recon.gait.spline import MIN_POINTS
 from recon.io.video import Image
@@ -264,7 +265,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         if dynamics is not None and dynamics.stance_forces:
             text = (
                 "Force of each foot in body weights, estimated from its stances and the impulse of a stride on level "
-                f"ground. Source of the segments' masses: {motion.body.mass_source}. Validated on galloping cheetahs."
+                f"ground. Source of the segments' masses: {motion.body.mass_source}. {validity_text(gait.name.name)}"
             )
             yield _group("Vertical forces", text, [forces(dynamics, gait)])
 
