@@ -7,19 +7,19 @@ the statistic of correct clips does not reach it. Correct clips are all views of
 $RECON_SHARED_DATA, or of ../shared/data, each alone; parts of its dog-mocap as in `standing.py`; and the rendered film
 of data/samples. Wrong clips are every n-th view with a case of `wrong_inputs.py`. The statistics are:
 
-- long steps: the fraction of the steps between frames that exceed `LONG` times the steps around them
-- long steps by themselves: the fraction of the long steps that exceed `ALONE` times both their neighbours, for clips
-  with more long steps than `SHARE_LONG`
+- long steps: the fraction of the steps between frames that exceed `LONG_STEP_RATIO` times the steps around them
+- long steps by themselves: the fraction of the long steps that exceed `ISOLATED_STEP_RATIO` times both their
+  neighbours, for clips with more long steps than `LONG_STEP_FRACTION`
 - feet below trunk: `feet_below_trunk`, which does not depend on a fit
-- zoom: the logarithm of the fitted zoom per second, up to `LARGEST` times `ZOOM`
+- zoom: the logarithm of the fitted zoom per second, up to `MAX_ZOOM_FACTOR` times `ZOOM_PER_S`
 - feet backwards: the backward speed of standing feet, relative to the speed of the body over the feet, for clips in
   which the body moves faster over its feet than `SLIDE_LEGS_S`
 - feet, m/s: the speed of standing feet along the trunk
 - body over feet: the speed of the body over the feet, leg lengths per second, for clips whose feet move backwards by
-  more than `SLIDE_SHARE`
+  more than `SLIDE_RATIO`
 - feet on the ground: the speed of the lowest feet, relative to the speed of standing feet, for clips whose feet
   seem to slide
-- jolts: the terms of the fit's cost, named in `JOLTS`, that a jolt of the body's path raises
+- jolts: the terms of the fit's cost, named in `MAX_PATH_COSTS`, that a jolt of the body's path raises
 """
 
 from __future__ import annotations
@@ -77,15 +77,15 @@ FITTED = {**MOVING, **{name: CASES[name] for name in ("zooms x 1.5", "stabiliser
 _RIGHT = (UNTOUCHED, DOGS, FILM)
 _SLIDING = (*_RIGHT, *MOVING)
 STATISTICS = {
-    "long steps": (f"{inputs.SHARE_LONG}", (UNTOUCHED, DOGS, *STEPS)),
-    "long steps by themselves": (f"{inputs.SHARE_ALONE}", (UNTOUCHED, DOGS, *STEPS)),
-    "feet below trunk": (f"{likelihood.UPRIGHT}", (UNTOUCHED, DOGS, *TURNED)),
-    "zoom": (f"±{likelihood.ZOOM}", (*_RIGHT, "zooms x 1.5")),
-    "feet backwards": (f"{inputs.SLIDE_SHARE}", _SLIDING),
+    "long steps": (f"{inputs.LONG_STEP_FRACTION}", (UNTOUCHED, DOGS, *STEPS)),
+    "long steps by themselves": (f"{inputs.ISOLATED_STEP_FRACTION}", (UNTOUCHED, DOGS, *STEPS)),
+    "feet below trunk": (f"{likelihood.UPRIGHT_RATIO}", (UNTOUCHED, DOGS, *TURNED)),
+    "zoom": (f"±{likelihood.ZOOM_PER_S}", (*_RIGHT, "zooms x 1.5")),
+    "feet backwards": (f"{inputs.SLIDE_RATIO}", _SLIDING),
     "feet, m/s": (f"{inputs.SLIDE_M_S} to {inputs.GLIDE_M_S}", _SLIDING),
     "body over feet": (f"{inputs.SLIDE_LEGS_S}", _SLIDING),
     "feet on the ground": ("0.5", _SLIDING),
-    **{f"jolts, {name}": (f"{limit}", (*_RIGHT, *FITTED)) for name, limit in inputs.JOLTS.items()},
+    **{f"jolts, {name}": (f"{limit}", (*_RIGHT, *FITTED)) for name, limit in inputs.MAX_PATH_COSTS.items()},
 }
 """Limit of each statistic as text, and the cases for which the statistic is shown."""
 
@@ -111,7 +111,7 @@ def statistics_of_keypoints(settings: FitSettings) -> Statistics:
     if ratios is not None:
         is_long, _, is_alone = inputs.long_steps(ratios)
         found["long steps"] = float(is_long.mean())
-        if found["long steps"] > inputs.SHARE_LONG:
+        if found["long steps"] > inputs.LONG_STEP_FRACTION:
             found["long steps by themselves"] = float(is_alone.sum() / is_long.sum())
     return found
 
@@ -140,7 +140,7 @@ def statistics_of_motion(motion: Motion, prior: MotionPrior, options: Trajectory
     legs_s, share = speeds.over_feet_m_s / speeds.leg_m, -speeds.slowest_m_s / speeds.over_feet_m_s
     if legs_s > inputs.SLIDE_LEGS_S:
         found["feet backwards"] = share
-    if share > inputs.SLIDE_SHARE:
+    if share > inputs.SLIDE_RATIO:
         found["body over feet"] = legs_s
     if inputs.seem_to_slide(speeds):
         found["feet on the ground"] = inputs.on_ground_m_s(motion) / speeds.slowest_m_s

@@ -60,7 +60,7 @@ FALSE = 0.02
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
-"""Values of `recon.check.likelihood.MARGIN` to try."""
+"""Values of `recon.check.likelihood.REPORTED_GAIN` to try."""
 WORSE = 1.02
 """Largest tolerable factor by which a correction increases the error of a clip."""
 SPARE = 1.2
@@ -347,11 +347,11 @@ def print_by_run(table: pd.DataFrame) -> None:
 @contextmanager
 def least_margin() -> Iterator[None]:
     """Report all swaps that exceed the smallest of `MARGINS`, within a `with` block."""
-    given, likelihood.MARGIN = likelihood.MARGIN, MARGINS[0]
+    given, likelihood.REPORTED_GAIN = likelihood.REPORTED_GAIN, MARGINS[0]
     try:
         yield
     finally:
-        likelihood.MARGIN = given
+        likelihood.REPORTED_GAIN = given
 
 
 def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:

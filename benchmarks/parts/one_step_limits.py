@@ -65,7 +65,7 @@ ROWS = (
 LIMIT_TEXTS = {
     "stretch": f"{LIMITS[0]} to {LIMITS[1]}",
     "halves": f"{halves.LIMITS[0]} to {halves.LIMITS[1]}",
-    "focal length": f"-{focal_check.POSSIBLE} to {focal_check.POSSIBLE}",
+    "focal length": f"-{focal_check.POSSIBLE_SIGMAS} to {focal_check.POSSIBLE_SIGMAS}",
     "drift": f"0 to {DRIFT_SIGMAS}",
 }
 

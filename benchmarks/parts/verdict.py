@@ -154,7 +154,7 @@ def fit(table: pd.DataFrame) -> dict[str, float]:
 
 
 def spreads(table: pd.DataFrame) -> list[float]:
-    """Fit the spread of the residuals, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
+    """Fit the residuals' `verdict.LOG_ERROR_SIGMA` and `verdict.SPREAD_UNSEEN` by least squares of their variance."""
     squares = np.log((table["pose_mm"] / table["expected mm"]).to_numpy(float)) ** 2
     known = np.stack([np.ones(len(table)), table["unseen"].to_numpy() ** 2], axis=1)
     return [float(np.sqrt(max(of, 0.0))) for of in np.linalg.lstsq(known, squares, rcond=None)[0]]

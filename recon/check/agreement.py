@@ -56,7 +56,7 @@ The factor is smaller than `MAX_NOISE_FACTOR`, because no third camera shows tha
 of 68 real pairs of cameras are up to 1.5. A rotation of one of two cameras raises the error ratio only if it turns the
 rays out of the planes through both cameras.
 """
-EXPLAINED = 0.25
+MAX_REMAINING_FRACTION = 0.25
 """Fraction of a camera's error ratio that may remain, at most, after correcting a cause that explains the error."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
 """Minimum rotation for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
@@ -66,7 +66,7 @@ CLEAR_GAIN = 1.5
 """Minimum factor by which a rotation or a time offset must reduce the error ratio of a camera that agrees."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
 """Largest rotation of a camera that is reported as a cause. A larger rotation is more likely another fault."""
-FRAMES = 480
+MAX_FRAMES = 480
 """Maximum number of frames in which cameras are compared.
 
 In a longer clip, the stretch of frames with the most detections in common is used.
@@ -106,7 +106,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     if len(views) < 2:
         return ()
     seen_together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
-    rows, fps = densest_window(seen_together, FRAMES), motion.fps
+    rows, fps = densest_window(seen_together, MAX_FRAMES), motion.fps
     views = [view.part(rows) for view in views]
     frames = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
     names = [view.camera.name for view in views]
@@ -236,7 +236,7 @@ def _are_within(ratios: Array, limit: float) -> bool:
 
 
 def _is_explained(ratio: float, previous: float, limit: float) -> bool:
-    return ratio <= max(limit, EXPLAINED * previous)
+    return ratio <= max(limit, MAX_REMAINING_FRACTION * previous)
 
 
 def _exchanged_pair(ratios: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:

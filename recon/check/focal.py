@@ -24,34 +24,34 @@ from recon.fit.least_squares import Estimate
 from recon.fit.result import Finding
 from recon.geometry.kinematics import ROOT
 
-SHORTER = (-0.4, -0.6)
+SHORTER_LOG_FACTORS = (-0.4, -0.6)
 """Logarithms of the two factors below 1 by which the focal length is multiplied in the test.
 
 The second factor is tried if the first one fits better than the given focal length, or if the estimate's deviation
-exceeds `POSSIBLE`. Even shorter lenses would bring the animal closer than any camera stands.
+exceeds `POSSIBLE_SIGMAS`. Even shorter lenses would bring the animal closer than any camera stands.
 """
-LONGER = (0.2, 0.4)
-"""Logarithms of the two factors above 1 by which the focal length is multiplied, tried in the same way as `SHORTER`."""
-USUAL = -0.12
+LONGER_LOG_FACTORS = (0.2, 0.4)
+"""Logarithms of the two factors above 1 by which the focal length is multiplied, tried as `SHORTER_LOG_FACTORS` are."""
+MEAN_LOG_FACTOR = -0.12
 """Mean over correct views of the logarithm of the estimated factor on the focal length."""
-SPREAD = 0.15
+LOG_FACTOR_SIGMA = 0.15
 """Standard deviation over correct views of the logarithm of the estimated factor, without errors of the detections."""
-POSSIBLE = 0.65
+POSSIBLE_SIGMAS = 0.65
 """Deviation of the estimate, in standard deviations, beyond which another focal length is reported as possible.
 
 With the limit chosen on other runs, it is exceeded in 6 of 28 correct views, in 15 of 23 views with 1.5 times the focal
 length, in 18 of 25 views with 0.7 times, and in 15 of 26 letterboxed views (`benchmarks/parts/one_step_limits.py
 --views 1`).
 """
-LIKELY = 1.6
+LIKELY_SIGMAS = 1.6
 """Deviation of the estimate, in standard deviations, beyond which another focal length is reported as likely.
 
 The deviation is -1.2 to 0.9 in correct views, -2.2 to 0.2 in views with 1.5 times the focal length, and -1.4 to 2.2
 with 0.7 times. It reaches 1.5 in some correct clips that are short or in which the animal is partly hidden.
 """
-SEEN = 0.25
+MIN_FOOT_FRACTION = 0.25
 """Minimum fraction of the frames in which each foot is detected, because the size is uncertain without legs."""
-BEYOND = 0.2
+MAX_LOG_EXTRAPOLATION = 0.2
 """Maximum distance of the logarithm of the estimate beyond the range of logarithms that were tried."""
 INSIDE_90 = 0.5 * NORMAL_90**2
 """Difference from the smallest cost at which a focal length is at the end of its 90 % interval."""
@@ -77,7 +77,7 @@ class FocalTest:
     @property
     def deviation(self) -> float:
         """Return the deviation from the usual estimate, in standard deviations; negative for a shorter lens."""
-        return (self.log_factor - USUAL) / math.hypot(SPREAD, self.sigma)
+        return (self.log_factor - MEAN_LOG_FACTOR) / math.hypot(LOG_FACTOR_SIGMA, self.sigma)
 
 
 def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
@@ -87,14 +87,14 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
     each detection, pixels, shape (T, J).
     """
     test = focal_test(baseline, noise_px)
-    if test is None or abs(test.deviation) <= POSSIBLE:
+    if test is None or abs(test.deviation) <= POSSIBLE_SIGMAS:
         return None
     stated_sigma = baseline.clip.options.focal_sigma or 0.0
     if abs(test.log_factor) < NORMAL_90 * stated_sigma:  # the intervals already contain this error
         return None
-    factor = math.exp(test.log_factor - USUAL)
+    factor = math.exp(test.log_factor - MEAN_LOG_FACTOR)
     item = finding("focal_length", None, None, factor=factor, sigmas=abs(test.deviation), **test.effects_m)
-    return replace(item, severity="note") if abs(test.deviation) <= LIKELY else item
+    return replace(item, severity="note") if abs(test.deviation) <= LIKELY_SIGMAS else item
 
 
 def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
@@ -107,17 +107,17 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
     clip, states = baseline.clip.part(rows), baseline.states[rows]
     if not baseline.view.is_still or len(states) < 3 or not np.isfinite(states).all():
         return None
-    if (clip.views[0].present[:, clip.feet].mean(axis=0) < SEEN).any():
+    if (clip.views[0].present[:, clip.feet].mean(axis=0) < MIN_FOOT_FRACTION).any():
         return None
     refits = {0.0: _scene_refit(clip, baseline.settled(rows, noise_px))}
-    for nearer, farther in (SHORTER, LONGER):
+    for nearer, farther in (SHORTER_LOG_FACTORS, LONGER_LOG_FACTORS):
         refits[nearer] = _refit(clip, states, noise_px[None, rows], nearer)
         if refits[nearer].cost < refits[0.0].cost:
             refits[farther] = _refit(clip, states, noise_px[None, rows], farther)
     log_factor, sigma = _lowest({tried: refit.cost for tried, refit in refits.items()})
     test = FocalTest(log_factor, sigma, {})
-    nearer, farther = SHORTER if log_factor < USUAL else LONGER
-    if farther not in refits and abs(test.deviation) > POSSIBLE:
+    nearer, farther = SHORTER_LOG_FACTORS if log_factor < MEAN_LOG_FACTOR else LONGER_LOG_FACTORS
+    if farther not in refits and abs(test.deviation) > POSSIBLE_SIGMAS:
         refits[farther] = _refit(clip, states, noise_px[None, rows], farther)
     highest = min(refit.cost for refit in refits.values()) + INSIDE_90
     end = farther if farther in refits and refits[farther].cost < highest else nearer
@@ -175,4 +175,5 @@ def _lowest(costs: Mapping[float, float]) -> tuple[float, float]:
     bend, slope, _ = np.polyfit(x, [costs[value] for value in x], 2)
     if bend <= 0:
         return least, _UNKNOWN_SIGMA
-    return float(np.clip(-0.5 * slope / bend, values[0] - BEYOND, values[-1] + BEYOND)), float((2 * bend) ** -0.5)
+    lowest, highest = values[0] - MAX_LOG_EXTRAPOLATION, values[-1] + MAX_LOG_EXTRAPOLATION
+    return float(np.clip(-0.5 * slope / bend, lowest, highest)), float((2 * bend) ** -0.5)

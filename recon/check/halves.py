@@ -22,9 +22,9 @@ tenth of a second behind (`python benchmarks/wrong_inputs.py --only limits`, fiv
 """
 LEAST_FRAMES = 3
 """Minimum number of frames in a segment of the clip whose halves are compared."""
-DISAGREES = 3.0
+DISAGREES_SIGMAS = 3.0
 """Distance of a detection from its marker, in standard deviations, beyond which it disagrees with the pose."""
-TIMES = 2.0
+WORSE_HALF_RATIO = 2.0
 """Ratio of the fractions of disagreeing detections in the two halves, above which only the worse half is reported.
 
 The ratio is 3 to 8 if the hind half belongs to another animal, and 1.7 to 3 if the fore half does (three views each).
@@ -74,9 +74,9 @@ def foreign_half(clip: ClipProblem, solution: TrajectorySolution) -> str:
         distances = np.linalg.norm(projected_px - view.xy_px, axis=-1) / solution.noise_px[0]
     is_known = view.present & np.isfinite(distances)
     hind, fore = (
-        float((distances[:, half][is_known[:, half]] > DISAGREES).mean()) if is_known[:, half].any() else 0.0
+        float((distances[:, half][is_known[:, half]] > DISAGREES_SIGMAS).mean()) if is_known[:, half].any() else 0.0
         for half in (is_hind, ~is_hind)
     )
-    if max(hind, fore) < TIMES * min(hind, fore) or hind == fore:
+    if max(hind, fore) < WORSE_HALF_RATIO * min(hind, fore) or hind == fore:
         return "fore or hind half"
     return "hind half" if hind > fore else "fore half"

@@ -23,7 +23,7 @@ from recon.check.codes import FLAG_OF, SPEEDS, by_effect, finding
 from recon.check.focal import focal_finding
 from recon.check.halves import halves_finding
 from recon.check.likelihood import (
-    CLEAR,
+    EXAMINED_GAIN,
     Baseline,
     baseline_of,
     common_picture_finding,
@@ -56,7 +56,7 @@ MOSTLY_POOR = 0.9
 
 The motion then follows from the prior, and would confirm any frame rate.
 """
-MOVES = ("animal_still", "no_strides", "time_reversed", "treadmill", "camera_moves")
+MOTION_CODES = ("animal_still", "no_strides", "time_reversed", "treadmill", "camera_moves")
 """Codes of findings on the motion of the whole animal, with which left and right cannot be tested."""
 
 
@@ -107,7 +107,7 @@ def input_findings(
     copied = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
     has_copies = _has_error(copied)
     moves = [] if has_copies else [*movement(motion)]
-    is_explained = has_copies or any(item.code in MOVES for item in moves)
+    is_explained = has_copies or any(item.code in MOTION_CODES for item in moves)
     exchanged: list[Finding] = []
     drifting: list[Finding] = []
     elsewhere: list[Finding] = []
@@ -261,18 +261,18 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
 
 # Copied coordinates
 
-SHARE = 0.2
+IDENTICAL_FRACTION = 0.2
 """Fraction of identical points above which they are not chance; labels in whole pixels have some by chance."""
-FRAMES = 0.05
+MAX_REPEATED_FRACTION = 0.05
 """Fraction of repeated frames above which they are reported, because cameras sometimes repeat a few frames."""
-FEWEST = 4
+MIN_COUNT = 4
 """Minimum number of identical keypoints in a frame that counts as a copy, because fewer may be equal by chance."""
-STRAIGHT_PX = 0.01
+MAX_BEND_PX = 0.01
 """Largest second difference of the positions of linearly interpolated points, pixels.
 
 The same limit is used for the fourth differences of points that lie on a cubic.
 """
-STRAIGHT = 0.02
+MAX_BEND_STEPS = 0.02
 """Largest second difference of the positions of linearly interpolated points, relative to the step between frames."""
 _CUBIC_FRAMES = 5
 """Number of successive frames in a fourth difference, which is 0 for points on a cubic."""
@@ -281,7 +281,7 @@ CURVED_PX = 0.1
 
 Points on a straight line also lie on a cubic, but need not have been interpolated.
 """
-LONG = 1.45
+LONG_STEP_RATIO = 1.45
 """Length of a step between frames, relative to the steps around it, above which the step is long.
 
 A step across one missing frame is 2 times as long as the steps around it, so the limit is about the geometric mean of 1
@@ -291,31 +291,31 @@ In 32 real views, at most 0.12 of the steps are long, also with half of the poin
 that comes into the picture. The fraction is 0.06 to 0.29 (median 0.19) if a quarter of the frames is left out (`python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
-SHORT = 0.5
+SHORT_STEP_RATIO = 0.5
 """Length of a step between frames, relative to the steps around it, below which the step is short."""
-SHARE_LONG = 0.13
+LONG_STEP_FRACTION = 0.13
 """Fraction of long steps above which frames are missing, provided that less than half as many steps are short.
 
-The value is just above the fractions in correct views (see `LONG`). At half the value, correct views with half of their
-points missing would be reported (up to 0.12); at twice the value, most clips without a quarter of their frames would
-not be (median 0.19).
+The value is just above the fractions in correct views (see `LONG_STEP_RATIO`). At half the value, correct views with
+half of their points missing would be reported (up to 0.12); at twice the value, most clips without a quarter of their
+frames would not be (median 0.19).
 """
-ALONE = 1.3
+ISOLATED_STEP_RATIO = 1.3
 """Minimum ratio of a long step to each of its two neighbours, if the step is long because a frame is missing.
 
 A step across a missing frame is 2 times as long as its neighbours. Swinging legs, seen alone or by a camera that
 follows them, are fast for several frames, so the ratio is near 1. At half the value, nearly every long step would
 count, and at twice the value no step across a single missing frame.
 """
-SHARE_ALONE = 0.4
-"""Minimum fraction of the long steps whose ratio to both neighbours exceeds `ALONE`, if frames are missing.
+ISOLATED_STEP_FRACTION = 0.4
+"""Minimum fraction of the long steps whose ratio to both neighbours exceeds the limit, if frames are missing.
 
 The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames. At half the value, all of
 them would be reported, and at twice the value only those above 0.8. The fraction is 0.67 in 2 of 28 views of lower legs
 alone, seen by a camera that follows them: this limit does not exclude them (`python benchmarks/wrong_inputs.py --only
 input-limits`).
 """
-AROUND = 7
+MEDIAN_STEPS = 7
 """Number of successive steps of a keypoint over which the median gives the usual step."""
 LEAST_STEP_PX = 5.0
 """Minimum length of the usual step, pixels, with which a step is compared."""
@@ -352,7 +352,7 @@ def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
 
 def _exceeds_chance(identical: Bools, is_seen: Bools) -> bool:
     """Return whether more of the detected points are identical than chance explains."""
-    return bool(identical.sum() > SHARE * is_seen.sum() and identical.sum() >= FEWEST)
+    return bool(identical.sum() > IDENTICAL_FRACTION * is_seen.sum() and identical.sum() >= MIN_COUNT)
 
 
 def repeats_of(values: Array) -> Bools:
@@ -362,13 +362,13 @@ def repeats_of(values: Array) -> Bools:
     """
     identical, in_both = _identical(values[1:], values[:-1])
     count = identical.sum(axis=1)
-    return np.append(False, (count >= FEWEST) & (2 * count > in_both.sum(axis=1)))
+    return np.append(False, (count >= MIN_COUNT) & (2 * count > in_both.sum(axis=1)))
 
 
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     """Yield a finding if every frame is repeated, as in a video with a doubled frame rate, or if some frames are."""
     repeats = repeats_of(keypoints.xy_px)
-    if repeats.sum() <= FRAMES * len(repeats):
+    if repeats.sum() <= MAX_REPEATED_FRACTION * len(repeats):
         return
     new_frames = np.flatnonzero(~repeats)
     times = int(np.median(np.diff(new_frames))) if len(new_frames) > 2 else 1
@@ -388,14 +388,14 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
     bend = np.linalg.norm(xy_px[2:] - 2 * xy_px[1:-1] + xy_px[:-2], axis=-1)
     travel = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
     is_moving = travel > 0
-    is_straight = is_moving & (bend < np.minimum(STRAIGHT_PX, STRAIGHT * travel))
+    is_straight = is_moving & (bend < np.minimum(MAX_BEND_PX, MAX_BEND_STEPS * travel))
     if _exceeds_chance(is_straight, is_moving):
         share = float(is_straight.sum() / is_moving.sum())
         return [finding("detections_interpolated", camera=camera, share=share)]
     is_curved, is_cubic = bend[1:-1] > CURVED_PX, np.zeros_like(is_moving[1:-1])
     if len(xy_px) > _CUBIC_FRAMES:
         fourth_px = np.linalg.norm(np.diff(xy_px, 4, axis=0), axis=-1)
-        is_cubic = is_curved & (fourth_px < np.minimum(STRAIGHT_PX, STRAIGHT * travel[1:-1]))
+        is_cubic = is_curved & (fourth_px < np.minimum(MAX_BEND_PX, MAX_BEND_STEPS * travel[1:-1]))
     if not _exceeds_chance(is_cubic, is_curved):
         return []
     return [finding("detections_curved", camera=camera, share=float(is_cubic.sum() / is_curved.sum()))]
@@ -412,11 +412,11 @@ def step_ratios(tracks: Array) -> Array | None:
     times = np.full(steps.shape[:2], np.nan)
     for j in range(steps.shape[1]):
         known_frames = np.flatnonzero(np.isfinite(steps[:, j, 0]))
-        usual_px = running_median(steps[known_frames, j], AROUND)
+        usual_px = running_median(steps[known_frames, j], MEDIAN_STEPS)
         length_px = np.linalg.norm(usual_px, axis=1)
         projected = np.sum(steps[known_frames, j] * usual_px, axis=1) / np.maximum(length_px, 1e-9) ** 2
         times[known_frames, j] = np.where(length_px > LEAST_STEP_PX, projected, np.nan)
-    times = times[np.isfinite(times).sum(axis=1) >= FEWEST]
+    times = times[np.isfinite(times).sum(axis=1) >= MIN_COUNT]
     return np.nanmedian(times, axis=1) if len(times) >= LEAST_STEPS else None
 
 
@@ -424,9 +424,9 @@ def steps_are_missing(ratios: Array) -> bool:
     """Return whether so many steps are about twice as long as the steps around them that frames must be missing."""
     is_long, is_short, is_alone = long_steps(ratios)
     return bool(
-        is_long.mean() > SHARE_LONG
+        is_long.mean() > LONG_STEP_FRACTION
         and is_long.sum() > 2 * is_short.sum()
-        and is_alone.sum() > SHARE_ALONE * is_long.sum()
+        and is_alone.sum() > ISOLATED_STEP_FRACTION * is_long.sum()
     )
 
 
@@ -435,16 +435,16 @@ def long_steps(ratios: Array) -> tuple[Bools, Bools, Bools]:
 
     The third mask does not contain the first and the last step.
     """
-    is_long = ratios > LONG
-    is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
-    return is_long, ratios < SHORT, is_alone
+    is_long = ratios > LONG_STEP_RATIO
+    is_alone = is_long[1:-1] & (ratios[1:-1] > ISOLATED_STEP_RATIO * np.maximum(ratios[:-2], ratios[2:]))
+    return is_long, ratios < SHORT_STEP_RATIO, is_alone
 
 
 def _dropped_frames(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     """Yield a finding on steps between frames that are twice as long as the steps around them."""
     ratios = step_ratios(keypoints.xy_px)
     if ratios is not None and steps_are_missing(ratios):
-        yield finding("frames_dropped", camera=camera, share=float((ratios > LONG).mean()))
+        yield finding("frames_dropped", camera=camera, share=float((ratios > LONG_STEP_RATIO).mean()))
 
 
 def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
@@ -459,7 +459,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 LEAST_S = 0.25
 """Minimum duration of a motion that is tested, seconds."""
-STILL = 0.95
+STILL_FRACTION = 0.95
 """Fraction of the frames in which the speed must be below `STILL_M_S` for an animal that stands still."""
 STILL_M_S = 0.3
 """Largest speed of an animal that stands still, m/s, but at most one trunk length per second."""
@@ -469,23 +469,23 @@ STILL_TRUNKS = 0.5
 """Largest extent of the path of an animal that stands still, in trunk lengths."""
 BACKWARDS_M_S = 1.0
 """Speed above which no animal runs backwards."""
-BACKWARDS = 0.9
+BACKWARDS_FRACTION = 0.9
 """Fraction of frames with a backward speed of more than `BACKWARDS_M_S`, above which the clip is reversed in time."""
-SLOWEST = 0.1
+STANDING_QUANTILE = 0.1
 """Quantile of the speeds of all feet in all frames that is taken as the speed of standing feet."""
-LOWEST = 0.2
+LOWEST_FRACTION = 0.2
 """Fraction of the frames, those in which a foot is lowest, in which the foot counts as on the ground.
 
 On a belt, or if the camera follows or pans, feet move in these frames at 0.55 to 1.22 times `FeetSpeeds.slowest_m_s`
 (42 clips of cheetahs). If a dog stands, steps or turns on the spot, the factor is -0.13 to 0.27 (11 clips; `python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
-SLIDE_SHARE = 0.25
+SLIDE_RATIO = 0.25
 """Backward speed of standing feet, relative to the body's speed over the feet, above which they slide.
 
 The relative speed is at most 0.08 in 32 real views of cheetahs, and 0.11 to 0.92 (median 0.85) on a treadmill, where
 the smallest value is from a view along the animal's path. Dogs on the spot reach 1.1, but the feet that are lowest then
-stand still (`LOWEST`). At half the value, no correct view of a cheetah would be reported either (`python
+stand still (`LOWEST_FRACTION`). At half the value, no correct view of a cheetah would be reported either (`python
 benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_LEGS_S = 0.5
@@ -495,7 +495,7 @@ The limit excludes animals that hardly move. It is low, because animals may walk
 or more on a treadmill or if the camera pans, and 1.2 to 2.3 if a dog steps or turns on the spot, so half or twice the
 limit would change none of these clips (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
-STAYS_SHARE = 0.3
+TREADMILL_RATIO = 0.3
 """Speed of the body, relative to its speed over the feet, below which the body stays in place, as on a treadmill."""
 SLIDE_M_S = -2.5
 """Velocity of standing feet along the trunk below which they slide backwards.
@@ -509,7 +509,7 @@ GLIDE_M_S = 8.0
 The highest velocity is 3.9 m/s in 32 real views of running cheetahs, and 8.7 m/s if the camera pans against the
 animal's motion (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
-JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
+MAX_PATH_COSTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Terms of the fit's cost, per 1/90 s, above which the body's path is implausible for an animal.
 
 The unit is half a squared standard deviation. The costs are up to 0.53, 0.22 and 0.76 in 32 real views, and 0.69, 0.02
@@ -535,28 +535,32 @@ def movement(motion: Motion) -> Iterator[Finding]:
     sliding = None if speeds is None else _sliding(motion, speeds)
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
-    elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
+    elif (
+        is_staying
+        and np.nanquantile(speed, STILL_FRACTION) < min(STILL_M_S, trunk_m)
+        and np.nanmedian(turns) < STILL_RAD_S
+    ):
         # A motion that was fitted without a prior is not affected by an animal that stands still.
         yield finding("no_strides" if solution.prior == NONE else "animal_still", speed_m_s=float(np.nanmedian(speed)))
-    elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
+    elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS_FRACTION:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif sliding is not None:
         yield sliding
     else:
         costs = jolt_costs(motion)
-        worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
-        if costs[worst] > JOLTS[worst]:
+        worst = max(MAX_PATH_COSTS, key=lambda name: costs[name] / MAX_PATH_COSTS[name])
+        if costs[worst] > MAX_PATH_COSTS[worst]:
             jolts = finding("path_jolts", of=worst, cost=costs[worst])
             # The limits hold for running cheetahs, but other animals may turn on the spot or sidestep.
             yield replace(jolts, severity="note") if solution.prior == NONE else jolts
 
 
 def jolt_costs(motion: Motion) -> dict[str, float]:
-    """Return a dictionary of the costs of the body's path per 1/90 s, with the same keys as `JOLTS`."""
+    """Return a dictionary of the costs of the body's path per 1/90 s, with the same keys as `MAX_PATH_COSTS`."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     frames = REFERENCE_HZ * float(motion.solved.sum()) / motion.fps
-    return {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
+    return {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in MAX_PATH_COSTS}
 
 
 @dataclass(frozen=True)
@@ -565,7 +569,7 @@ class FeetSpeeds:
 
     body_m_s: float
     slowest_m_s: float
-    """Quantile `SLOWEST` of the feet's velocities over all frames; about 0 if standing feet do not move."""
+    """Quantile `STANDING_QUANTILE` of the feet's velocities over all frames; about 0 if standing feet do not move."""
     slide_m_s: float
     """Median velocity of the standing feet over the ground."""
     leg_m: float
@@ -586,8 +590,8 @@ def feet_speeds(motion: Motion) -> FeetSpeeds | None:
     leg_m = joints_m[:, trunk_ends, 2].mean(axis=1) - joints_m[:, list(motion.feet), 2].min(axis=1)
     return FeetSpeeds(
         body_m_s=float(np.nanmedian(forward)),
-        slowest_m_s=float(np.nanquantile(feet, SLOWEST)),
-        slide_m_s=float(np.nanquantile(feet, SLOWEST / 2)),
+        slowest_m_s=float(np.nanquantile(feet, STANDING_QUANTILE)),
+        slide_m_s=float(np.nanquantile(feet, STANDING_QUANTILE / 2)),
         leg_m=float(np.nanmedian(leg_m)),
     )
 
@@ -596,13 +600,13 @@ def on_ground_m_s(motion: Motion) -> float:
     """Return the median velocity of the feet along the trunk in the frames in which they are lowest, m/s."""
     _, feet = _along(motion)
     heights_m = motion.solution.joints_m[:, list(motion.feet), 2]
-    return float(np.nanmedian(feet[heights_m <= np.nanquantile(heights_m, LOWEST, axis=0)]))
+    return float(np.nanmedian(feet[heights_m <= np.nanquantile(heights_m, LOWEST_FRACTION, axis=0)]))
 
 
 def seem_to_slide(speeds: FeetSpeeds) -> bool:
     """Return whether standing feet seem to slide, given their velocity relative to the body and over the ground."""
     over_feet_m_s = speeds.over_feet_m_s
-    is_relative = -speeds.slowest_m_s > SLIDE_SHARE * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * speeds.leg_m
+    is_relative = -speeds.slowest_m_s > SLIDE_RATIO * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * speeds.leg_m
     return is_relative or not SLIDE_M_S < speeds.slowest_m_s < GLIDE_M_S
 
 
@@ -612,7 +616,7 @@ def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
         return None
     if abs(on_ground_m_s(motion)) < 0.5 * abs(speeds.slowest_m_s):
         return None  # the lowest feet stand still, and only the other feet move
-    if speeds.slowest_m_s < 0 and abs(speeds.body_m_s) < STAYS_SHARE * speeds.over_feet_m_s:
+    if speeds.slowest_m_s < 0 and abs(speeds.body_m_s) < TREADMILL_RATIO * speeds.over_feet_m_s:
         return finding("treadmill", slide_m_s=-speeds.slide_m_s, speed_m_s=speeds.body_m_s)
     return finding("camera_moves", slide_m_s=speeds.slowest_m_s, speed_m_s=speeds.body_m_s)
 
@@ -633,9 +637,9 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 
 # Gross outliers
 
-GROSS = "in frames whose detections are gross outliers"
+GROSS_REASON = "in frames whose detections are gross outliers"
 """Reason, in words, for which the detections of gross outlier frames were left out."""
-MOST = 0.5
+MAX_OUTLIER_FRACTION = 0.5
 """Fraction of frames above which they do not count as outliers, because the fit or another input is then wrong."""
 
 
@@ -661,10 +665,10 @@ def without_gross_outliers(
     kept, findings = [], []
     for source, view, noise_px in zip(sources, solution.views, solution.noise_px, strict=True):
         ratios = outlier_ratios(view, solution.markers_m, noise_px)
-        rows: Bools = ratios > CLEAR
-        rows &= rows.sum() <= MOST * view.present.any(axis=1).sum()
+        rows: Bools = ratios > EXAMINED_GAIN
+        rows &= rows.sum() <= MAX_OUTLIER_FRACTION * view.present.any(axis=1).sum()
         points, numbers = source.keypoints.present & rows[:, None], source.keypoints.frames
-        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, GROSS, source.later_frames)
+        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, GROSS_REASON, source.later_frames)
         kept.append(replace(source, keypoints=keypoints, cleaning=cleaning))
         for first, stop in frame_ranges(np.flatnonzero(rows)):
             frames, ratio = (int(numbers[first]), int(numbers[stop - 1]) + 1), float(ratios[first:stop].sum())

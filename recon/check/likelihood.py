@@ -40,38 +40,38 @@ _TOLERANCE = 3e-3
 """Relative decrease of the cost in an iteration at which a fit in this module ends."""
 _ITERATIONS = 12
 """Maximum number of iterations of a fit in this module."""
-CLEAR = float(np.log(1000.0))
+EXAMINED_GAIN = float(np.log(1000.0))
 """Log-likelihood gain above which a hypothesis is examined further."""
-MARGIN = 25.0
+REPORTED_GAIN = 25.0
 """Log-likelihood gain above which a left-right swap or a zoom is reported.
 
-This value and `SURE` were chosen on real clips (docs/benchmarks.md, left-right swaps), and allow for errors of the
-model.
+This value and `CERTAIN_GAIN` were chosen on real clips (docs/benchmarks.md, left-right swaps), and allow for errors of
+the model.
 """
-SURE = 30.0
+CERTAIN_GAIN = 30.0
 """Log-likelihood gain above which the evidence counts as clear.
 
 The gain of a swap over a contradicting swap, of the whole clip without its swaps over the clip as given, and of another
 frame rate over the given rate must exceed this value.
 """
-OWN_SHARE = 0.4
+KEYPOINT_WEIGHT = 0.4
 """Weight of each keypoint's log-density, below 1 because the keypoints of one limb have similar errors.
 
 The value was chosen on real clips (docs/benchmarks.md).
 """
-TAILS = 3.0
+STUDENT_T_DEGREES = 3.0
 """Degrees of freedom of Student's t distribution, which the errors of detections are assumed to have."""
 TESTED_S = 1.0
 """Duration of the part of a clip that is solved again for a test, seconds."""
 TRIANGULATED_S = 4.0
 """Approximate duration of the parts that are triangulated at once, seconds; enough to estimate the keypoints' noise."""
-LOOSE = 2.0
+LOOSE_NOISE_FACTOR = 2.0
 """Factor by which the noise is multiplied in a fit in which each keypoint may belong to either side."""
 
 
 def exceeds_margin(ratio: float, surely: bool = False) -> bool:
-    """Return whether a log-likelihood gain exceeds `MARGIN` or, if `surely` is true, `SURE`."""
-    return ratio > (SURE if surely else MARGIN)
+    """Return whether a log-likelihood gain exceeds `REPORTED_GAIN` or, if `surely` is true, `CERTAIN_GAIN`."""
+    return ratio > (CERTAIN_GAIN if surely else REPORTED_GAIN)
 
 
 def single_view(clip: ClipProblem, view: View) -> ClipProblem:
@@ -145,12 +145,12 @@ def negative_log_density(view: View, projected: Array, sigma_px: Array, correlat
     )
     weight = np.where(view.present, view.confidence, 0.0)
     spread = 2.0 * float(np.sum(np.log(sigma_px) * weight)) / correlation_frames
-    return OWN_SHARE * float(np.sum(log_tail(innovations) * weight)) + spread
+    return KEYPOINT_WEIGHT * float(np.sum(log_tail(innovations) * weight)) + spread
 
 
 def log_tail(residual: Array) -> Array:
     """Return the negative log-density (T, J) of errors (T, J, 2), in standard deviations; 0 for a missing point."""
-    return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(residual**2, axis=-1)) / TAILS)
+    return (STUDENT_T_DEGREES + 2) / 2 * np.log1p(np.nan_to_num(np.sum(residual**2, axis=-1)) / STUDENT_T_DEGREES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,10 +246,10 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
         thin = part.thinned(step)
         states = baseline.states[rows][kept_frames]  # the mean pose, at the animal's position
         states[:, ANGLES] = clip.prior.mean
-        problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), no_factor))
+        problem = thin.problem(LOOSE_NOISE_FACTOR * thin.noise_px(thin.markers(states), no_factor))
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
         markers = part.markers(interpolate_states(states, kept_frames, len(part)))
-        sigma_px[rows] = LOOSE * part.noise_px(markers, no_factor)[0]
+        sigma_px[rows] = LOOSE_NOISE_FACTOR * part.noise_px(markers, no_factor)[0]
         projected[rows], _ = part.views[0].project(part.in_world(markers))
     return projected, sigma_px
 
@@ -274,17 +274,17 @@ def best_seen(view: View, fps: float) -> slice:
 
 # The picture
 
-SMALLER = (2, 3, 4)
+SMALLER_FACTORS = (2, 3, 4)
 """Factors that are tried, by which the video may be smaller than the calibrated camera's picture."""
-UPRIGHT = 0.7
+UPRIGHT_RATIO = 0.7
 """Height of the trunk above the feet, relative to the distance between them, below which turned pictures are tried.
 
 The ratio is 0.95 or more in 32 real views of cheetahs, 0.82 or more in simulated views of dogs, and 0.17 or less if the
 picture or the world is turned (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
-NEARLY_ALL = 99.0
+MIN_INSIDE_PERCENT = 99.0
 """Percentage of the keypoints that must lie within the picture of a smaller video for this video to be considered."""
-OPPOSITE_SHARE = 0.5
+OPPOSITE_GAIN_RATIO = 0.5
 """Gain of a turn to the opposite side, relative to the best gain, above which no turn is reported.
 
 Only one of two opposite turns can make the animal upright. The ratio is 0.8 if 70 % of the detections are gross
@@ -292,7 +292,7 @@ outliers, and below 0 if the picture or the world is turned by 90 degrees, so an
 effect on these clips.
 """
 
-MEETING = 2.0
+RAY_ERROR_RATIO = 2.0
 """Largest reprojection error of triangulated points, relative to that of the best hypothesis, at which rays meet.
 
 In a clip of three cameras whose world, or whose keypoints, are upside down, the error under any wrong hypothesis that
@@ -309,7 +309,7 @@ def unit_square_finding(baseline: Baseline) -> Finding | None:
     """Return a finding if the keypoints seem to be fractions of the picture's width and height, otherwise None."""
     view = baseline.view
     points = view.xy_px[view.present]
-    if not len(points) or np.percentile(np.abs(points - 0.5), NEARLY_ALL) > 1.0:
+    if not len(points) or np.percentile(np.abs(points - 0.5), MIN_INSIDE_PERCENT) > 1.0:
         return None
     width, height = view.camera.image_size_px
     frames = float(view.present.any(axis=1).sum())
@@ -326,7 +326,9 @@ def other_pictures(baseline: Baseline) -> tuple[list[_Alternative], list[float]]
     """Return the hypotheses of another picture or world for a view, and their log-likelihood gains."""
     view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
     alternatives = (
-        [*_turned(view), *_smaller(view)] if feet_below_trunk(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
+        [*_turned(view), *_smaller(view)]
+        if feet_below_trunk(baseline.clip, view) < UPRIGHT_RATIO
+        else [*_smaller(view)]
     )
     if not alternatives:
         return [], []
@@ -363,7 +365,7 @@ def common_picture_finding(
         error_px = triangulate_views([causes[cause][0].part(rows) for causes in by_cause]).error_px
         known_px = error_px[np.isfinite(error_px)]
         errors_px.append(float(np.median(known_px)) if len(known_px) else math.inf)
-    limit_px = MEETING * min(errors_px, default=math.inf)
+    limit_px = RAY_ERROR_RATIO * min(errors_px, default=math.inf)
     meeting = [cause for cause, error_px in zip(common, errors_px, strict=True) if error_px <= limit_px]
     alternatives = [(cause[0], dict(cause[1:]), by_cause[0][cause][0]) for cause in meeting]
     sums = [sum(causes[cause][1] for causes in by_cause) for cause in meeting]
@@ -378,7 +380,7 @@ def finding_of_pictures(
     if not alternatives:
         return None
     best = int(np.argmax(ratios))
-    if not ratios[best] > CLEAR:
+    if not ratios[best] > EXAMINED_GAIN:
         return None
     code, numbers, _ = alternatives[best]
     opposites = (
@@ -386,7 +388,7 @@ def finding_of_pictures(
         for gain, alternative in zip(ratios, alternatives, strict=True)
         if _are_opposite(alternative, alternatives[best])
     )
-    if max(opposites, default=-np.inf) > OPPOSITE_SHARE * ratios[best]:
+    if max(opposites, default=-np.inf) > OPPOSITE_GAIN_RATIO * ratios[best]:
         return None  # the detections show no animal, upright or turned
     likely = [i for i in range(len(ratios)) if not exceeds_margin(ratios[best] - ratios[i], surely=True)]
     if camera.knows_up and len(likely) > 1:
@@ -461,10 +463,10 @@ def _raising(up: Array) -> Array:
 
 
 def _smaller(view: View) -> Iterator[_Alternative]:
-    """Yield a hypothesis for each smaller video (`SMALLER`) whose picture contains nearly all keypoints."""
+    """Yield a hypothesis for each smaller video (`SMALLER_FACTORS`) whose picture contains nearly all keypoints."""
     points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
-    for times in SMALLER:
-        if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all():
+    for times in SMALLER_FACTORS:
+        if len(points) and (np.percentile(points, MIN_INSIDE_PERCENT, axis=0) < size / times).all():
             yield "smaller_video", {"times": times}, replace(view, camera=smaller(view.camera, times))
 
 
@@ -494,20 +496,20 @@ def smaller(camera: Camera, times: float) -> Camera:
 
 # The lens
 
-ZOOM = 0.2
+ZOOM_PER_S = 0.2
 """Logarithm of the zoom per second that is tried first, and the smallest zoom that is reported.
 
 A smaller zoom may also fit better because an animal of other proportions comes nearer. The best zoom is -0.42 to 0.20
 (median 0) in 30 correct views, and 0.06 to 0.57 (median 0.31) if the picture zooms by 1.5 in a clip. At twice the
 value, most of these zooms would be missed. At half the value, the rendered film (0.09) would not be reported either
-(`python benchmarks/wrong_inputs.py --only input-limits`). The gain of a zoom must also exceed `MARGIN`, so only some of
-these zooms are reported (`--only zoom` counts them).
+(`python benchmarks/wrong_inputs.py --only input-limits`). The gain of a zoom must also exceed `REPORTED_GAIN`, so only
+some of these zooms are reported (`--only zoom` counts them).
 """
-LARGEST = 5.0
-"""Largest zoom that is tried, as a multiple of `ZOOM`."""
+MAX_ZOOM_FACTOR = 5.0
+"""Largest zoom that is tried, as a multiple of `ZOOM_PER_S`."""
 _LENS_ITERATIONS = 6
 """Maximum number of iterations of a fit with another lens or zoom."""
-LASTING = 0.25
+DETECTED_FRACTION = 0.25
 """Minimum fraction of the frames, in both the first and the last third of a second, in which a keypoint is detected.
 
 A zoom is tested only with such keypoints, and only if all feet are among them. Otherwise an animal that leaves the
@@ -544,13 +546,16 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
 
     as_given = baseline.settled(stretch, noise_px)
     flat = replace(view.camera, model="pinhole", distortion=np.zeros(0))
-    if view.camera.distortion.any() and as_given.cost - minimum(replace(view, camera=flat), states).cost > CLEAR:
+    if (
+        view.camera.distortion.any()
+        and as_given.cost - minimum(replace(view, camera=flat), states).cost > EXAMINED_GAIN
+    ):
         ratio = _without_lens(baseline.clip, flat)
         if exceeds_margin(ratio, surely=True):
             yield finding("keypoints_undistorted", log_likelihood_ratio=ratio)
             return
     thirds = np.array_split(view.present, 3)
-    lasting = (thirds[0].mean(axis=0) > LASTING) & (thirds[-1].mean(axis=0) > LASTING)
+    lasting = (thirds[0].mean(axis=0) > DETECTED_FRACTION) & (thirds[-1].mean(axis=0) > DETECTED_FRACTION)
     if lasting[clip.feet].all():
         lasting_view = replace(view, xy_px=np.where(lasting[:, None], view.xy_px, np.nan))
         yield from _zooms(clip, lasting_view, as_given.states, minimum)
@@ -576,9 +581,9 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
         return minimum(replace(view, xy_px=centre + (view.xy_px - centre) * np.exp(-zoom * time)), states)
 
     as_given = at(0.0, states)
-    nearer, farther = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
+    nearer, farther = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM_PER_S, -ZOOM_PER_S))
     zoom = zoom_of(nearer, farther)
-    if abs(zoom) < ZOOM:
+    if abs(zoom) < ZOOM_PER_S:
         return
     zoomed = at(zoom, as_given.states)
     if exceeds_margin(ratio := as_given.cost - zoomed.cost):
@@ -591,10 +596,11 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
 def zoom_of(nearer: float, farther: float) -> float:
     """Return the logarithm of the most likely zoom per second, the maximum of a parabola through three gains.
 
-    `nearer` and `farther` are the log-likelihood gains of the zooms `ZOOM` and -`ZOOM`. The gain without a zoom is 0.
+    `nearer` and `farther` are the log-likelihood gains of the zooms `ZOOM_PER_S` and -`ZOOM_PER_S`. The gain without a
+    zoom is 0.
     """
     slope, bend = 0.5 * (nearer - farther), nearer + farther
-    return ZOOM * float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
+    return ZOOM_PER_S * float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -MAX_ZOOM_FACTOR, MAX_ZOOM_FACTOR))
 
 
 def with_calibration_at_either_end(item: Finding) -> Finding:
@@ -616,20 +622,20 @@ RATE_STEP = 2**0.5
 """Ratio of successive frame rates that are tried. A parabola gives the best rate between them."""
 RATE_STEPS = 8
 """Maximum number of steps upwards or downwards, which correspond to a factor of 16."""
-NEARLY = 1.02
+EQUAL_RATE_RATIO = 1.02
 """Largest ratio of two frame rates that count as equal."""
-ANOTHER = 1.3
+OTHER_RATE_RATIO = 1.3
 """Smallest ratio, either way, of the speeds of angles in the clip and in the prior that suggests another frame rate.
 
 Animals of the same gait move their angles up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a
 rendered clip), with a standard deviation of a tenth.
 """
-SPEEDS = 1.25
+SPEED_FACTOR = 1.25
 """Factor by which the animal, at the other frame rate, may be faster or slower than all animals of the prior.
 
 The other rate is not reported beyond this factor, so that an animal that stands or turns does not count as slow motion.
 """
-FAR = 1.5
+WRONG_RATE_RATIO = 1.5
 """Ratio of frame rates from which a different rate is an error, because speeds are wrong even if poses are right.
 
 Below this ratio, a different rate is at most a warning, unless poses or positions change as well. The limit is above
@@ -661,28 +667,31 @@ def frame_rate_finding(
     by_motion
         Whether the angles may lead to a finding, in addition to `stated_hz`.
     """
-    if stated_hz is not None and not 1 / NEARLY < stated_hz / clip.fps < NEARLY:
+    if stated_hz is not None and not 1 / EQUAL_RATE_RATIO < stated_hz / clip.fps < EQUAL_RATE_RATIO:
         return finding("frame_rate_stated", given_hz=clip.fps, other_hz=stated_hz)
     if clip.prior.name == NONE or not by_motion:
         return None
     rows = densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps))
     clip, states = clip.part(rows), states[rows]
     factor, thin_gain = _likeliest_rate(clip, states)
-    if 1 / ANOTHER < factor < ANOTHER or not _has_usual_speed(clip.prior, mean_speed_m_s(states, clip.fps * factor)):
+    if 1 / OTHER_RATE_RATIO < factor < OTHER_RATE_RATIO or not _has_usual_speed(
+        clip.prior, mean_speed_m_s(states, clip.fps * factor)
+    ):
         return None
     as_stated, rescaled = (_at_rate(clip, states, by) for by in (1.0, factor))
     misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (as_stated, rescaled))
     gain = _rate_cost(*as_stated, clip.correlation_frames) - _rate_cost(*rescaled, clip.correlation_frames)
     # The motion is unlike the motions of the prior at the other rate as well, and no less so than at the given rate.
     is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level
-    if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
+    if is_unknown or gain < (EXAMINED_GAIN if thin_gain > EXAMINED_GAIN else CERTAIN_GAIN):
         return None
     numbers: dict[str, Any] = {"given_hz": clip.fps, "other_hz": clip.fps * factor, "log_likelihood_ratio": gain}
     numbers |= effects_m(clip, as_stated[1].states, rescaled[1].states)
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
-    if not 1 / FAR < factor < FAR:  # speeds are wrong by this factor even if the poses are right
+    # speeds are wrong by this factor even if the poses are right
+    if not 1 / WRONG_RATE_RATIO < factor < WRONG_RATE_RATIO:
         return item
     return by_effect(item, trunk_m, is_gross=True)
 
@@ -724,9 +733,9 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
 
 
 def _has_usual_speed(prior: MotionPrior, speed_m_s: float) -> bool:
-    """Return whether the speed is within `SPEEDS` of the speeds of the motions to which the prior was fitted."""
+    """Return whether the speed is within `SPEED_FACTOR` of the speeds of the motions to which the prior was fitted."""
     speeds_m_s = [segment.speed_m_s for segment in prior.segments]
-    return not speeds_m_s or min(speeds_m_s) / SPEEDS < speed_m_s < max(speeds_m_s) * SPEEDS
+    return not speeds_m_s or min(speeds_m_s) / SPEED_FACTOR < speed_m_s < max(speeds_m_s) * SPEED_FACTOR
 
 
 def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: float = 1.0) -> float:

@@ -24,7 +24,7 @@ from recon.fit.result import Finding
 from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT, YAW
 
-GAIN = 3.0
+MIN_GAIN = 3.0
 """Log-likelihood gain above which another camera is reported; errors within the correlation time count only once.
 
 The gain is at most 0.5 in 32 correct views, 2.0 if the views show less of the animal or the ground rises by 3 %, and
@@ -41,8 +41,8 @@ def other_camera_finding(baseline: Baseline, noise_px: Array, cameras: Sequence[
     """
     gains = gains_of(baseline, noise_px, cameras)
     best = max(gains.values(), default=-math.inf)
-    if best > GAIN:
-        likely = [name for name in sorted(gains, key=gains.__getitem__, reverse=True) if gains[name] > best - GAIN]
+    if best > MIN_GAIN:
+        likely = [name for name in sorted(gains, key=gains.__getitem__, reverse=True) if gains[name] > best - MIN_GAIN]
         name = baseline.view.camera.name
         yield finding("another_camera_fits", None, name, given=name, others=likely, log_likelihood_ratio=best)
 

@@ -15,7 +15,7 @@ from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side
 from recon.animal.body import opposites, side_of
 from recon.base.arrays import Array, running_median
 from recon.check.audited import AuditedPoints, Measure
-from recon.check.inputs import FEWEST, SLIDE_LEGS_S, SLIDE_SHARE, SLOWEST
+from recon.check.inputs import MIN_COUNT, SLIDE_LEGS_S, SLIDE_RATIO, STANDING_QUANTILE
 from recon.check.track_checks import mean_of_known
 from recon.clip import frame_ranges
 
@@ -27,7 +27,7 @@ DRIFT_SHARE = 0.08
 """Smallest change of all lengths together that counts as a fault, as a fraction of the lengths."""
 DRIFT_FRAMES = 5
 """Number of frames of the running median that smooths the common change of all lengths."""
-NEAR = 0.02
+DISTANCE_WEIGHT = 0.02
 """Weight of the distance of two points, relative to its variation, in the search for bones.
 
 With this value, close points are connected, but not feet that stand side by side.
@@ -41,9 +41,9 @@ IN_AIR = 0.1
 """Height of a foot above its lowest position, relative to the leg length, above which the foot is in the air."""
 FLIGHT_FRAMES = 5
 """Minimum number of frames in a flight whose acceleration is measured."""
-SIGMAS = 2.0
+GRAVITY_SIGMAS = 2.0
 """Largest deviation of a flight's acceleration, in standard deviations, that is consistent with gravity."""
-RATIO = 1.5
+GRAVITY_RATIO = 1.5
 """Factor by which a flight's acceleration may differ from gravity without a finding, beyond its uncertainty."""
 OWN_MOTION = 0.02
 """Assumed standard deviation of the trunk's motion relative to the centre of mass in a flight, in leg lengths."""
@@ -84,8 +84,8 @@ def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
         lengths[:, counts == 0] = 0.0
         median = np.nanmedian(lengths, axis=0)
         deviation = np.nanmedian(np.abs(lengths - median), axis=0)
-        is_bone = (counts >= max(FEWEST, LEAST_KNOWN * len(values))) & (median > 0.02 * points.extent)
-        spread[i, i + 1 :] = np.where(is_bone, deviation + NEAR * median, 0.0)
+        is_bone = (counts >= max(MIN_COUNT, LEAST_KNOWN * len(values))) & (median > 0.02 * points.extent)
+        spread[i, i + 1 :] = np.where(is_bone, deviation + DISTANCE_WEIGHT * median, 0.0)
     partners = opposites(points.names)
     standing = np.flatnonzero((partners != np.arange(K)) & points.stands)
     spread[standing, partners[standing]] = 0.0  # a left and a right foot are never connected
@@ -162,7 +162,7 @@ def _upward(points: AuditedPoints) -> Array | None:
         return None
     up = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
     up = up[np.isfinite(up).all(axis=1)]
-    if len(up) < FEWEST:
+    if len(up) < MIN_COUNT:
         return None
     direction = np.mean(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12), axis=0)
     length = float(np.linalg.norm(direction))
@@ -190,7 +190,7 @@ def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
     left = [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"]
     across = np.sum((points.positions[:, left] - points.positions[:, partners[left]]) * left_of[:, None], axis=2)
     signs = across[np.isfinite(across) & (np.abs(across) > 0.02 * points.extent)]
-    if len(signs) >= FEWEST:
+    if len(signs) >= MIN_COUNT:
         yield Measure("sides_exchanged", float(np.mean(signs < 0)), None, {"share": float(np.mean(signs < 0))})
 
 
@@ -219,7 +219,7 @@ def leg_length_m(points: AuditedPoints) -> float:
 
 
 def _gravity(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the ratio of the acceleration in flights to gravity, expressed as a power of `RATIO`."""
+    """Yield the ratio of the acceleration in flights to gravity, expressed as a power of `GRAVITY_RATIO`."""
     leg_m = leg_length_m(points)
     if points.fps is None or not leg_m > 0 or len(points.roles.feet) < 4:
         return
@@ -250,11 +250,11 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
     mean = float(np.sum(weights * accelerations) / weights.sum())
     sigma = float(np.sqrt(1 / weights.sum()))
     excess = -mean - GRAVITY_M_S2
-    nearest_m_s2 = GRAVITY_M_S2 + np.copysign(max(abs(excess) - SIGMAS * sigma, 0.0), excess)
-    value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
+    nearest_m_s2 = GRAVITY_M_S2 + np.copysign(max(abs(excess) - GRAVITY_SIGMAS * sigma, 0.0), excess)
+    value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(GRAVITY_RATIO)))
     numbers: dict[str, float | str] = {"acceleration_m_s2": -mean, "sigma_m_s2": sigma, "given_hz": points.fps}
     advice = "Check --fps and --unit."
-    if -mean > SIGMAS * sigma:  # otherwise the acceleration is too uncertain to suggest a frame rate
+    if -mean > GRAVITY_SIGMAS * sigma:  # otherwise the acceleration is too uncertain to suggest a frame rate
         numbers["other_hz"] = points.fps * float(np.sqrt(GRAVITY_M_S2 / -mean))
         advice = f"About {numbers['other_hz']:.0f} frames per second, not {points.fps:g}, would give 9.8 m/s²."
     numbers["advice"] = advice
@@ -273,7 +273,7 @@ def _ground_m(z_m: Array) -> Array:
     for _ in range(3):
         line = np.polyfit(rows[is_used], lowest_m[is_used], 1)
         lower = is_used & (lowest_m <= np.polyval(line, rows))
-        if lower.sum() < FEWEST:
+        if lower.sum() < MIN_COUNT:
             break
         is_used = lower
     return np.asarray(np.polyval(line, rows), dtype=float)
@@ -294,16 +294,16 @@ def _slide(points: AuditedPoints) -> Iterator[Measure]:
     feet_m_s = forward[:, feet]
     if not np.isfinite(feet_m_s).any():
         return
-    slowest_m_s = float(np.nanquantile(feet_m_s, SLOWEST))
+    slowest_m_s = float(np.nanquantile(feet_m_s, STANDING_QUANTILE))
     over_feet_m_s = body_m_s - slowest_m_s
     if over_feet_m_s <= SLIDE_LEGS_S * leg_m:
         return
     z_m = points.positions[:, feet, 2]
     is_low = z_m - np.nanquantile(z_m, 0.05, axis=0) < IN_AIR * leg_m
     standing = feet_m_s[is_low & np.isfinite(feet_m_s)]
-    typical_m_s = float(np.quantile(standing, 0.25)) if len(standing) >= FEWEST else slowest_m_s
-    backwards = -slowest_m_s / (SLIDE_SHARE * over_feet_m_s)
-    forwards = typical_m_s / (2 * SLIDE_SHARE * max(abs(body_m_s), SLIDE_LEGS_S * leg_m))
+    typical_m_s = float(np.quantile(standing, 0.25)) if len(standing) >= MIN_COUNT else slowest_m_s
+    backwards = -slowest_m_s / (SLIDE_RATIO * over_feet_m_s)
+    forwards = typical_m_s / (2 * SLIDE_RATIO * max(abs(body_m_s), SLIDE_LEGS_S * leg_m))
     slide_m_s = slowest_m_s if backwards >= forwards else typical_m_s
     numbers = {"slide_m_s": slide_m_s, "speed_m_s": body_m_s}
     yield Measure("feet_slide", float(max(backwards, forwards)), None, numbers)

@@ -20,7 +20,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError
 from recon.check.codes import FLAGS, SWAPPED, finding, sort_findings
 from recon.check.constants import MANY_FRAMES
-from recon.check.inputs import FASTEST_M_S, GROSS, MOVES
+from recon.check.inputs import FASTEST_M_S, GROSS_REASON, MOTION_CODES
 from recon.clip import UNLIKELY, Source
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -58,7 +58,7 @@ KEYPOINT_LEAST = 10
 """Minimum number of a keypoint's detections that must be outliers for the keypoint to be reported."""
 OUT_OF_STEP_SIGMAS = 3.0
 """Difference between two cameras' time offsets, in expected standard deviations, above which it is reported."""
-FARTHEST = 100.0
+MAX_CAMERA_LENGTHS = 100.0
 """Distance between cameras, in lengths of the animal, above which the calibration is probably in another unit."""
 FEW_FRAMES = 12
 """Number of frames with a pose below which a clip shows too little of the motion, which is reported."""
@@ -77,7 +77,7 @@ animal's size.
 """
 UNEXPLAINED = ("fit_explains_little", "motion_unexplained")
 """Codes of findings that a fit does not explain the detections."""
-FROM_MOTION = (*MOVES, "path_jolts")
+FROM_MOTION = (*MOTION_CODES, "path_jolts")
 """Codes of findings whose cause is inferred from the fitted motion.
 
 A motion that does not explain the detections is no evidence of a cause. For example, frames in the wrong order can look
@@ -109,7 +109,7 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
 def many_outliers(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if many detections are outliers, including detections of frames that were left out as a whole."""
     used = sum(int(picture.present.sum()) for picture in motion.pictures)
-    gross = sum(source.cleaning.left_out.count(GROSS) for source in motion.sources)
+    gross = sum(source.cleaning.left_out.count(GROSS_REASON) for source in motion.sources)
     count = _outliers(motion)[0] + gross
     share = count / max(used + gross, 1)
     if share > MANY_OUTLIERS:
@@ -215,7 +215,7 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
     distance_m = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     times = distance_m / _span(motion.body)
     diverged = any("diverged" in flags for flags in motion.flags)
-    if diverged and times > FARTHEST:
+    if diverged and times > MAX_CAMERA_LENGTHS:
         yield finding(
             "no_pose_unit", apart_m=distance_m, times=times, in_cm_m=distance_m / 100, in_mm_m=distance_m / 1000
         )

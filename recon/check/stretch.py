@@ -17,11 +17,11 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
 
-USUAL = 0.05
+MEAN_LOG_STRETCH = 0.05
 """Mean of the estimated logarithm of the stretch in videos that are not stretched."""
-SPREAD = 0.04
+LOG_STRETCH_SIGMA = 0.04
 """Standard deviation of the estimated logarithm in videos that are not stretched, without errors of the detections."""
-SIGMA_SHARE = 0.5
+SIGMA_FACTOR = 0.5
 """Factor on the stated standard deviation, which is twice the standard deviation of the estimates in tests."""
 LIMITS = -1.6, 3.3
 """Deviations of the estimate, in standard deviations, beyond which a video is compressed or stretched along x.
@@ -29,7 +29,7 @@ LIMITS = -1.6, 3.3
 The deviations are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x is scaled by 0.75, and 2.1 to 4.7
 (median 3.7) if x is scaled by 1.33 (`python benchmarks/wrong_inputs.py --only limits`).
 """
-SEEN = 0.25
+MIN_FOOT_FRACTION = 0.25
 """Minimum fraction of the frames in which each foot is detected, because the height is unknown without legs."""
 
 
@@ -40,18 +40,20 @@ def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
 
 def deviation(stretch: Step) -> float:
     """Return the deviation of an estimate from the mean in videos that are not stretched, in standard deviations."""
-    return (stretch.value - USUAL) / math.hypot(SPREAD, SIGMA_SHARE * stretch.sigma)
+    return (stretch.value - MEAN_LOG_STRETCH) / math.hypot(LOG_STRETCH_SIGMA, SIGMA_FACTOR * stretch.sigma)
 
 
 def stretch_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding | None:
     """Return a finding if the video is stretched along x or y, otherwise None."""
     segment = solution.longest_segment
-    if segment is None or (clip.views[0].present[segment.rows][:, clip.feet].mean(axis=0) < SEEN).any():
+    if segment is None or (clip.views[0].present[segment.rows][:, clip.feet].mean(axis=0) < MIN_FOOT_FRACTION).any():
         return None
     stretch = stretch_of(clip, solution)
     if stretch is None or LIMITS[0] < deviation(stretch) < LIMITS[1]:
         return None
-    return finding("picture_stretched", factor=math.exp(stretch.value - USUAL), sigmas=abs(deviation(stretch)))
+    return finding(
+        "picture_stretched", factor=math.exp(stretch.value - MEAN_LOG_STRETCH), sigmas=abs(deviation(stretch))
+    )
 
 
 def _by_stretch(detections: Detections) -> Array:

@@ -26,21 +26,21 @@ from recon.check.likelihood import Baseline, Refit
 from recon.clip import Keypoints, Source, View
 from recon.fit.result import Finding
 
-JUMP = -3.0
+MIN_JUMP_GAIN = -3.0
 """Log-likelihood gain of a jump above which a swap may begin or end there; negative, as crossing legs hardly jump."""
-LIKELY = 15.0
+MIN_TRIED_GAIN = 15.0
 """Log-likelihood gain of the cheap signs above which a swap of a stretch of frames is tried by a fit."""
-REFITTED = 3
+MAX_REFITS = 3
 """Maximum number of stretches that are tried by a fit in each round of the search."""
-STRETCHES = 4
+MAX_SWAPS = 4
 """Maximum number of swaps that are searched for in a clip."""
-LOOKS = -10.0
+MIN_APPEARANCE_GAIN = -10.0
 """Log-likelihood gain from appearance above which a swap of the whole clip is tried by a fit.
 
 The user is asked to look at the video in two cases, because nothing else shows a mirrored video. In one, the clip is
 more likely with the sides exchanged, but by less than the margin. In the other, only the gain from appearance suggests
-a swap (`LIKELY`). In 32 correct clips, this swap is not tried or lowers the log-likelihood by 6 or more, and the gain
-from appearance is at most 9.
+a swap (`MIN_TRIED_GAIN`). In 32 correct clips, this swap is not tried or lowers the log-likelihood by 6 or more, and
+the gain from appearance is at most 9.
 """
 LEAST_S = 0.25
 """Minimum duration of a clip in which a swap of the whole clip is tested, seconds; less than a stride.
@@ -53,7 +53,7 @@ _STRAIGHT = 3
 """Number of frames before and after an end of a swap in which the tracks are assumed to be straight."""
 _LEAST_OFF_PX = 3.0
 """Lower bound of the usual deviation of tracks from a line, pixels."""
-STEADY = 1.0
+MAX_TRACK_DEVIATION = 1.0
 """Largest usual deviation of tracks from a line, relative to the distance between the sides, for tracks to be used."""
 
 
@@ -107,7 +107,7 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
     prior. A swap of the whole clip is then not tried, because only the prior could show it.
     """
     kinds, found_swaps = pairs_of(baseline.clip.body), list[_SwapTrial]()
-    while len(found_swaps) < STRETCHES and "all" in kinds:
+    while len(found_swaps) < MAX_SWAPS and "all" in kinds:
         trials = sorted(
             (try_undone(baseline, trial) for trial in propose_stretches(baseline, kinds, is_unlike)),
             key=lambda trial: -trial.ratio,
@@ -115,7 +115,7 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
         if not trials or not likelihood.exceeds_margin(trials[0].ratio):
             T = len(baseline.states)
             for trial in (trial for trial in trials if trial.stretch.rows == slice(0, T) and not found_swaps):
-                if trial.ratio > 0 or _evidence(baseline, kinds)["all"].sum() > LIKELY:
+                if trial.ratio > 0 or _evidence(baseline, kinds)["all"].sum() > MIN_TRIED_GAIN:
                     found_swaps.append(replace(trial, clear=False))
             break
         best, *other_trials = trials
@@ -182,9 +182,9 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
         for suspect in _suspects(jumps(baseline.view, permutation), evidence[name], name)
     ]
     whole = float(evidence["all"].sum())
-    suspects = sorted(suspects, reverse=True)[:REFITTED]
+    suspects = sorted(suspects, reverse=True)[:MAX_REFITS]
     can_tell_whole = T / baseline.clip.fps > LEAST_S and evidence["all"].any() and not is_unlike
-    if can_tell_whole and whole > LOOKS:
+    if can_tell_whole and whole > MIN_APPEARANCE_GAIN:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
     stretches = [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
@@ -203,7 +203,8 @@ def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
         return False
     projected, _ = view.project(view.shift_to_exposure(points_m))
     sigma_px = (
-        likelihood.LOOSE * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.permutation))))[0]
+        likelihood.LOOSE_NOISE_FACTOR
+        * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.permutation))))[0]
     )
     given_cost, exchanged_cost = (
         likelihood.log_tail((points - view.xy_px) / sigma_px[..., None])
@@ -243,7 +244,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     Each is a tuple of the log-likelihood gain, the kind, and the first frame and the frame after the last.
     """
     T = len(jump)
-    ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
+    ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > MIN_JUMP_GAIN), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
     sums = np.concatenate([[0.0], np.cumsum(evidence)])[ends]
     # The gain of a stretch from end a to end b, its evidence plus the jumps at both ends, is high[b] - low[a].
@@ -251,12 +252,12 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
     best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
     # Only ends that can bound a likely stretch are kept, because a long clip has too many pairs of ends.
-    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)
+    is_candidate = (best_ahead - low > MIN_TRIED_GAIN) | (high - best_behind > MIN_TRIED_GAIN)
     ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
     score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)
     suspects: list[tuple[float, str, tuple[int, int]]] = []
-    while len(suspects) < REFITTED and score.max(initial=-np.inf) > LIKELY:
+    while len(suspects) < MAX_REFITS and score.max(initial=-np.inf) > MIN_TRIED_GAIN:
         a, b = np.unravel_index(np.argmax(score), score.shape)
         suspects.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
         overlap = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
@@ -306,12 +307,12 @@ def jumps(view: View, permutation: Index) -> Array:
         square_px = np.nanmedian(np.where(is_known, given_squares, np.nan), axis=0) / freedom
         side_square_px = np.nanmedian(np.sum(differences**2, axis=-1), axis=0)
     is_seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)
-    is_steady = square_px < (STEADY**2) * side_square_px
-    scale = likelihood.TAILS * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
+    is_steady = square_px < (MAX_TRACK_DEVIATION**2) * side_square_px
+    scale = likelihood.STUDENT_T_DEGREES * np.maximum(np.nan_to_num(square_px), _LEAST_OFF_PX**2)
     gains = np.log1p(np.where(is_known, given_squares, 0.0) / scale) - np.log1p(
         np.where(is_known, exchanged_squares, 0.0) / scale
     )
-    evidence = 0.5 * (likelihood.TAILS + freedom) * gains.sum(axis=1)
+    evidence = 0.5 * (likelihood.STUDENT_T_DEGREES + freedom) * gains.sum(axis=1)
     gain[_STRAIGHT : len(gain) - _STRAIGHT + 1] = np.where(is_seen & is_steady.any(), evidence, -np.inf)
     return gain
 

@@ -15,38 +15,38 @@ import numpy as np
 from recon.animal.body import opposites, side_of
 from recon.base.arrays import Array, Bools, Index
 from recon.check.audited import AuditedPoints, Measure
-from recon.check.inputs import FEWEST, repeats_of
+from recon.check.inputs import MIN_COUNT, repeats_of
 from recon.clip import frame_ranges
 
-DIGITS = 1e-9
+ROUNDING_FRACTION = 1e-9
 """Difference of coordinates, relative to the animal's size, up to which it counts as a rounding error."""
-IDENTICAL_SHARE = 0.05
-"""Fraction of frames above which two points with identical coordinates are reported; at least `FEWEST` frames."""
-STRUCTURAL = 0.9
+IDENTICAL_FRAME_FRACTION = 0.05
+"""Fraction of frames above which two points with identical coordinates are reported; at least `MIN_COUNT` frames."""
+SAME_POINT_FRACTION = 0.9
 """Fraction of frames above which two identical points of the same side count as two names of one point.
 
 For example, a file may give the hips and the lower spine the same position.
 """
-APART = 10.0
+MIN_ROUNDING_STEPS = 10.0
 """Minimum distance of two points, or movement of a point, in rounding steps, that shows a real difference."""
-BENT = 5.0
+MIN_BEND = 5.0
 """Median bend of a track, relative to the rounding error, above which the track is tested for straight parts.
 
 The bend of a track in a frame is the second difference of the positions.
 """
-MOVING = 0.0005
+MIN_MOVEMENT = 0.0005
 """Minimum median movement of the other points, relative to the animal's size, while a point is frozen."""
-STANCE = 1.0
-"""Value that replaces `MOVING` for feet in coarse coordinates (`COARSE`).
+MIN_FOOT_MOVEMENT = 1.0
+"""Value that replaces `MIN_MOVEMENT` for feet in coarse coordinates (`COARSE_STEP`).
 
 Feet stand still during a stance, and coarse coordinates do not show their small movements.
 """
-COARSE = 1e-4
+COARSE_STEP = 1e-4
 """Rounding step, relative to the animal's size, above which coordinates are coarse.
 
 In finer coordinates, the position of a standing foot changes as well.
 """
-JUMP = 0.2
+MIN_JUMP = 0.2
 """Smallest jump of a point that is reported, relative to the animal's size."""
 JUMP_SPREADS = 10.0
 """Smallest jump of a point that is reported, relative to the point's median distance from its interpolated track."""
@@ -54,7 +54,7 @@ JUMP_FRAMES = 2
 """Largest number of frames after which a point that jumped has to come back."""
 GAP_FRAMES = 3
 """Largest number of frames between two known side vectors that are compared across a gap."""
-CAP = 6.0
+MAX_PAIR_GAIN = 6.0
 """Upper limit of the log-likelihood gain that a single pair of points contributes to a swap."""
 SIDE_STEP = 0.02
 """Lower limit of the standard deviation of a side vector's change per frame, relative to the animal's size."""
@@ -64,23 +64,23 @@ PX_OF_EXTENT = 1000.0
 """Size, pixels, to which an animal in 3D is scaled so that limits in pixels can be applied."""
 STEP_PX = 2.0
 """Minimum length of a step between frames, pixels, whose change of speed is measured."""
-ONWARDS = 0.5
+MIN_STEP_COSINE = 0.5
 """Minimum cosine of the angle between two successive steps that count as in the same direction."""
 LEAST_CHANGES = 8
 """Minimum number of changes of the speed required to test for missing frames."""
 CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 """Scales of the distribution of the changes of log(speed) per frame, over which the likelihood is averaged."""
-FREEDOM = 3
+STUDENT_T_DEGREES = 3
 """Degrees of freedom of Student's t distribution of the changes of log(speed)."""
-OUTLIERS = np.array([0.02, 0.1, 0.25])
+OUTLIER_FRACTIONS = np.array([0.02, 0.1, 0.25])
 """Fractions of outliers among the changes of log(speed), over which the likelihood is averaged."""
 OUTLIER_RANGE = 5.0
 """Width of the range of changes of log(speed) over which outliers are uniformly distributed."""
-MISSING = np.array([0.1, 0.2, 0.3, 0.4])
+MISSING_FRACTIONS = np.array([0.1, 0.2, 0.3, 0.4])
 """Fractions of missing frames over which the likelihood is averaged."""
 MOST_INTERVALS = 3
 """Maximum number of frame intervals that a step across missing frames spans."""
-NORMALISED = 1.5
+MAX_NORMALISED = 1.5
 """Largest coordinate at which keypoints count as fractions of the picture, which allows for points outside it."""
 
 
@@ -107,14 +107,16 @@ def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
         identical = (values[:, i, None] == values[:, later]).all(axis=2)
         counts = identical.sum(axis=0)
         in_both = (points.known[:, i, None] & points.known[:, later]).sum(axis=0)
-        for j in later[counts >= FEWEST]:
+        for j in later[counts >= MIN_COUNT]:
             same = identical[:, j - i - 1]
             is_other_side = side_of(points.names[i]) != side_of(points.names[j])
-            if counts[j - i - 1] >= STRUCTURAL * in_both[j - i - 1] and not is_other_side:
+            if counts[j - i - 1] >= SAME_POINT_FRACTION * in_both[j - i - 1] and not is_other_side:
                 continue
             distances = np.linalg.norm(values[~same, i] - values[~same, j], axis=1)
-            is_near = bool(np.isfinite(distances).any()) and np.nanmedian(distances) < APART * points.resolution
-            value = float(same.sum() / max(FEWEST, IDENTICAL_SHARE * T))
+            is_near = (
+                bool(np.isfinite(distances).any()) and np.nanmedian(distances) < MIN_ROUNDING_STEPS * points.resolution
+            )
+            value = float(same.sum() / max(MIN_COUNT, IDENTICAL_FRAME_FRACTION * T))
             if not is_near and (worst is None or value > worst[0]):
                 worst = value, i, int(j), same
     if worst is not None:
@@ -151,8 +153,12 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
             moved_others = np.delete(moved, k)
             typical = float(np.nanmedian(moved_others)) if np.isfinite(moved_others).any() else 0.0
             # In coarse coordinates, the position of a foot does not change until the body has passed over it.
-            share = STANCE if points.stands[k] and points.resolution > COARSE * points.extent else MOVING
-            least = max(APART * points.resolution, share * points.extent)
+            share = (
+                MIN_FOOT_MOVEMENT
+                if points.stands[k] and points.resolution > COARSE_STEP * points.extent
+                else MIN_MOVEMENT
+            )
+            least = max(MIN_ROUNDING_STEPS * points.resolution, share * points.extent)
             if typical > least and stop - first > worst[0]:
                 worst, point = (stop - first, first - 1, stop), k
     if point >= 0:
@@ -169,7 +175,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
     values = points.positions
     if len(values) < 3:
         return
-    rounding = 2.01 * points.resolution * np.sqrt(values.shape[2]) + DIGITS * points.extent
+    rounding = 2.01 * points.resolution * np.sqrt(values.shape[2]) + ROUNDING_FRACTION * points.extent
     bend = np.full(values.shape[:2], np.nan)
     bend[1:-1] = np.linalg.norm(values[2:] - 2 * values[1:-1] + values[:-2], axis=2)
     bend[1:-1][~(points.follows[1:-1] & points.follows[2:])] = np.nan
@@ -179,9 +185,9 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
     total = 0
     for k in range(len(points.names)):
         is_straight = bend[:, k] <= rounding
-        is_straight &= travel[:, k] > max(APART * rounding, DIGITS)
+        is_straight &= travel[:, k] > max(MIN_ROUNDING_STEPS * rounding, ROUNDING_FRACTION)
         bent = bend[np.isfinite(bend[:, k]) & (bend[:, k] > rounding), k]
-        if not is_straight.any() or len(bent) < FEWEST or rounding > 1 / BENT * np.median(bent):
+        if not is_straight.any() or len(bent) < MIN_COUNT or rounding > 1 / MIN_BEND * np.median(bent):
             continue
         total += int(is_straight.sum())
         first, stop = _longest(is_straight)
@@ -219,16 +225,16 @@ def jumps_of(points: AuditedPoints) -> Array:
     -------
     ndarray
         Ratios (T, K). The distance is that from the line between the positions before and after a jump of a few frames,
-        relative to the path of the animal. The limit is `JUMP` times the animal's size or, if larger, `JUMP_SPREADS`
-        times the point's median distance. NaN where the point is unknown, where there is a gap around it, and where it
-        does not come back.
+        relative to the path of the animal. The limit is `MIN_JUMP` times the animal's size or, if larger,
+        `JUMP_SPREADS` times the point's median distance. NaN where the point is unknown, where there is a gap around
+        it, and where it does not come back.
     """
     jumps = np.full(points.known.shape, np.nan)
     relative = points.positions - _path(points.positions)[:, None]
     usual_step = float(np.median(np.diff(points.frames)))
     for k in range(len(points.names)):
         rows = np.flatnonzero(points.known[:, k])
-        if len(rows) < FEWEST:
+        if len(rows) < MIN_COUNT:
             continue
         track, frames = relative[rows, k], points.frames[rows]
         limit = np.nan
@@ -242,7 +248,7 @@ def jumps_of(points: AuditedPoints) -> Array:
             is_close = (frames[length + 1 :] - frames[: -length - 1]) <= (length + GAP_FRAMES) * usual_step
             if length == 1:
                 usual = np.median(distances[0, is_close]) if is_close.any() else np.inf
-                limit = max(JUMP * points.extent, JUMP_SPREADS * float(usual), points.resolution)
+                limit = max(MIN_JUMP * points.extent, JUMP_SPREADS * float(usual), points.resolution)
             nearest = distances.min(axis=0)
             returns = is_close & (np.linalg.norm(right - left, axis=1) < nearest)
             for n in range(1, length + 1):
@@ -282,16 +288,16 @@ def _speed_changes(tracks: Array, follows: Bools) -> Array:
     Returns
     -------
     ndarray
-        Median over the points of the changes of log(speed), shape (T - 2,); NaN where fewer than `FEWEST` points move
-        on in about the same direction.
+        Median over the points of the changes of log(speed), shape (T - 2,); NaN where fewer than `MIN_COUNT` points
+        move on in about the same direction.
     """
     steps = np.where(follows[1:, None, None], np.diff(tracks, axis=0), np.nan)
     lengths = np.maximum(np.linalg.norm(steps, axis=2), 1e-9)
     earlier, later = lengths[:-1], lengths[1:]
     cosine = np.sum(steps[1:] * steps[:-1], axis=2) / (earlier * later)
     is_moving = (np.maximum(earlier, later) > 2 * STEP_PX) & (np.minimum(earlier, later) > 0.5 * STEP_PX)
-    changes = np.where(is_moving & (cosine > ONWARDS), np.log(later / earlier), np.nan)
-    is_enough = np.isfinite(changes).sum(axis=1) >= FEWEST
+    changes = np.where(is_moving & (cosine > MIN_STEP_COSINE), np.log(later / earlier), np.nan)
+    is_enough = np.isfinite(changes).sum(axis=1) >= MIN_COUNT
     medians = np.full(len(changes), np.nan)
     medians[is_enough] = np.nanmedian(changes[is_enough], axis=1)
     return medians
@@ -308,19 +314,21 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 
     Notes
     -----
-    If no frames are missing, changes have Student's t distribution with `FREEDOM` degrees of freedom, except for
-    outliers. If each frame is missing with the probability p, a step spans n = 1, 2 or 3 intervals with a probability
-    proportional to p^(n - 1). A change then also contains the logarithm of the ratio of n to the n of the step before.
-    The likelihood is the sum over all n, computed by the forward algorithm of a hidden Markov model (L. Rabiner, *A
-    tutorial on hidden Markov models*, Proc. IEEE 77, 1989). Both likelihoods are averaged over the scale of the
-    distribution, the fraction of outliers, and p, with all values equally likely.
+    If no frames are missing, changes have Student's t distribution with `STUDENT_T_DEGREES` degrees of freedom, except
+    for outliers. If each frame is missing with the probability p, a step spans n = 1, 2 or 3 intervals with a
+    probability proportional to p^(n - 1). A change then also contains the logarithm of the ratio of n to the n of the
+    step before. The likelihood is the sum over all n, computed by the forward algorithm of a hidden Markov model (L.
+    Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989). Both likelihoods are averaged over the scale of
+    the distribution, the fraction of outliers, and p, with all values equally likely.
     """
     known = changes[np.isfinite(changes)]
-    sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIERS)
+    sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIER_FRACTIONS)
     of_none = _change_density(known[:, None, None], sigma, outliers)
     without = np.log(of_none).sum(axis=0)
 
-    sigma, outliers, missing = (grid.ravel() for grid in np.meshgrid(CHANGE_SIGMAS, OUTLIERS, MISSING))
+    sigma, outliers, missing = (
+        grid.ravel() for grid in np.meshgrid(CHANGE_SIGMAS, OUTLIER_FRACTIONS, MISSING_FRACTIONS)
+    )
     intervals = np.arange(1, MOST_INTERVALS + 1)
     prior = missing[:, None] ** (intervals - 1)
     prior = prior / prior.sum(axis=1, keepdims=True)
@@ -345,8 +353,8 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
     """Return the probability density of changes of log(speed), including outliers."""
     z_squared = (change / sigma) ** 2
-    scale = gamma((FREEDOM + 1) / 2) / (gamma(FREEDOM / 2) * np.sqrt(FREEDOM * np.pi))
-    density = scale / sigma * (1 + z_squared / FREEDOM) ** (-(FREEDOM + 1) / 2)
+    scale = gamma((STUDENT_T_DEGREES + 1) / 2) / (gamma(STUDENT_T_DEGREES / 2) * np.sqrt(STUDENT_T_DEGREES * np.pi))
+    density = scale / sigma * (1 + z_squared / STUDENT_T_DEGREES) ** (-(STUDENT_T_DEGREES + 1) / 2)
     return np.asarray((1 - outliers) * density + outliers / OUTLIER_RANGE, dtype=float)
 
 
@@ -387,14 +395,14 @@ def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
     floor = SIDE_STEP * points.extent
     for p in range(vectors.shape[1]):
         known = np.flatnonzero(np.isfinite(vectors[:, p]).all(axis=1))
-        if len(known) < FEWEST:
+        if len(known) < MIN_COUNT:
             continue
         v = vectors[known, p]
         gap = np.diff(points.frames[known]) / max(1.0, float(np.median(np.diff(points.frames))))
         change = np.minimum(np.linalg.norm(v[1:] - v[:-1], axis=1), np.linalg.norm(v[1:] + v[:-1], axis=1)) / gap
         sigma = np.maximum(np.hypot(1.5 * np.median(change), floor), points.resolution) * gap
         gain = -2 * np.sum(v[1:] * v[:-1], axis=1) / sigma**2
-        gain = np.clip(gain, -CAP, CAP) * (gap <= GAP_FRAMES)
+        gain = np.clip(gain, -MAX_PAIR_GAIN, MAX_PAIR_GAIN) * (gap <= GAP_FRAMES)
         gains[known[1:], p] = gain
     return gains
 
@@ -416,7 +424,7 @@ def _normalised(points: AuditedPoints) -> Iterator[Measure]:
     """Yield 1 if the coordinates look like fractions of the picture's width and height, otherwise 0."""
     numbers = points.positions[points.known]
     if len(numbers) and points.resolution < 1:
-        is_small = (numbers >= -0.5).all() and (numbers < NORMALISED).all()
+        is_small = (numbers >= -0.5).all() and (numbers < MAX_NORMALISED).all()
         yield Measure("keypoints_normalised", float(is_small))
 
 
@@ -427,7 +435,7 @@ def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
         return
     up = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
     up = up[np.isfinite(up).all(axis=1)]
-    if len(up) < FEWEST:
+    if len(up) < MIN_COUNT:
         return
     direction = np.median(up, axis=0)
     share = direction[1] / max(float(np.linalg.norm(direction)), 1e-9)

@@ -42,7 +42,7 @@ SCALE = -1.30
 
 The fits of November 2026 gave -1.26 (-1.17 to -1.36; `python benchmarks/uncertainty.py --only verdict`).
 """
-SPREAD = 0.23
+LOG_ERROR_SIGMA = 0.23
 """Standard deviation of the logarithm of the pose's error if the detections determine the whole pose.
 
 The fits of November 2026 gave 0.14 to 0.18 in runs left out. The larger value also holds for clips of 15 frames.
@@ -53,9 +53,9 @@ SPREAD_UNSEEN = 0.45
 The fits of November 2026 gave 0.34 to 0.51. It is large because the error of a pose from the prior alone is the same in
 all frames, and does not average out.
 """
-USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
+USUAL_FACTORS = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
 """Values of `Evidence.factors` in a typical view."""
-WHY = {
+REASON_TEXTS = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, which makes the poses uncertain.",
     "end_on": "The animal is seen from the front or the back, which hides its pose. A camera at its side would help.",
@@ -207,7 +207,7 @@ def _cosine(a: Array, b: Array) -> Array:
 def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
     """Return the expected mean error of the joints, with poses centred, relative to the trunk's length."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
-    reach = NORMAL_90 * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
+    reach = NORMAL_90 * math.hypot(LOG_ERROR_SIGMA, SPREAD_UNSEEN * evidence.unseen)
     return ExpectedError(math.exp(middle), math.exp(middle - reach), math.exp(middle + reach))
 
 
@@ -236,11 +236,13 @@ def _verdict(motion: Motion) -> Verdict:
     pose = _widened(expected_pose_of_trunk(evidence), pose_effect, evidence.trunk_m)
     position = _widened(expected_position(evidence), position_effect)
     if not np.isfinite(pose.expected + position.expected):  # the frame method without its priors has no expected errors
-        return Verdict("do not use", WHY["posterior"])
+        return Verdict("do not use", REASON_TEXTS["posterior"])
     warnings = [finding for finding in motion.findings if finding.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
     # The reason is the factor that exceeds its value in a typical view the most.
-    strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
+    strongest = REASON_TEXTS[
+        max(REASON_TEXTS, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL_FACTORS[name]))
+    ]
     reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion, position)
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
         reason = f"Good except for this: {_sentence_of(motion, notes[0])}"

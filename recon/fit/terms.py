@@ -179,7 +179,7 @@ class Term(Protocol):
 
     @property
     def name(self) -> str:
-        """Return the name under which the term's cost is listed, which `recon.check.inputs.JOLTS` also uses."""
+        """Return the name under which the term's cost is listed; `recon.check.inputs.MAX_PATH_COSTS` also uses it."""
         ...
 
     @property

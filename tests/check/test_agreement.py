@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from example_run import ASIDE, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
 
-from recon.check.agreement import FRAMES, agreement_findings
+from recon.check.agreement import MAX_FRAMES, agreement_findings
 from recon.check.refined_poses import why_not_refined
 from recon.clip import View
 from recon.fit.result import Finding, TrajectorySolution
@@ -163,7 +163,7 @@ def test_a_long_clip_is_compared_where_most_is_detected():
     views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
     T = len(xy_px[0])
     found = judged(views)
-    assert found[0].frames == (100 + T - FRAMES, 100 + T)
+    assert found[0].frames == (100 + T - MAX_FRAMES, 100 + T)
     assert notes(found)[0].points == truth_m()[..., 0].size
 
 

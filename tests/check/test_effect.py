@@ -9,7 +9,7 @@ import pytest
 
 from recon.animal.prior import prior_from_body
 from recon.check.codes import by_effect, finding, sentence
-from recon.check.inputs import GROSS, _rate_findings
+from recon.check.inputs import GROSS_REASON, _rate_findings
 from recon.check.rules import frames_flagged, likelihoods_low, many_left_out, many_outliers, pair_disagrees
 from recon.check.verdict import add_verdict, frame_rms_m
 from recon.clip import leave_out
@@ -136,7 +136,7 @@ def test_detections_left_out_are_reported_if_more_than_a_third(small_trajectory,
     assert [item.severity for item in found] == ["warning"] * count
 
 
-def without_frames(motion, rows, reason=GROSS):
+def without_frames(motion, rows, reason=GROSS_REASON):
     """Return the motion with all detections of some frames left out for a reason, by default as gross outliers."""
     (source,) = motion.sources
     points = source.keypoints.present & np.isin(np.arange(len(motion.frames)), rows)[:, None]

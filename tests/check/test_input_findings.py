@@ -22,8 +22,8 @@ from recon.check import likelihood
 from recon.check.codes import finding
 from recon.check.inputs import input_findings, outlier_ratios, with_flags, without_gross_outliers
 from recon.check.likelihood import (
-    CLEAR,
-    MARGIN,
+    EXAMINED_GAIN,
+    REPORTED_GAIN,
     Refit,
     baseline_of,
     frame_rate_finding,
@@ -161,14 +161,14 @@ def test_swapped_sides_are_found(kind, first, stop):
     (found,) = swaps(fitted(exchanged(kind, first, stop)))
     assert found.stretch.rows == slice(first, stop)
     assert found.stretch.markers == stretch(kind, first, stop).markers
-    assert found.ratio > MARGIN
+    assert found.ratio > REPORTED_GAIN
     assert found.clear
 
 
 @pytest.mark.slow
 def test_an_unclear_swap_is_only_a_possible_swap():
     assert swaps(fitted(exchanged("hind", 17, 20))) == []
-    trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), MARGIN + 10.0)
+    trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), REPORTED_GAIN + 10.0)
     (source,) = motion_of(plain()).sources
     unclear = swap_finding(replace(trial, clear=False), source, BODY)
     assert (unclear.code, unclear.frames) == ("left_right_swap_possible", (114, 124))
@@ -225,7 +225,7 @@ def test_of_two_contradicting_swaps_one_must_be_clearly_more_likely():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
     swapped = fitted(exchanged("hind", 20, T))
     right, wrong = (try_undone(swapped, by) for by in (other, one))
-    assert right.ratio > max(MARGIN, wrong.ratio + CLEAR)
+    assert right.ratio > max(REPORTED_GAIN, wrong.ratio + EXAMINED_GAIN)
     then = with_undone(swapped, right)
     assert contradicts(then, right, replace(wrong, ratio=1.0))
     assert contradicts(then, right, replace(wrong, stretch=stretch("fore", 0, 10), ratio=1.0))
@@ -427,7 +427,7 @@ def test_a_turned_picture_is_reported(code, turn):
     found = other_picture_finding(given(moved(turn(view().xy_px)), slice(10, 16)))
     assert found is not None
     assert found.code == code
-    assert number(found, "log_likelihood_ratio") > 10 * CLEAR
+    assert number(found, "log_likelihood_ratio") > 10 * EXAMINED_GAIN
 
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) @ euler_rotation([0.0, 0.0, 0.7])
@@ -567,7 +567,7 @@ def test_a_wrong_frame_rate_is_estimated(factor):
     assert found is not None
     assert found.code == "frame_rate"
     assert number(found, "other_hz") == pytest.approx(FPS, rel=0.15)
-    assert number(found, "log_likelihood_ratio") > CLEAR
+    assert number(found, "log_likelihood_ratio") > EXAMINED_GAIN
 
 
 def test_the_frame_rate_is_not_tested_with_few_detections(monkeypatch):

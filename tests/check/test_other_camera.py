@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from recon import Camera, FitSettings, fit_clip, read_camera, samples_folder
 from recon.api.clip_cameras import possible_cameras
 from recon.check.likelihood import Baseline
-from recon.check.other_camera import GAIN, gains_of, other_camera_finding
+from recon.check.other_camera import MIN_GAIN, gains_of, other_camera_finding
 from recon.clip import camera_poses
 from recon.io.camera_files import write_cameras
 
@@ -57,7 +57,7 @@ def test_the_camera_that_filmed_a_clip_is_recognised(sample_baseline):
         (item,) = other_camera_finding(given, noise_px, [rolled(true, -8, "north"), true])
     assert (item.code, item.severity) == ("another_camera_fits", "warning")
     assert (item.numbers["given"], item.numbers["others"]) == ("east", ("west",))
-    assert item.numbers["log_likelihood_ratio"] > GAIN
+    assert item.numbers["log_likelihood_ratio"] > MIN_GAIN
 
 
 def test_a_camera_with_another_heading_explains_the_clip_equally_well(sample_baseline):
