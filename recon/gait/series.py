@@ -237,7 +237,7 @@ def _spline_sigmas(
     # An error that lasts throughout the clip is propagated like a series of values.
     for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
-        variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2
+        variance[[*orders]] += np.stack([_evaluate(curve, sample_s, orders) for curve in curves], axis=-1) ** 2
     errors = [error for error in errors if error.correlation_s < np.inf]
     pieces = [(slice(None), slice(None))] if smooth else [*_windows(t, sample_s)]
     if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
