@@ -280,7 +280,7 @@ class _CalibrationCheck:
             return f"{self.name}: {self.quantity} {self.value:.3g}{unit}"
         side = "at least" if self.at_least else "at most"
         return (
-            f"{self.name}: {self.quantity} {self.value:.3g}{unit}, {side} {bound:g} needed "
+            f"{self.name}: {self.quantity} {self.value:.3g}{unit}, {side} {bound:g}{unit} needed "
             f"({abs(self.value - bound):.2g} {'short' if self.at_least else 'over'}): {self.advice}"
         )
 
@@ -292,7 +292,7 @@ LIMITS = (
     ("dropped", "pictures left out as outliers", "%", 10, 25, False, "keep the board flat and still"),
     # Corners are detected to within 0.05 to 0.3 px; larger errors mean a wrong lens model or board. Pictures wider than
     # 1920 px are scaled to that width.
-    ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False,
+    ("rms", "reprojection error (in pictures scaled to at most 1920 px)", "px", 0.5, 1.0, False,
      "check --board, --model, and that the board is flat"),
     # The lens is measured inside this area and extrapolated by polynomials outside it.
     ("coverage", "fraction of the picture that the board covered", "%", 60, 30, True,

@@ -235,7 +235,7 @@ def test_parallel_boards_are_refused():
     where = [(r, t - r @ centre) for r, t in where]
     said = refused(exact_views(camera, board, where))
     assert {"tilt", "tilt axes"} <= set(said)
-    match = re.search(r"two boards ([\d.]+) degrees, at least 20 needed \(([\d.]+) short\)", said["tilt"])
+    match = re.search(r"two boards ([\d.]+) degrees, at least 20 degrees needed \(([\d.]+) short\)", said["tilt"])
     assert match is not None
     assert float(match[1]) + float(match[2]) == pytest.approx(20, abs=0.6)
 
@@ -394,7 +394,7 @@ def test_command_refuses_and_can_be_forced(radtan_folder, tmp_path):
     args = ["calibrate", *pictures, "--board", CHARUCO, "--model", "pinhole", "--out", str(out)]
     done = CliRunner().invoke(app, args)
     assert done.exit_code == 1
-    assert says(done.stderr, "refused: rms", "px of 1920", "at most 1")
+    assert says(done.stderr, "refused: rms", "scaled to at most 1920 px", "at most 1 px needed")
     assert not out.exists()
     assert (tmp_path / "camera_coverage.png").exists()
     assert CliRunner().invoke(app, [*args, "--force"]).exit_code == 0
