@@ -183,10 +183,11 @@ def table_of(
         *(Column(name, justify="right") for name in numbers),
     )
     for i, column in enumerate(columns):
-        cells = [str(row[i]) for row in rows]
-        texts_shown = (str(column.header), *(cells if i >= len(texts) else []))
-        column.min_width = max((len(word) for text in texts_shown for word in text.split()), default=None)
-        if all(len(text.split()) < 2 for text in (str(column.header), *cells)):
+        cells = [str(row[i]) for row in rows] if i >= len(texts) else []
+        column.min_width = max(
+            (len(word) for text in (str(column.header), *cells) for word in text.split()), default=None
+        )
+        if i >= len(texts) and all(len(text.split()) < 2 for text in (str(column.header), *cells)):
             column.no_wrap = True  # rich would make such a column narrower than its words before it wraps others
     table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **options)
     for row in rows:

@@ -15,7 +15,8 @@ STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Style of each level of a verdict on the terminal, for rich."""
 TO_DO = {
     "check": (
-        "Look at the poses on the video (recon overlay) before use. Reason and warnings state what may be wrong."
+        "Look at the poses on the video (recon overlay) before use. The reason and the warnings state what may be "
+        "wrong."
     ),
     "do not use": "Do not use these numbers. Correct the problem that the reason names, and fit again.",
 }
