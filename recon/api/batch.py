@@ -58,7 +58,7 @@ BATCH = "batch"
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]
 RESULTS = (
-    *("verdict", "reason"),
+    *("verdict", "reason", "reason_code"),
     *(f"{error}{end}" for error in ("pose_mm", "position_m") for end in ("", "_low", "_high")),
     *("frames", "frames_with_pose", "warnings", "outliers", "corrected", "mean_reprojection_px"),
     *("mean_speed_m_s", "peak_speed_m_s", "size"),
@@ -68,7 +68,7 @@ COLUMNS = (
     *RESULTS,
     *("seconds", "attempts", "settings_hash", "inputs_hash"),
 )
-_TEXTS = ("keypoints", "out", "error", "verdict", "reason", "settings_hash", "inputs_hash")
+_TEXTS = ("keypoints", "out", "error", "verdict", "reason", "reason_code", "settings_hash", "inputs_hash")
 _CELLS: dict[str, Any] = {name: (str | None if name in _TEXTS else float | None, None) for name in COLUMNS}
 _CELLS |= {"clip": (str, ...), "status": (str, ...)}
 _Row = create_model("_Row", **_CELLS)
@@ -309,6 +309,7 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "verdict": verdict.get("level"),
         "reason": verdict.get("reason"),
+        "reason_code": verdict.get("reason_code"),
         **errors,
         **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers", "corrected")},
         "warnings": len(warnings(report)),

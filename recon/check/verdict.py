@@ -63,11 +63,15 @@ REASON_TEXTS = {
     "rate": "The frame rate is low, so the pose between the frames is hardly known.",
 }
 """Reason for a verdict, with the factor that raises the expected error the most as the key."""
+NO_FAULT, NO_SERIOUS_FAULT, SOME_UNCHECKED = "no_fault", "no_serious_fault", "not_all_checked"
+"""Codes of the reason for the verdict "use" (`Verdict.reason_code`).
+
+They mean that there are no notes, that there are notes, and that some checks were not made because the prior was not
+learned from motions.
+"""
 NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason for the verdict "use" if there are no notes."""
 _NOTHING_SPOILS = "No check{that_ran} found a fault that spoils the {what}"
-NOTHING_SERIOUS = _NOTHING_SPOILS.format(that_ran="", what="result")
-"""Beginning of the reason for the verdict "use" if there are notes."""
 _UNCHECKED = "frame rate, swaps, lens and zoom were not checked"
 """Clause that names the checks that need a prior learned from motions."""
 NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
@@ -228,31 +232,31 @@ def add_verdict(motion: Motion) -> Motion:
 def _verdict(motion: Motion) -> Verdict:
     if errors := [finding for finding in motion.findings if finding.severity == "error"]:
         # Expected errors do not apply to data that may belong to another animal, camera or time.
-        return Verdict("do not use", _sentence_of(motion, errors[0]))
+        return Verdict("do not use", _sentence_of(motion, errors[0]), reason_code=errors[0].code)
     if not motion.solved.any():
-        return Verdict("do not use", "No frame has a pose.")
+        return Verdict("do not use", "No frame has a pose.", reason_code="no_pose")
     evidence = evidence_of(motion)
     pose_effect, position_effect = (_largest_effect(motion.findings, name) for name in EFFECTS)
     pose = _widened(expected_pose_of_trunk(evidence), pose_effect, evidence.trunk_m)
     position = _widened(expected_position(evidence), position_effect)
     if not np.isfinite(pose.expected + position.expected):  # the frame method without its priors has no expected errors
-        return Verdict("do not use", REASON_TEXTS["posterior"])
+        return Verdict("do not use", REASON_TEXTS["posterior"], reason_code="posterior")
     warnings = [finding for finding in motion.findings if finding.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
     # The reason is the factor that exceeds its value in a typical view the most.
-    strongest = REASON_TEXTS[
-        max(REASON_TEXTS, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL_FACTORS[name]))
-    ]
-    reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion, position)
+    code = max(REASON_TEXTS, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL_FACTORS[name]))
+    reason = REASON_TEXTS[code]
+    if pose.high <= LIMIT_OF_TRUNK:
+        reason, code = _nothing_against(motion, position)
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
-        reason = f"Good except for this: {_sentence_of(motion, notes[0])}"
+        reason, code = f"Good except for this: {_sentence_of(motion, notes[0])}", notes[0].code
     warned = bool(warnings) and level != "do not use"
     if warned:
-        reason = _sentence_of(motion, warnings[0])
-    return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned)
+        reason, code = _sentence_of(motion, warnings[0]), warnings[0].code
+    return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned, code)
 
 
-def _nothing_against(motion: Motion, position: ExpectedError) -> str:
+def _nothing_against(motion: Motion, position: ExpectedError) -> tuple[str, str]:
     """Return the reason for the verdict on a motion without errors and warnings.
 
     The reason states the number of notes and the checks that were not made. It names a note on the animal's position,
@@ -262,21 +266,23 @@ def _nothing_against(motion: Motion, position: ExpectedError) -> str:
     are_all_checked = not (isinstance(solution, TrajectorySolution) and solution.prior == NONE)
     notes = [item.code for item in motion.findings if item.severity == "note"]
     if {*notes} <= WITHOUT_FAULT:
-        return NOTHING_AGAINST if are_all_checked else NOT_ALL_CHECKED
+        return (NOTHING_AGAINST, NO_FAULT) if are_all_checked else (NOT_ALL_CHECKED, SOME_UNCHECKED)
     count = f"{counted(len(notes), 'note')} {'is' if len(notes) == 1 else 'are'} in the report"
     that_ran, unchecked = ("", "") if are_all_checked else (" that ran", f", and {_UNCHECKED}")
     beginning = _NOTHING_SPOILS.format(that_ran=that_ran, what="poses" if position.widened_by else "result")
     if position.widened_by:
         beginning += f", but positions may be off by {rough_length(position.high)} ({position.widened_by})"
-    return f"{beginning}; {count}{unchecked}."
+    code = position.widened_by or (NO_SERIOUS_FAULT if are_all_checked else SOME_UNCHECKED)
+    return f"{beginning}; {count}{unchecked}.", code
 
 
-def reason_in_list(reason: str | None) -> str:
-    """Return the reason of a verdict for a list of clips, or "" if all checks ran and none found a serious fault.
+def reason_in_list(reason: str | None, code: str | None) -> str:
+    """Return a verdict's reason for a list of clips; "" if all checks ran and none found a serious fault.
 
-    The reason is compared as text, because it is read from the summary.csv of a batch.
+    `code` is the reason's code (`Verdict.reason_code`). Without a code, as in tables of earlier versions, the list has
+    the whole reason.
     """
-    return "" if not reason or reason == NOTHING_AGAINST or reason.startswith(NOTHING_SERIOUS) else reason
+    return "" if not reason or code in (NO_FAULT, NO_SERIOUS_FAULT) else reason
 
 
 def _largest_effect(findings: Sequence[Finding], name: str) -> tuple[float, str]:

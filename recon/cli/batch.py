@@ -234,6 +234,6 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     if row["error"]:
         return text.append(f": {row['error']}")
     pose = "" if row["pose_mm"] is None else f", pose error {quantity(row['pose_mm'], 0, 'mm')}"
-    reason = f": {listed}" if (listed := reason_in_list(row["reason"])) else ""
+    reason = f": {listed}" if (listed := reason_in_list(row["reason"], row["reason_code"])) else ""
     text.append("  ").append(level, STYLES.get(level, ""))
     return text.append(f"{pose}, {row['frames']} frames, {quantity(row['seconds'], 1, 's')}{reason}")

@@ -93,6 +93,10 @@ class Verdict(Brief):
     """Distance of the mean of all joints from its true position, averaged over the frames, m; None without a pose."""
     warned: bool = False
     """Whether a finding warns that errors may be larger than stated."""
+    reason_code: str = ""
+    """What the reason is about: the code of a finding, `no_fault`, `no_serious_fault`, `not_all_checked`, `no_pose`, or
+    the quantity that makes the expected error large; "" in results of earlier versions.
+    """
 
     @property
     def lines(self) -> tuple[str, ...]:

@@ -366,7 +366,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         numbers["median_px"] = [*numbers["median_px"], f"mean {mean_px:.0f}"]
     return {
         "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
-        "reason": reason_in_list(cells["reason"]) if state == cells["verdict"] else "",
+        "reason": reason_in_list(cells["reason"], cells.get("reason_code")) if state == cells["verdict"] else "",
         "numbers": numbers,
         "page": f"{cells['clip']}/{PAGE}" if (folder / PAGE).is_file() else None,
         "flagged": flagged,
