@@ -56,7 +56,7 @@ def loaded_house() -> SimpleNamespace:
 
 @pytest.fixture(scope="module")
 def house() -> SimpleNamespace:
-    """Return the module that draws the graph of imports."""
+    """Return the contents of `benchmarks/house.py`, which finds the imports between modules."""
     return loaded_house()
 
 

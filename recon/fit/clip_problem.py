@@ -412,7 +412,7 @@ class ClipProblem:
         return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return the standard deviation (V,), m, of each camera's position, which decreases if the animal is close."""
+        """Return the prior standard deviation (V,), m, of each camera's position, smaller if the animal is close."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))

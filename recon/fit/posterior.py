@@ -371,7 +371,7 @@ class _EquationsByNoise:
     """Normal equations of a short clip, which can be rescaled to another noise of the detections."""
 
     whole: Normal | None
-    """Normal equations of all terms; None for a long clip, which needs too much memory."""
+    """Normal equations of all terms; None for a long clip, for which they would need too much memory."""
     undetected: Normal | None
     """Normal equations of all terms except the detections; None for a long clip."""
 
@@ -476,11 +476,12 @@ def _add_shape(
     by_others: Array,
     size: float,
 ) -> None:
-    """Add the uncertainty of shared unknowns that include lengths, but not of the size, to the joints, in place.
+    """Add the uncertainty of all shared unknowns except the size to the joints, if lengths are among these unknowns.
 
     `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives (n, J, 3) with respect to the
-    size. The covariance of the states also changes in place. Let X (3, D + L) be the derivatives of a joint with
-    respect to states and lengths, and V (D + L, D + L) the covariance of both. The joint's covariance is X V X'.
+    size. These arrays and the covariance of the states are changed in place. Let X (3, D + L) be the derivatives of a
+    joint with respect to states and lengths, and V (D + L, D + L) the covariance of both. The joint's covariance is
+    X V X'.
     """
     absolute, relative, by_size = joints
     shape, root_of_lengths = Shape.of_body(body), at_minimum.covariance_root[at_minimum.lengths]

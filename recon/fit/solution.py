@@ -286,7 +286,7 @@ def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
     """Yield the name and values of each array of a segment, one after the other to limit the memory."""
-    # for several cameras, the other shared unknowns stay as solved, so that the rays still meet
+    # With several cameras the other shared unknowns, such as the cameras' poses, stay fixed, so that rays still meet.
     state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
     states = states_at_size(segment.estimate.states, state_by_size, segment.size, size)
     points = clip.body.tree.pose(states).points_m

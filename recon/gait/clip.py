@@ -355,7 +355,8 @@ class ClipAnalysis(Brief):
         import pandas as pd
 
         if self.why_no_speed is not None:
-            raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path with a known speed"))
+            actual = f"no known speed, because {self.why_no_speed}"
+            raise InputError(Problem(self.motion.file, "speed", actual, "a path with a known speed"))
         reference_motion = self.reference_motion
         speed, low, high = interval_of(reference_motion.speed_m_s, reference_motion.speed_sigma_m_s)
         values = {"speed_m_s": speed, "sigma_m_s": reference_motion.speed_sigma_m_s, "low_m_s": np.maximum(low, 0.0)}

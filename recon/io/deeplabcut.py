@@ -418,8 +418,9 @@ def _points(
     points = np.full((len(values), len(indices_of), 3), np.nan)
     for k, (bodypart, by_coord) in enumerate(indices_of.items()):
         if any(len(indices) > 1 for indices in by_coord.values()):
-            detail = "more than one column of a kind, with different numbers"
-            problems.append(Problem(path, f"bodypart {bodypart}", detail, "one of each kind"))
+            repeated = ", ".join(coord for coord, indices in by_coord.items() if len(indices) > 1)
+            detail = f"several columns {repeated} with different numbers"
+            problems.append(Problem(path, f"bodypart {bodypart}", detail, "one column for each coordinate"))
         if lacking := [coord for coord in required if coord not in by_coord]:
             problems.append(Problem(path, f"bodypart {bodypart}", f"no {', '.join(lacking)}", ", ".join(required)))
         for i, coord in enumerate(coords):

@@ -261,7 +261,7 @@ def recognises_points3d(path: Path) -> bool:
 
 
 def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D points of one track in sleap-anipose's file."""
+    """Return the 3D points of one track in a file of sleap-anipose."""
     with opened(path) as file:
         nodes, tracks = hdf5.texts_in(file, "node_names"), hdf5.texts_in(file, "track_names")
         values = numbers(child(file, "tracks"))

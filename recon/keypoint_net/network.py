@@ -112,7 +112,7 @@ _PRIOR_SIGMA = np.array([0.5, 2.0])
 """Standard deviations of the prior on a calibration's slope and offset."""
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
-DEVICE = Option("auto, cpu, cuda or mps.")
+DEVICE = Option("Device on which the network runs: auto, cpu, cuda or mps.")
 THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more")
 
 

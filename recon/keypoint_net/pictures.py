@@ -92,9 +92,9 @@ class Augmentation:
     contrast: float = 0.3
     """Largest logarithm of the factor by which the contrast changes."""
     brightness: float = 25.0
-    """Largest change of the brightness, in levels from 0 to 255."""
+    """Largest change of the brightness, on a scale from 0 to 255."""
     gamma: float = 0.3
-    """Largest logarithm of the exponent (gamma) applied to the levels."""
+    """Largest logarithm of the exponent (gamma) that is applied to the brightness of every pixel."""
     colour: float = 0.12
     """Largest logarithm of the factor by which each colour changes."""
     light_patch: float = 0.3
@@ -104,7 +104,7 @@ class Augmentation:
     blur: float = 0.25
     """Probability of motion blur."""
     noise: float = 6.0
-    """Largest standard deviation of the noise, in levels."""
+    """Largest standard deviation of the noise in the brightness, on a scale from 0 to 255."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,7 +131,7 @@ class Quadruped:
         return tuple(name for leg in self.legs.values() for name in leg.joints)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Return the lower limits, upper limits and maximum rates of the joints of all legs, (joints,) each."""
+        """Return the lower limits, rad, upper limits, rad, and maximum rates, rad/s, of all joints, (joints,) each."""
         names = ("lower_rad", "upper_rad", "max_rate_rad_s")
         chains = [leg.chain for leg in self.legs.values()]
         lower, upper, rate = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)

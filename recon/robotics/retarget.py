@@ -330,7 +330,7 @@ class KeptMotion:
     scale: float
     slower: float
     time_s: Array
-    """Times of the robot, shape (N,), seconds."""
+    """Time of each frame of the robot's motion, shape (N,), seconds."""
     angles_rad: Array
     """Joint angles, shape (N, joints), rad."""
     position_m: Array

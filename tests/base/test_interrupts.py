@@ -203,7 +203,7 @@ def test_ignored_interrupt_stays_ignored():
     ],
 )
 def test_the_process_ends_with_its_own_code(end, code, said):
-    """Functions registered for the exit run and print before the process ends."""
+    """Functions registered with `atexit` run, and can print, before the process ends."""
     ended = recon_in(f"def work():\n    atexit.register(print, 'at the exit'); {end}")
     assert (ended.code, ended.out) == (code, "cleaned up\nat the exit\n")
     assert ended.err.endswith(said)

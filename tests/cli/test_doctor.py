@@ -268,7 +268,7 @@ def test_no_color_is_respected_on_a_terminal(args, monkeypatch):
 
 
 def test_output_is_coloured_without_no_color(monkeypatch):
-    """Colours appear without NO_COLOR, so that the test above can fail."""
+    """Without NO_COLOR the output has colours, which shows that the test above can fail."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.delenv("NO_COLOR", raising=False)

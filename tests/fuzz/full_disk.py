@@ -67,7 +67,7 @@ def read_data(out: Path) -> object:
         return sizes
     try:
         return read_any(out, ConvertSettings(fps=60))[0]
-    except InputError:  # 3D positions without a unit, which 2D keypoints must not have
+    except InputError:  # 3D positions need a unit, which is refused for 2D keypoints
         return read_any(out, ConvertSettings(fps=60, unit="m", up="z"))[0]
 
 

@@ -263,7 +263,7 @@ def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
     assert found.xy_px.tolist() == [[[0.5, 2.25]], [[5, 6]]]
     assert "Columns of nose are in the table more than once" in " ".join(found.notes)
     path.write_text("\n".join([*rows[:4], ",1,5,,6,7"]))
-    with refusal((path, "bodypart nose", "different numbers", "one of each kind")):
+    with refusal((path, "bodypart nose", "different numbers", "one column for each coordinate")):
         read_keypoints(path)
     path.write_text("\n".join([*rows[:4], ",1,5,8,6,5"]))
     with refusal((path, "line 5", "5 cells", "4, as in the header")):

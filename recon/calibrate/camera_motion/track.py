@@ -284,7 +284,7 @@ class Tracker:
         return None if agreement is None else agreement.orientation
 
     def _learn(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> bool:
-        """Update which points are background, and return whether no single rotation explains them."""
+        """Update which points are background, and return whether too few of them agree with the orientation."""
         settled = still_agreeing = 0
         for k, key in enumerate(seen.keys):
             is_own = seen.key_index == k

@@ -46,7 +46,7 @@ RECORDING = "recording.rrd"
 LOOK = "theme=dark&persist=0"
 """Options in the page's address, which make the viewer dark and keep it from storing settings in the browser."""
 START_S = 30.0
-"""Largest time that rerun's server may take to start, in seconds."""
+"""Longest time that rerun's server may take to start, seconds."""
 TICK_S = 0.05
 """Time between two checks whether rerun's server has started, in seconds."""
 
