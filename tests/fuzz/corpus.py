@@ -38,6 +38,7 @@ from recon.io.camera_track import read_camera_track
 from recon.io.columns import parse_map, read_long
 from recon.io.common import Pose3D
 from recon.io.formats import FORMATS, read_keypoints
+from recon.io.json_poses import ANIMAL3D
 from recon.io.positions import read_pose3d, read_pose_segments
 from recon.keypoint_net.labels import read_label_file
 from recon.robotics.climb.plan import load_recipe
@@ -97,6 +98,24 @@ XML = """<?xml version="1.0"?>
 </opencv_storage>
 """
 MATRIX = [[1000.0, 0.0, 960.0], [0.0, 1000.0, 540.0], [0.0, 0.0, 1.0]]
+STEREO = (
+    OPENCV.replace("camera_matrix", "K1").replace("distortion_coefficients", "D1")
+    + "K2: ["
+    + ("[ 1000., 0., 960. ], [ 0., 1000., 540. ], [ 0., 0., 1. ] ]\nD2: [ 0.1, 0., 0., 0., 0. ]\n")
+)
+EASYMOCAP = OPENCV.replace("camera_matrix", "K_01").replace("distortion_coefficients", "dist_01") + (
+    'names: [ "01" ]\nW_01: 1920\nH_01: 1080\n'
+)
+TABLES = {
+    name: {
+        "K": MATRIX,
+        "distCoef": [0.1, 0, 0, 0, 0],
+        "R": np.eye(3).tolist(),
+        "t": [0, 1, 2],
+        "resolution": [1920, 1080],
+    }
+    for name in ("a", "b")
+}
 ACINOSET = {
     "camera_resolution": [1920, 1080],
     "cameras": [{"k": MATRIX, "d": [[0.1], [0], [0], [0]], "r": np.eye(3).tolist(), "t": [[0], [1], [2]]}] * 2,
@@ -144,6 +163,7 @@ COCO = {
     ],
     "categories": [{"id": 1, "name": "cheetah", "keypoints": ["nose", "tail"]}],
 }
+ALPHAPOSE = [{"image_id": f"{t}.jpg", "keypoints": [t, 2.5, 0.9] * 17, "score": 2.0, "idx": 1} for t in (3, 4)]
 PEOPLE = {"version": 1.3, "people": [{"pose_keypoints_2d": [10.0, 20.0, 0.5] * 17}, {"pose_keypoints_2d": []}]}
 WIDE = "frame,nose_x,nose_y,nose_score,tail_x,tail_y,speed\n3,1,2,0.5,3,4,1\n5,1,2,,,,1\n"
 FRAMES = np.array([3, 4, 5, 6, 9])
@@ -247,7 +267,8 @@ def of_formats(folder: Path) -> Iterator[Seed]:
             yield Seed(f"2d-animal-{path.name}", path.read_bytes(), _animal, 0.4)
         if "3D" in kind.writes:
             kind.write(pose, path)
-            yield Seed(f"3d-{path.name}", path.read_bytes(), _positions)
+            states_unit = kind.axes.startswith("mm")
+            yield Seed(f"3d-{path.name}", path.read_bytes(), read_pose3d if states_unit else _positions)
     chain = load_skeleton("cheetah-8u")
     rig = make_rig(chain, 1.0, chain.markers, FRAMES, random.normal(size=(5, chain.n_state)).round(2), 50.0)
     write_bvh(rig, folder / "3d.bvh")
@@ -273,6 +294,9 @@ def of_formats(folder: Path) -> Iterator[Seed]:
     yield Seed("3d-fmpose3d.json", json.dumps(lifted).encode(), _positions)
     yield Seed("2d-mmpose.json", json.dumps(MMPOSE).encode(), _points)
     yield Seed("2d-coco.json", json.dumps(COCO).encode(), lambda path: clean(read_keypoints(path, "1"), 0.5))
+    yield Seed("2d-alphapose.json", json.dumps(ALPHAPOSE).encode(), _points)
+    np.savez(folder / "demo.npz", pose3d=random.normal(size=(1, len(ANIMAL3D.split()), 3)))
+    yield Seed("3d-fmpose3d.npz", (folder / "demo.npz").read_bytes(), _positions)
     yield Seed("2d-openpose-000012_keypoints.json", json.dumps(PEOPLE).encode(), _points)
     yield Seed("2d-wide.csv", WIDE.encode(), _points)
     write_sleap(clip, folder / "2d.analysis.h5")
@@ -377,6 +401,9 @@ def _cameras(folder: Path) -> Iterator[Seed]:
         ("scene.json", json.dumps(ACINOSET)),
         ("anipose.toml", ANIPOSE),
         ("opendronemap.json", json.dumps(OPENDRONEMAP)),
+        ("stereo.yml", STEREO),
+        ("intri.yml", EASYMOCAP),
+        ("tables.json", json.dumps(TABLES)),
     ):
         yield Seed(name, content.encode(), _cameras_of, 1.5)
 
@@ -389,7 +416,8 @@ def _tracks() -> Iterator[Seed]:
     images = "# Image list\n" + "".join(
         f"{i} 0.7071 0.7071 0 0 0.1 0.2 5 1 a/img{i:04d}.png\n1.5 2 -1\n" for i in (1, 2)
     )
-    places = table.replace("tx,ty,tz", "x,y,z")
+    # with a camera's position, the rotation is from camera to world, the inverse
+    places = table.replace("tx,ty,tz", "x,y,z").replace("0.7071,0.7071", "0.7071,-0.7071")
     for name, content in (
         ("track.csv", table),
         ("places.csv", places),

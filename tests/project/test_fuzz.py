@@ -72,6 +72,28 @@ def test_damaged_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor
     assert tally.read > count / 10
 
 
+def formats_of_good_files(folder: Path) -> set[str]:
+    """Read every valid file, and return the titles of the formats of these files."""
+    from recon.io.formats import FORMATS
+
+    titles = set()
+    for seed in (*good_files("formats", folder / "formats"), *good_files("settings", folder / "settings")):
+        if seed.is_input and seed.link is None:
+            path = folder / f"good-{seed.name}"
+            path.write_bytes(seed.content)
+            seed.read(path)
+            titles.update([f.title for f in FORMATS if f.recognises(path)][:1])
+    return titles
+
+
+@pytest.mark.slow
+def test_good_files_are_read_and_have_every_format(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
+    from recon.io.formats import FORMATS
+
+    titles = pool.submit(formats_of_good_files, tmp_path).result()
+    assert titles == {f.title for f in FORMATS if f.reads}
+
+
 @pytest.mark.slow
 def test_command_prints_the_number_of_cases(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
     code, printed = pool.submit(of_the_command, tmp_path).result()
