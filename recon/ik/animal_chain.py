@@ -28,7 +28,7 @@ BASE_THETA_RAD = 0.9
 LIMIT_SIGMAS = 3.0
 """Distance of the limits on a whole animal's angles from the expected means, in standard deviations."""
 _TRAVEL_M = 0.1
-"""Distance between the root's first and last positions below which its path has no direction, metres."""
+"""Minimum distance between the root's first and last positions that defines a direction of travel, metres."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 

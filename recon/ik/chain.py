@@ -32,7 +32,7 @@ Limits = tuple[ArrayLike, ArrayLike]
 """Lower and upper limits of a chain's joints, rad or m; each is one number, or one number for each joint."""
 FREE: Limits = (-np.inf, np.inf)
 MAX_RATE_RAD_S = 50.0
-"""Maximum rate of the joints of a chain that states none, rad/s."""
+"""Default maximum rate of a chain's joints, rad/s."""
 
 
 @dataclass(frozen=True, eq=False)

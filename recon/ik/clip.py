@@ -93,8 +93,8 @@ class IkSettings(Settings):
     """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
     clip's mean pose), or a sum with weights, such as energy,differences=0.1."""
     costs: bool = False
-    """Study the extended Jacobian method with each cost over ten turns of the stride: convergent, drifting, singular or
-    chaotic.
+    """Follow the stride ten times by the extended Jacobian with each cost, and classify the motion as convergent,
+    drifting, singular or chaotic.
     """
     alpha: Annotated[Literal["step"] | Number | None, Option(expected="step, or a number other than 0")] = None
     """Factor on the joints' rates of every method: a number, or step, for the factor with which the foot's motion is

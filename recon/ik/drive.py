@@ -38,7 +38,7 @@ STILL_RAD = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Motion of a chain to a target or along a path: K configurations and K - 1 steps."""
+    """Motion of a chain to a target or along a path, with K configurations and K - 1 steps."""
 
     q: Array
     """Joint angles, shape (K, n), rad."""
@@ -60,7 +60,7 @@ class Run:
     solve_s: Array
     """Computing time of each step, shape (K - 1,), seconds."""
     limits: dict[str, str]
-    """Text for each joint that a limit stopped, naming the limit and the first such step, in the order of the steps."""
+    """Text on each joint that a limit stopped, with the limit and the first step at which it did so, by joint name."""
     closed: bool
     """Whether the path was closed."""
     note: str

@@ -139,7 +139,6 @@ def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
 
 
 def _parameter_label(column: str) -> str:
-    """Return the legend's label for a column of the parameter table."""
     if column in _SINGLE:
         return _SINGLE[column]
     label = column.removesuffix("_best_alpha")

@@ -211,7 +211,7 @@ def vector_names(joints: Sequence[str]) -> list[str]:
 def fit_parameter_series(
     limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
 ) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
-    """Fit the parameters to each frame of a stride, or to the `last` frames before it.
+    """Fit the parameters of each method to each frame of a stride, or to the `last` frames before each frame.
 
     `cost` is the cost of gradient projection. For single frames, its default is the joint differences, with k fitted.
     The table then also has the smallest constant g (`CONSTANT_VECTOR`). The extended Jacobian has no parameter besides
@@ -273,7 +273,7 @@ def animal_portraits(motion: Motion, limb: Limb, stride: StridePath) -> dict[str
 
 
 def _rates_of(limb: Limb) -> tuple[Frames, Array]:
-    """Compute joint rates in the frames with a pose, and return both with the times (T,), seconds since frame 0."""
+    """Return the T frames with a pose, with their joint rates, and their times (T,), seconds since frame 0."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
@@ -283,7 +283,7 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """Choose the stride of a limb: the given stride, or one found in the clip.
+    """Return the path of a limb over a given stride, or over a stride found in the clip.
 
     For a skeleton that is a chain of links, the stride of the analysis is used, and for a whole animal the foot's first
     valid stride. The stride is the same in two and three dimensions. In a clip without a valid stride

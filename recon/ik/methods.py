@@ -35,7 +35,7 @@ SINGULAR = 1e-6
 The corresponding ratio of the singular values of J is one thousandth.
 """
 LOST = 1e-12
-"""Singular value of J, relative to the largest, below which the end effector cannot move in that direction."""
+"""Singular value of J, relative to the largest, below which the singular direction counts as immovable."""
 EXTENDED_SINGULAR = 1e-3
 """Ratio of the smallest to the largest eigenvalue of N' M N, in magnitude, below which the matrix is singular."""
 MAX_CORRECTION_RAD = 0.05

@@ -1,4 +1,4 @@
-"""Move along the null space to a stationary point of a cost, with the end effector fixed."""
+"""Move a redundant chain to a stationary point of a cost, with the end effector fixed."""
 
 from __future__ import annotations
 

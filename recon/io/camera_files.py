@@ -87,7 +87,7 @@ _PERSPECTIVE = ("pinhole", "perspective")
 """Names of camera models that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
-"""Largest number of nested levels in a file that is read, because OpenCV crashes at 20,000."""
+"""Largest number of nested levels in a file that is read, because OpenCV crashes on deeply nested files."""
 
 
 def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:

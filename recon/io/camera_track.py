@@ -339,7 +339,7 @@ def _frame_of_name(name: str) -> int | None:
 
 
 def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
-    """Return the cameras of the images, by COLMAP's camera number.
+    """Return the cameras with the COLMAP numbers `wanted` in a cameras.txt, by number.
 
     The cameras may differ only in focal length and centre.
     """

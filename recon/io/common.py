@@ -27,7 +27,7 @@ from recon.base.numbers import counted
 class Pose3D(Brief):
     """3D positions of J joints in T frames.
 
-    Creating one raises ValueError if the fields do not fit together.
+    The constructor raises ValueError if the fields do not fit together.
     """
 
     names: tuple[str, ...]
@@ -110,7 +110,7 @@ SCORER = "recon"
 FMPOSE3D = "fmpose3d_"
 """Text in the name of a scorer or network that identifies FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
-# A file of the wrong kind can have thousands of problems, of which a few say enough.
+# A file of the wrong kind can have thousands of problems, so a message lists only the first ones.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**9
 """Largest absolute frame number (three months at 120 Hz), because larger numbers are time stamps or errors."""
@@ -119,7 +119,7 @@ POINTS_MAX = 20_000_000
 
 
 def starts_with(path: Path, signature: bytes) -> bool:
-    """Return whether a file begins with these bytes."""
+    """Return whether a file begins with `signature`."""
     with path.open("rb") as file:
         return file.read(len(signature)) == signature
 

@@ -201,7 +201,7 @@ def _outside(
 def _problems(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> Iterable[Problem]:
-    """Yield a problem for each way in which corrections do not belong to the keypoint files."""
+    """Yield problems with corrections that do not belong to the keypoint files."""
     unknown_cameras = {row.camera for row in corrections} - {"", *cameras}
     if unknown_cameras:
         yield Problem(source, "camera", ", ".join(sorted(unknown_cameras))[:100], f"one of {', '.join(cameras)}")

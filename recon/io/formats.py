@@ -560,7 +560,6 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
 
 
 def _describe_head(head: bytes) -> str:
-    """Return a plain description of the first bytes of a file."""
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
         return "a video (recon run and recon predict find the keypoints in one)"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):

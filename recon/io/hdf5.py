@@ -1,7 +1,8 @@
 """Read numbers and texts, and nothing else, from HDF5 files of unknown origin, with h5py.
 
 h5py does not execute any content of a file. Content that could make the HDF5 library hang or take too much memory is
-rejected first: endless text heaps, sizes that the file cannot fill, data in other files, other types.
+rejected first: text heaps without an end, sizes that the file cannot fill, data in other files, and types other than
+numbers and texts.
 """
 
 from __future__ import annotations

@@ -178,7 +178,8 @@ def _parameters(section: bytes, order: str) -> Parameters:
     """Return the parameters in the parameter section of a C3D file.
 
     A record has the length of the name (negative if locked), the number of the group (negative for the group itself),
-    the name, the distance from there to the next record, and for a parameter its type, dimensions and data.
+    the name, the distance from the end of the name to the next record, and for a parameter its type, dimensions and
+    data.
     """
     groups: dict[int, str] = {}
     by_group: dict[int, dict[str, Any]] = {}

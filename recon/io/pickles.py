@@ -1,6 +1,7 @@
 """Read plain values from pickles of unknown origin.
 
-A pickle is a program, which could do anything. It is run only with instructions that build plain values.
+A pickle is a program, which could do anything. `plain_pickle` runs only instructions that build plain values, and
+`plain_parts_of_pickle` replaces every object of another kind by an `Unread`.
 """
 
 from __future__ import annotations

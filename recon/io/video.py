@@ -29,8 +29,8 @@ Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
 """Codec of a new video for each suffix, of those that OpenCV's own wheels can encode.
 
-MPEG-4 part 2 is shown by players but not by browsers. VP8 is played by every browser, and takes a second for a picture
-of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
+MPEG-4 part 2 is shown by players but not by browsers. VP8 is played by every browser, but its encoder is slow. MJPG is
+Motion JPEG. The wheels have no encoder for H.264.
 """
 
 UNEVEN = 0.3

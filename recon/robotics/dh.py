@@ -159,7 +159,7 @@ def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:
 
 
 def _across(z: Array) -> Array:
-    """Return a unit vector perpendicular to z: the x axis, or the y axis if z is close to x, less its part along z."""
+    """Return the unit vector perpendicular to z that is closest to the x axis, or to the y axis if z is close to x."""
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
     x = x - (x @ z) * z
     return x / np.linalg.norm(x)

@@ -34,7 +34,13 @@ LEAST_INERTIA_KG_M2 = 1e-9
 
 
 def require_mujoco(source: str | Path) -> ModuleType:
-    """Return the module mujoco; raise InputError about `source` if the module is not installed."""
+    """Return the module mujoco.
+
+    Raises
+    ------
+    InputError
+        If the module is not installed, with `source` as the file concerned.
+    """
     try:
         import mujoco
     except ImportError:

@@ -51,7 +51,7 @@ STEP_S = 1e-4
 STEP = 1e-5
 """Step of a numerical derivative with respect to the state, m or rad."""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
-"""Forces (5, 3) whose non-negative combinations fill the friction cone: a pyramid and its axis."""
+"""Axis and edges of the pyramid inscribed in the friction cone, within which ground forces lie, shape (5, 3)."""
 TRIES = 5
 """Maximum number of attempts to find forces that also keep the torque limits."""
 STRETCHED = 0.05
@@ -70,7 +70,7 @@ TURNS = 12
 HOPELESS = 50.0
 """Weighted sum of squared excesses over the limits, after three optimisation steps, above which `carried` stops."""
 UNIT = 0.02
-"""Unmet part of the weight that gives a residual of 1, as a fraction of the weight."""
+"""Unmet part of the required forces that gives a residual of 1, as a fraction of the weight."""
 TORQUE = 0.05
 """Excess of a torque that gives a residual of 1, as a fraction of its limit."""
 WITHIN = 0.02
@@ -108,14 +108,26 @@ RULES = {
 
 
 def simulated(robot: Quadruped) -> MjModel:
-    """Build MuJoCo's model of a robot whose base moves freely; raise InputError if the robot has no masses."""
+    """Build MuJoCo's model of a robot whose base moves freely.
+
+    Raises
+    ------
+    InputError
+        If MuJoCo is not installed, if the robot's file cannot be read, or if its masses are not known.
+    """
     if Path(robot.source).suffix.lower() in SUFFIXES:
         return read_model(robot.source, free=True)
     return described(robot).compile()
 
 
 def described(robot: Quadruped) -> MjSpec:
-    """Build MuJoCo's description of a robot given by its dimensions; raise InputError if the robot has no masses."""
+    """Build MuJoCo's description of a robot given by its dimensions.
+
+    Raises
+    ------
+    InputError
+        If MuJoCo is not installed, or if the robot's masses are not known.
+    """
     mujoco = require_mujoco(robot.source)
     if robot.masses is None:
         raise InputError(Problem(robot.source, "masses", "none", "masses and max_torque_n_m (docs/robot.md)"))
@@ -155,7 +167,7 @@ class _Demand(NamedTuple):
     """
 
     needed: Array
-    """Required forces, newtons, and moments and torques, N m, without the forces from the ground, shape (N, 6 + J)."""
+    """Required forces (N), moments and torques (N m), without the forces from the ground, shape (N, 6 + J)."""
     moves: Array
     """Derivatives of the foot positions with respect to the coordinates, shape (N, 4, 3, 6 + J)."""
 

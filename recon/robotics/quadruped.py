@@ -340,8 +340,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
     The legs are the four chains of at least three moving joints that end in a leaf. The positions of the hips decide
     which leg is which. If several leaves hang on the same joints, the lowest leaf is the foot. The hips stand at the
-    fraction `STAND` of the stretched legs' length, with each foot below the second joint of its leg. Raises InputError
-    if the number of chains is not four.
+    fraction `STAND` of the stretched legs' length, with each foot below the second joint of its leg.
     """
     model = read_model(path)
     names, chain_of_leaf = body_names(model), {}

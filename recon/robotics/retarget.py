@@ -167,7 +167,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
 
 
 def _longest_complete(motion: Motion, tracks: Tracks, trunk: Array) -> Index:
-    """Return the samples of the longest part that shows all feet and the trunk; raise InputError if it is too short."""
+    """Return the samples of the longest part of the clip that shows all feet and the trunk, shape (N,)."""
     columns = np.column_stack([tracks.foot_m.reshape(len(tracks.time_s), -1), tracks.body_m, trunk])
     ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
     rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
@@ -218,7 +218,7 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
 
 
 def stride_window(animal: Animal) -> StrideWindow:
-    """Choose the stride that a robot repeats: the given one, a complete one, or the part that nearly closes.
+    """Return the given stride for a robot to repeat, or a complete stride, or the part of the clip that nearly closes.
 
     The complete stride is the first stride of the foot with the most strides. If no foot lands twice, the stride lasts
     at least from the first touch-down to the end of the clip.
@@ -310,7 +310,7 @@ Legs are about this thick.
 SCALES = 0.97 ** np.arange(76)
 """Scales to try, in decreasing order, as fractions of the largest scale."""
 _EVERY = 5
-"""Step between the samples (half a frame) on which a scale is tested first, before it is tested on all samples."""
+"""Step, in samples, of tests on a part of a motion. Five samples are half a frame."""
 _BISECTIONS = 25
 CLEAR = 0.05
 """Height within which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
@@ -409,7 +409,7 @@ class RobotMotion(KeptMotion):
     def apart_m(self) -> float:
         """Return the smallest distance between the fore and the hind leg of a side, metres.
 
-        The distance is computed between nine points on each link.
+        The distance is computed between nine points on each link, in every half frame.
         """
         share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
@@ -507,7 +507,7 @@ def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """Return the largest scale at which every foot is within reach, or half the largest scale if none fits."""
+    """Return the largest of `SCALES` at which every foot is within reach, or half the largest scale if none fits."""
     largest = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
@@ -649,7 +649,6 @@ class _Swings(NamedTuple):
 
 
 def _swings(time_s: Array, standing: Bools) -> _Swings:
-    """Compute the times since the last and until the next stance for the samples of one foot."""
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]

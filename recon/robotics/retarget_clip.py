@@ -630,7 +630,13 @@ def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
-    """Read the clip, the stride and their origin from a file; raise InputError if the file cannot be used."""
+    """Read the clip, the stride and their origin from a file that `keep` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used.
+    """
     expected = "motions of a robot, written by `recon retarget`"
     arrays = load_record(_Kept, path, SCHEMA, expected, older_versions=OLDER_VERSIONS)
     named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)

@@ -35,7 +35,7 @@ DETECTION, OUTLIER, FLAGGED = (255, 255, 255), (40, 60, 235), (60, 200, 255)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SHIFT = 4
 STRIP_SHARE = 0.3
-"""Height of the strip with the three views, as a fraction of 9/16 of the picture's width."""
+"""Height of the strip with the three views, relative to the height of a 16:9 picture of the same width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Fractions of the strip's width for the three views; the key to the colours takes the remaining width."""
 TILE_PX = (480, 300)

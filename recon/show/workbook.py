@@ -114,7 +114,7 @@ def _unit_in_words(table: pd.DataFrame, column: str) -> str:
 
 
 def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return all numbers in a long table with columns table, of (the row's texts), `KEYS`, variable, unit, value."""
+    """Return all numbers as a long table with the columns table, of (texts of a row), `KEYS`, variable, unit, value."""
     parts = [part for name, table in tables.items() for part in _melted(name, table)]
     columns = ["table", "of", *KEYS, "variable", "unit", "value"]
     if not parts:

@@ -5,7 +5,7 @@ as the caps on its speed allow. Then the foot rises, crosses and sinks at the sp
 stays in the equilibrium of its fields. Whenever the caps delay the torso, the foot waits.
 
 r is a leg's vector from hip to foot in body axes; X and Y are the lateral and the forward axis. Every leg has three
-fields of the same form: each is the slope of a potential well of a coordinate q.
+fields of the same form. Each is the slope of a potential well of a coordinate q:
 
     radial  q = |r|                        the hip is pushed along r
     swing   q = atan2(forwards, down)      along X x r, in the plane whose normal is lateral
@@ -71,18 +71,18 @@ MAX_EVALUATIONS = 100
 NUDGE = 1e-6
 """Change of the torso for numerical derivatives, in metres and radians."""
 SETTLED = 1e-8
-"""Length of a step below which the search ends, in metres and radians."""
+"""Length of a Newton step below which the search for the equilibrium ends, in metres and radians."""
 NEWTON_REACH_M = 0.03
-"""Longest shift of one Newton step."""
+"""Longest shift of the torso in one Newton step, metres."""
 TRUST_RAD = 0.5
-"""Largest turn of one Newton step."""
+"""Largest turn of the torso in one Newton step, rad."""
 SHIN_POINTS = (0.25, 0.5, 0.75)
 """Points of a shin that must not touch the ground or the step, as fractions of the distance from foot to knee."""
 ROUNDING_M = 1e-9
-"""Depth below the surface that still counts as standing on it, because of rounding errors."""
+"""Depth below the surface at which a foot still counts as standing on it, because of rounding errors, metres."""
 RECIPES = Path(__file__).parent / "recipes"
 IN_FILES = (0, 2, 1, 3)
-"""Indices into `LEGS` by the leg numbers of recipe files; the inverse is the same."""
+"""Index into `LEGS` of each leg, in the leg order of recipe files. The permutation is its own inverse."""
 PLANAR = (0, 1, 2, 4)
 """Degrees of freedom of the torso in the plane: x, y, z and pitch."""
 SPATIAL = (0, 1, 2, 3, 4, 5)
@@ -104,10 +104,7 @@ _PositiveLegs = Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_all_le
 
 
 class _Well(FileTable):
-    """A potential well of a coordinate q, with numbers for each leg and a wall at either end.
-
-    Raises ValueError if the bounds are out of order.
-    """
+    """A potential well of a coordinate q, with numbers for each leg and a wall at either end."""
 
     gain: _PositiveLegs
     """Slope of the well per unit of q, for each leg."""
@@ -153,7 +150,7 @@ class Fields(FileTable):
 
 
 class Step(FileTable):
-    """A step across the path: the ground is at height 0 up to x = edge_m, and at height_m beyond."""
+    """A step across the path, with the ground at height 0 up to x = edge_m, and at height_m beyond."""
 
     edge_m: Length
     height_m: Length
@@ -198,7 +195,7 @@ class _Primitive(FileTable):
 
 
 class _Swing(FileTable):
-    """A foot's swing: the clearance of its path above the higher end, and a speed for each phase."""
+    """Clearance of a swinging foot's path above its higher end, and the foot's speed in each phase."""
 
     clearance_m: PositiveLength
     rise_m_s: PositiveLength
@@ -248,7 +245,13 @@ def bundled() -> list[str]:
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """Load a built-in recipe by name, or a recipe from a file; raise InputError if it cannot be used."""
+    """Load a built-in recipe by name, or a recipe from a file.
+
+    Raises
+    ------
+    InputError
+        If the recipe cannot be used.
+    """
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     return validated(Recipe, table, path)
@@ -363,9 +366,12 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
 
 
 def plan(robot: Quadruped, recipe: Recipe) -> Climb:
-    """Plan the climb of a recipe; the result's `problems` show whether it is valid.
+    """Plan the climb of a recipe, which may be invalid (`Climb.problems`).
 
-    Raises InputError unless all legs have a swing, a flap and a knee joint in closed form, the swing joint first.
+    Raises
+    ------
+    InputError
+        Unless all legs have a swing, a flap and a knee joint in closed form, the swing joint first.
     """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
         expected = "a robot such as aibo, with legs given by dimensions and the swing joint first"
@@ -447,9 +453,14 @@ def equilibrium(
 ) -> tuple[Array, int, bool]:
     """Search for the torso's pose of lowest energy near the start.
 
-    Returns the pose, the number of evaluations, and whether the search converged. The search applies Newton's method to
-    forces and moments, with the absolute values of the stiffness's eigenvalues. `free` holds the indices of the free
-    coordinates among x, y, z, roll, pitch and yaw. The other parameters are those of `wrench`.
+    The search applies Newton's method to forces and moments, with the absolute values of the stiffness's eigenvalues.
+    `start` is T_world_body (4, 4). `free` holds the indices of the free coordinates among x, y, z, roll, pitch and yaw.
+    The other parameters are those of `wrench`.
+
+    Returns
+    -------
+    tuple
+        The pose T_world_body (4, 4), the number of evaluations, and whether the search converged.
     """
     columns, n, torso = list(free), len(free), start
     nudges = np.zeros((2 * n + 1, 6))
@@ -529,7 +540,10 @@ _COLUMNS = 4
 def run_climb(settings: ClimbSettings) -> dict[str, Any]:
     """Plan a climb, write its tables, figures and playback, and return the content of report.json.
 
-    Raises InputError if the recipe or its robot cannot be used, or if the folder has files that may not be replaced.
+    Raises
+    ------
+    InputError
+        If the recipe or its robot cannot be used, or if the folder has files that may not be replaced.
     """
     out = settings.out
     output = Output(out, "climb", settings.overwrite, input_paths(settings), has_manifest=True, mark=PLAYBACK)

@@ -214,7 +214,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield the first row, the frame numbers and the flags as text of each run of frames with the same flags."""
+    """Yield the first row of each run of frames with the same flags, and its frame numbers and flags as texts."""
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)

@@ -1,8 +1,8 @@
 """Choose and encode the pictures of a video for a page, all frames of a short clip or some of a long one.
 
 The pictures are WebP files instead of a video, because every browser shows them, each frame is found exactly, and
-OpenCV encodes them quickly. OpenCV's wheels have no H.264 encoder, and their VP8 and VP9 encoders take ten times as
-long for files of twice the size.
+OpenCV encodes them quickly. OpenCV's wheels have no H.264 encoder, and their VP8 and VP9 encoders are slower and make
+larger files.
 """
 
 from __future__ import annotations

@@ -33,12 +33,14 @@ LARGEST_BYTE = 254
 NO_BYTE = 255
 """Byte that stands for NaN."""
 CAMERA_BYTES = 1_800_000
-"""Largest size of the cameras' detections in a page before base64 encoding. The first camera shown is always included.
+"""Largest size of the cameras' detections in a page, in bytes before base64 encoding.
+
+The camera that is shown first is always included.
 """
 SPREADS = 600
 """Largest number of frames whose uncertainty is stored, evenly spaced because uncertainty changes slowly."""
 POSTURE_BYTES = 400_000
-"""Largest size of the curves of the model's own angles, which are shown in addition to anatomical flexions."""
+"""Largest size, in bytes, of the curves of the model's own angles, which are shown next to anatomical flexions."""
 MISSING, FITS, OUTLIER = 0, 1, 2
 """States of a detection in the player's data."""
 

@@ -314,7 +314,7 @@ def _plot(
     tab: str = "",
     colours: Sequence[scenes.Colour] = scenes.LINE_COLOURS,
 ) -> TimePlot:
-    """Return a plot of lines (T,), which have names, with the colours in the lines' order."""
+    """Return a plot of named lines, each of shape (T,), coloured in the order of `colours`."""
     line_colours = [colours[i % len(colours)] for i in range(len(lines))]
     return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
 

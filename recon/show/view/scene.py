@@ -256,7 +256,7 @@ def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnLi
 def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> rr.ComponentColumnList:
     """Return strips of `counts` points each from points (N, 2 or 3), in rerun's final layout.
 
-    rerun's own conversion creates an object for each strip, which takes longer than the fit of a long clip.
+    rerun's own conversion creates an object for each strip, which is slow for a long clip.
     """
     import pyarrow as pa  # installed with rerun
 

@@ -122,7 +122,6 @@ def _content(address: str) -> bytes:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Return different free ports of this machine."""
     sockets = [socket.socket() for _ in range(count)]
     try:
         for each_socket in sockets:
