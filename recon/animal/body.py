@@ -234,7 +234,7 @@ class Body(Brief):
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
-        """Return the names of the J markers' keypoints for a fit of the limbs of `side`; None for a whole animal."""
+        """Return the names of the J markers' keypoints for a fit of the limbs of `side` (None for a whole animal)."""
         return tuple(right if side == "right" else left for left, right in self.keypoints)
 
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:

@@ -106,7 +106,6 @@ def _bone(body: Body, connects: tuple[str, str], marker: str, side: Side | None)
 
 
 def _segment_of(body: Body, marker: str) -> str:
-    """Return the name of the segment to which a marker belongs."""
     return next(item.segment for item in body.tree.markers if item.name == marker)
 
 

@@ -201,7 +201,7 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 
 
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
-    """Return the command-line options for the built-in skeleton with the most of the named keypoints, and their number.
+    """Return the options for the built-in skeleton that matches the most keypoint names, and the number of matches.
 
     The options include a name map if it helps, such as `--skeleton human-25 --rename coco-17`.
     """
@@ -210,10 +210,10 @@ def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
 
 
 def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
-    """Return the built-in skeleton that has the most of the named keypoints, and a dictionary of their indices.
+    """Return the built-in skeleton that matches the most keypoint names, and a dictionary of the keypoints' indices.
 
     The keys are the skeleton's markers. Names are compared unchanged and after each built-in name map. The skeleton is
-    None if no skeleton has any of the keypoints.
+    None if no name matches.
     """
     (skeleton, name_map), count = _best_skeleton(names)
     if not count:
@@ -224,7 +224,7 @@ def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
 
 
 def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
-    """Return the built-in skeleton and name map that fit the most of the named keypoints, and the number of these."""
+    """Return the built-in skeleton and name map that match the most keypoint names, and the number of matches."""
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
     counts = [
         ((skeleton, name_map), name_map.common(names, markers))

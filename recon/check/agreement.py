@@ -2,12 +2,12 @@
 
 The rays of the cameras are compared by their error ratios (`recon.check.sights`). The test uses no body and no fitted
 pose, so it also detects a camera that pulls the fit away from the others. The cameras' poses are those of the fit,
-which are refined only if the fit refined them.
+which may have refined them.
 
 If error ratios are too high, cameras are left out one by one until the others agree (`_largest_agreeing_group`). For
 each camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If the
-rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown. Two
-cameras have no third one that could show a cause: they are reported together if their files are not exchanged.
+rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown.
+Without a third camera, no cause can be found, so two cameras are reported together unless their files are exchanged.
 Exchanged files of two cameras are tried first, since they explain the errors of two cameras at once
 (`_exchanged_pair`). If no two cameras agree, a single error names all of them.
 """
@@ -52,9 +52,7 @@ MAX_NOISE_FACTOR = 2.0
 MAX_NOISE_FACTOR_OF_TWO = 1.1
 """Largest factor by which `MAX_ERROR_RATIO` is raised for a noisy detector, with two cameras.
 
-The factor is smaller than `MAX_NOISE_FACTOR`, because no third camera shows that the errors are noise. The error ratios
-of 68 real pairs of cameras are up to 1.5. A rotation of one of two cameras raises the error ratio only if it turns the
-rays out of the planes through both cameras.
+The factor is smaller than `MAX_NOISE_FACTOR`, because no third camera shows that the errors are noise.
 """
 MAX_REMAINING_FRACTION = 0.25
 """Fraction of a camera's error ratio that may remain, at most, after correcting a cause that explains the error."""
@@ -77,7 +75,7 @@ Comparison = dict[str, float]
 """Comparison of one camera with the cameras that agree with each other; NaN if unknown.
 
 - points: number of points that were compared
-- error_px: median distance of the detections from the positions at which the others see the points
+- error_px: median distance of the detections from the positions at which the other cameras see the points
 - level: error ratio of the camera
 - turn_rad: angle of the rotation that makes the camera agree best
 - late_frames: delay of the camera's pictures that makes it agree best
@@ -94,8 +92,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     Parameters
     ----------
     motion
-        The motion, with its sources and with the views of its solution. Poses and focal lengths are those of the views,
-        which a fit may have refined, and time offsets those of the sources.
+        The motion, with its sources and with the views of its solution. Poses and focal lengths are taken from the
+        views, which a fit may have refined, and time offsets from the sources.
     sigma_px
         Standard deviation of the detector's noise, pixels.
     keypoint_sigma_m
@@ -169,10 +167,10 @@ def _without_exchange(
 def swaps_by_effect(
     findings: Sequence[Finding], motion: Motion, sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[Finding, ...]:
-    """Return findings in which the severity of each left-right swap follows from its effect on the points.
+    """Return the findings, with the severity of each left-right swap reduced if it hardly moves triangulated points.
 
-    With fewer than three cameras, the findings are not changed. A swap in one camera has little effect if the other
-    cameras agree, because the robust fit follows them. The other parameters are as in `agreement_findings`.
+    A swap in one camera has little effect if the other cameras agree, because the robust fit follows them. With fewer
+    than three cameras, the findings are not changed. The other parameters are as in `agreement_findings`.
     """
     names = [view.camera.name for view in motion.solution.views]
     if len(names) < 3 or not any(item.code.startswith("left_right_swap") for item in findings):
@@ -190,10 +188,10 @@ def swaps_by_effect(
 
 
 def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
-    """Return the distances by which camera v moves the points that the other cameras see, in metres.
+    """Return the distances by which camera v moves the points triangulated from the cameras `partners`, m.
 
     The values are those of `EFFECTS`: the movement of the points about their mean, and the movement of this mean, both
-    averaged over joints and frames. Both are NaN if the other cameras see too few points.
+    averaged over joints and frames. Both are NaN if `partners` see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)
     if len(partners) < 2:
@@ -257,7 +255,6 @@ def _exchanged_pair(ratios: Array, trials: Mapping[tuple[int, int], Array], limi
 def _compare_each(
     sights: Sequence[Sight], agreeing: Sequence[int], fps: float, points_of: PointsOf
 ) -> list[Comparison]:
-    """Return the comparison of each camera with the other cameras that agree."""
     return [
         _compare(sight, [sights[o] for o in agreeing if o != v], fps, points_of, wide=v not in agreeing)
         for v, sight in enumerate(sights)
@@ -314,7 +311,7 @@ def _largest_agreeing_group(sights: Sequence[Sight], fps: float, limit: float, p
 
 
 class _RemovalCost(NamedTuple):
-    """Cost of removing a camera from a group, of which the camera with the lowest cost is removed first."""
+    """Cost of removing a camera from a group. The camera with the lowest cost is removed first."""
 
     is_unexplained: bool
     """Whether neither a rotation nor a time offset makes the camera agree."""
@@ -346,7 +343,7 @@ def _cost_of_removal(
 
 
 def _compare(sight: Sight, partners: Sequence[Sight], fps: float, points_of: PointsOf, wide: bool) -> Comparison:
-    """Return the comparison of a camera with partners; `wide` selects the wider range of time offsets."""
+    """Return the comparison of a camera with others; `wide` selects the wider range of time offsets."""
     corrected = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         ratio, error_rad, n = error_ratio_of_pair(sight, partners[0])

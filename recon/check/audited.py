@@ -19,7 +19,7 @@ from recon.base.arrays import Array, Bools, Brief, Index, Integers
 NAMES_KNOWN = 0.6
 """Minimum fraction of the names in a file that must match a built-in skeleton for the skeleton to be used.
 
-If the skeleton has fewer markers than the file has points, it is the fraction of the markers.
+If the skeleton has fewer markers than the file has points, the fraction of the skeleton's markers is used instead.
 """
 LEAST_NAMES = 4
 """Minimum number of matching names for a built-in skeleton to be used, because two or three match several animals."""
@@ -102,7 +102,7 @@ class AuditedPoints(Brief):
     def stands(self) -> Bools:
         """Return a mask (K,) of the points that can stand still while the animal walks.
 
-        These are the points of the lower limbs, and points whose names do not tell the part of the animal.
+        These are the points of the lower limbs, and points whose names belong to no known part of the animal.
         """
         return np.array([bool(_STANDING.search(name)) or not _WORD.search(name) for name in self.names])
 

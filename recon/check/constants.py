@@ -8,7 +8,7 @@ The limit is 14 cm for a cheetah. The verdict on a clip is "use" if its error is
 positions is not an error.
 """
 EFFECT_OF_NOTE = 0.25
-"""Fraction of `LIMIT_OF_TRUNK` up to which a finding with such an effect is only a note.
+"""Largest effect of a finding that is only a note, as a fraction of `LIMIT_OF_TRUNK`.
 
 The effect is then at most 3.5 cm for a cheetah, about the error of the fit itself.
 """

@@ -46,15 +46,16 @@ length, in 18 of 25 views with 0.7 times, and in 15 of 26 letterboxed views (`be
 LIKELY_SIGMAS = 1.6
 """Deviation of the estimate, in standard deviations, beyond which another focal length is reported as likely.
 
-The deviation is -1.2 to 0.9 in correct views, -2.2 to 0.2 in views with 1.5 times the focal length, and -1.4 to 2.2
-with 0.7 times. It reaches 1.5 in some correct clips that are short or in which the animal is partly hidden.
+The deviation is -0.5 to 0.9 in correct views, -1.3 to 0.2 in views with 1.5 times the focal length, and 0.7 to 1.6 with
+0.7 times (`python benchmarks/wrong_inputs.py --only limits`, five views each). The limit is above the values of correct
+views, because the deviation is larger in short clips and if the animal is partly hidden.
 """
 MIN_FOOT_FRACTION = 0.25
 """Minimum fraction of the frames in which each foot is detected, because the size is uncertain without legs."""
 MAX_LOG_EXTRAPOLATION = 0.2
 """Maximum distance of the logarithm of the estimate beyond the range of logarithms that were tried."""
 INSIDE_90 = 0.5 * NORMAL_90**2
-"""Difference from the smallest cost at which a focal length is at the end of its 90 % interval."""
+"""Increase of the cost from its minimum to the ends of the 90 % interval of the focal length."""
 _UNKNOWN_SIGMA = 0.3
 """Standard deviation of the estimate's logarithm if the parabola has no minimum."""
 _TOLERANCE, _ITERATIONS = 1e-3, 12
@@ -71,7 +72,8 @@ class FocalTest:
     effects_m: dict[str, float]
     """Effects on poses and positions (`EFFECTS`) of another focal length that was tried.
 
-    On the side of the estimate, it is the most different one within the 90 % interval, or the nearest if none is.
+    The other focal length is shorter or longer, as is the estimate. The more different of the two that were tried is
+    used if it is within the 90 % interval, otherwise the less different one.
     """
 
     @property

@@ -25,10 +25,7 @@ LEAST_FRAMES = 3
 DISAGREES_SIGMAS = 3.0
 """Distance of a detection from its marker, in standard deviations, beyond which it disagrees with the pose."""
 WORSE_HALF_RATIO = 2.0
-"""Ratio of the fractions of disagreeing detections in the two halves, above which only the worse half is reported.
-
-The ratio is 3 to 8 if the hind half belongs to another animal, and 1.7 to 3 if the fore half does (three views each).
-"""
+"""Ratio of the fractions of disagreeing detections in the two halves, above which only the worse half is reported."""
 
 
 def hind_markers(clip: ClipProblem) -> Bools:

@@ -262,7 +262,7 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
 # Copied coordinates
 
 IDENTICAL_FRACTION = 0.2
-"""Fraction of identical points above which they are not chance; labels in whole pixels have some by chance."""
+"""Fraction of identical points above which they count as copies. Labels in whole pixels may be equal by chance."""
 MAX_REPEATED_FRACTION = 0.05
 """Fraction of repeated frames above which they are reported, because cameras sometimes repeat a few frames."""
 MIN_COUNT = 4
@@ -318,7 +318,7 @@ input-limits`).
 MEDIAN_STEPS = 7
 """Number of successive steps of a keypoint over which the median gives the usual step."""
 LEAST_STEP_PX = 5.0
-"""Minimum length of the usual step, pixels, with which a step is compared."""
+"""Minimum length of the usual step with which a step is compared, pixels."""
 LEAST_STEPS = 20
 """Minimum number of steps with enough keypoints that is required to test for missing frames."""
 
@@ -474,7 +474,7 @@ BACKWARDS_FRACTION = 0.9
 STANDING_QUANTILE = 0.1
 """Quantile of the speeds of all feet in all frames that is taken as the speed of standing feet."""
 LOWEST_FRACTION = 0.2
-"""Fraction of the frames, those in which a foot is lowest, in which the foot counts as on the ground.
+"""Fraction of the frames in which a foot counts as on the ground, namely those in which the foot is lowest.
 
 On a belt, or if the camera follows or pans, feet move in these frames at 0.55 to 1.22 times `FeetSpeeds.slowest_m_s`
 (42 clips of cheetahs). If a dog stands, steps or turns on the spot, the factor is -0.13 to 0.27 (11 clips; `python
@@ -519,7 +519,7 @@ picture (`python benchmarks/wrong_inputs.py --only input-limits`).
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if no animal moves like this over the ground, or if the animal stands still; at most one."""
+    """Yield at most one finding, on an impossible motion over the ground or on an animal that stands still."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
@@ -540,7 +540,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
         and np.nanquantile(speed, STILL_FRACTION) < min(STILL_M_S, trunk_m)
         and np.nanmedian(turns) < STILL_RAD_S
     ):
-        # A motion that was fitted without a prior is not affected by an animal that stands still.
+        # Only a prior learned from motions spoils the poses of an animal that stands still.
         yield finding("no_strides" if solution.prior == NONE else "animal_still", speed_m_s=float(np.nanmedian(speed)))
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS_FRACTION:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
@@ -640,7 +640,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 GROSS_REASON = "in frames whose detections are gross outliers"
 """Reason, in words, for which the detections of gross outlier frames were left out."""
 MAX_OUTLIER_FRACTION = 0.5
-"""Fraction of frames above which they do not count as outliers, because the fit or another input is then wrong."""
+"""Largest fraction of frames that are left out as outliers. With more, the fit or another input is wrong."""
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:

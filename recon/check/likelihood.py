@@ -287,16 +287,15 @@ MIN_INSIDE_PERCENT = 99.0
 OPPOSITE_GAIN_RATIO = 0.5
 """Gain of a turn to the opposite side, relative to the best gain, above which no turn is reported.
 
-Only one of two opposite turns can make the animal upright. The ratio is 0.8 if 70 % of the detections are gross
-outliers, and below 0 if the picture or the world is turned by 90 degrees, so any limit between 0 and 0.8 has the same
-effect on these clips.
+Only one of two opposite turns can make the animal upright. Both make the clip more likely if most detections are gross
+outliers, which show no animal.
 """
 
 RAY_ERROR_RATIO = 2.0
-"""Largest reprojection error of triangulated points, relative to that of the best hypothesis, at which rays meet.
+"""Largest reprojection error of triangulated points at which rays meet, relative to the error of the best hypothesis.
 
-In a clip of three cameras whose world, or whose keypoints, are upside down, the error under any wrong hypothesis that
-changes the rays is at least six times as large. Level cameras around an animal hardly distinguish some hypotheses.
+Hypotheses within this factor are compared by their likelihood, because level cameras around an animal hardly
+distinguish some of them by their rays.
 """
 
 _CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
@@ -604,9 +603,9 @@ def zoom_of(nearer: float, farther: float) -> float:
 
 
 def with_calibration_at_either_end(item: Finding) -> Finding:
-    """Return a finding on a zoom with the effect on positions if the calibration holds at either end of the clip.
+    """Return a finding on a zoom, whose effect on positions allows for a calibration at either end of the clip.
 
-    The test assumes that the calibrated focal length holds in the middle of the second that was tested.
+    The test itself assumes that the calibrated focal length holds in the middle of the second that was tested.
     """
     numbers = item.numbers
     zoom, distance_m, effect_m = (numbers.get(name) for name in ("zoom", "distance_m", "position_effect_m"))
@@ -625,10 +624,9 @@ RATE_STEPS = 8
 EQUAL_RATE_RATIO = 1.02
 """Largest ratio of two frame rates that count as equal."""
 OTHER_RATE_RATIO = 1.3
-"""Smallest ratio, either way, of the speeds of angles in the clip and in the prior that suggests another frame rate.
+"""Smallest factor between the speeds of angles in the clip and in the prior that suggests another frame rate.
 
-Animals of the same gait move their angles up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a
-rendered clip), with a standard deviation of a tenth.
+Animals of the same gait may move their angles somewhat faster or more slowly than those of the prior.
 """
 SPEED_FACTOR = 1.25
 """Factor by which the animal, at the other frame rate, may be faster or slower than all animals of the prior.
@@ -638,8 +636,8 @@ The other rate is not reported beyond this factor, so that an animal that stands
 WRONG_RATE_RATIO = 1.5
 """Ratio of frame rates from which a different rate is an error, because speeds are wrong even if poses are right.
 
-Below this ratio, a different rate is at most a warning, unless poses or positions change as well. The limit is above
-1.45, because animals that turn swing their legs 1.45 times more slowly than animals that run straight ahead.
+Below this ratio, a different rate is at most a warning, unless poses or positions change as well, because animals that
+turn swing their legs more slowly than animals that run straight ahead.
 """
 RATE_S = 5.0
 """Duration of the part of a clip in which the frame rate and the lens distortion are tested, seconds."""

@@ -1,4 +1,4 @@
-"""Check 3D poses: bone lengths, unit, upward axis, gravity in flight, feet on the ground, range of joints.
+"""Check 3D poses: bone lengths, unit, upward axis, gravity in flight, feet on the ground, ranges of joint angles.
 
 Points are in metres with z up, as the file states or as is usual for its format. Bones are derived from the points, as
 the tree of pairs whose distances vary least.
@@ -53,7 +53,7 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
     "hock": (-20.0, 165.0),
     "carpus": (-110.0, 175.0),
 }
-"""Range of flexion, 0 for a straight joint, of joints that bend to one side only, in mammals from mice to horses."""
+"""Range of flexion of joints that bend to one side only, degrees, in mammals from mice to horses; 0 is straight."""
 BEYOND_DEG = 15.0
 """Smallest angle beyond a joint's range of flexion that counts as a fault, degrees."""
 BEYOND_FRAMES = 2
@@ -127,7 +127,10 @@ def _running_median(values: Array) -> Array:
 
 
 def _unit(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the decimal logarithm of the ratio of the animal's size to the possible sizes, as a measure of the unit."""
+    """Yield the absolute log10 of the animal's size, relative to the size of the skeleton or of any animal.
+
+    If the skeleton is unknown, a constant is added for a size that no animal has (`EXTENT_M`).
+    """
     ratios = [
         float(np.nanmedian(np.linalg.norm(points.positions[:, a] - points.positions[:, b], axis=1))) / expected_m
         for (a, b), expected_m in points.roles.bones_m.items()
@@ -182,7 +185,7 @@ def _up(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the fraction of left points, over all frames, on the animal's right, as a measure of exchanged sides."""
+    """Yield the fraction of left points that are on the animal's right, over all frames."""
     left_of = _left(points)
     if left_of is None:
         return

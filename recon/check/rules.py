@@ -31,24 +31,22 @@ from recon.fit.solution import ALTERNATIVE_M
 Rule = Callable[[Motion], Iterator[Finding]]
 
 MANY_OUTLIERS = 0.2
-"""Fraction of the detections that are outliers, above which they are reported; up to 15 % in 32 correct real views."""
+"""Fraction of the detections that are outliers, above which they are reported."""
 EXPLAINED_SIGMAS = 1.9
 """Median distance of detections from the pose, in standard deviations, above which the fit does not explain them.
 
-The median is 1.0 to 1.4 in correct views.
+The median of normally distributed errors in two dimensions is 1.2.
 """
 EXPLAINED_DETECTORS = 3.0
 """Median distance of detections from the pose, in units of a detector's usual error, beyond which they are unexplained.
 
-This limit is needed because the noise that a fit estimates can hide a misfit. The median is 0.5 to 1.4 in correct
-views, also with half of the points or a side missing, and 5 to 9 for frames in random order. The limit is about twice
-the largest value in correct views.
+This limit is needed because the noise that a fit estimates can hide a misfit, for example if the frames are in random
+order.
 """
 UNEXPLAINED_SHARE = 0.1
 """Fraction of outliers above which a motion unlike the prior's is reported as wrong, not only as another gait.
 
-A gait that the prior does not contain has misfits of up to 5, but hardly more outliers (running dogs, with a prior
-fitted to walking dogs).
+A gait that the prior does not contain, such as a run with a prior fitted to walks, has hardly more outliers.
 """
 AMBIGUOUS_SHARE = 0.1
 """Fraction of frames with a second solution above which the second solution is reported."""
@@ -70,13 +68,13 @@ LOG_SIZE_MOST = math.log(2.0)
 """Largest possible deviation of the logarithm of a grown animal's size, whatever the standard deviation is."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""Largest ratio, either way, of a quotient of heights to a unit's number per metre at which the unit is suggested.
+"""Largest factor between the camera's apparent scale and a unit's number per metre at which the unit is suggested.
 
-The quotient is that of the camera's heights above the origin and above the feet. The latter is as uncertain as the
-animal's size.
+The apparent scale is the camera's height above the origin divided by its height above the feet. The latter is as
+uncertain as the animal's size.
 """
 UNEXPLAINED = ("fit_explains_little", "motion_unexplained")
-"""Codes of findings that a fit does not explain the detections."""
+"""Codes of findings on fits that do not explain the detections."""
 FROM_MOTION = (*MOTION_CODES, "path_jolts")
 """Codes of findings whose cause is inferred from the fitted motion.
 

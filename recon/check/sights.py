@@ -53,9 +53,9 @@ class Sight:
     """Standard deviation of a detection as an angle, shape (T, 1)."""
 
     def later(self, frames: float) -> Sight:
-        """Return the directions if the camera's pictures were taken later by a number of frames."""
+        """Return the directions for pictures that the camera took a number of frames later."""
         rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
-        # whole frames for the rotation, because the mean of two rotation matrices is no rotation
+        # The rotation is shifted by whole frames, because the mean of two rotation matrices is no rotation.
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
     def part(self, rows: Index) -> Sight:
@@ -248,7 +248,7 @@ def best_shifted(sight: Sight, points: Points, fps: float, wide: bool) -> tuple[
 
 
 def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[float, float]:
-    """Return the drift of a camera's clock over the clip, estimated from rays alone, and the sigma, both in frames.
+    """Return the drift of a camera's clock over the clip, estimated from rays alone, and its sigma, both in frames.
 
     The drift that best moves the camera's rays into the epipolar planes of the other cameras' rays is estimated
     together with a time offset and a constant angle. The animal's lengths, which are wrong in a rough skeleton, are not

@@ -21,7 +21,10 @@ def swap_improves(mended: TrajectorySolution, original: TrajectorySolution) -> b
 
 
 def downgrade_swap(swap: Finding) -> Finding:
-    """Return a finding on a swap as a possible swap, if the whole clip is not more likely after correcting the swap."""
+    """Return the finding on a swap as one on a possible swap; other findings are not changed.
+
+    A swap is only possible if correcting it does not make the whole clip more likely.
+    """
     if swap.code != "left_right_swap":
         return swap
     return finding("left_right_swap_possible", swap.frames, swap.camera, **swap.numbers)

@@ -39,8 +39,7 @@ MIN_APPEARANCE_GAIN = -10.0
 
 The user is asked to look at the video in two cases, because nothing else shows a mirrored video. In one, the clip is
 more likely with the sides exchanged, but by less than the margin. In the other, only the gain from appearance suggests
-a swap (`MIN_TRIED_GAIN`). In 32 correct clips, this swap is not tried or lowers the log-likelihood by 6 or more, and
-the gain from appearance is at most 9.
+a swap (`MIN_TRIED_GAIN`).
 """
 LEAST_S = 0.25
 """Minimum duration of a clip in which a swap of the whole clip is tested, seconds; less than a stride.

@@ -155,7 +155,7 @@ def _inside(picture: Picture) -> Bools:
 def _by_gain(
     gain_m2: Array, distance_px: Array, is_gross: Bools, chosen: Bools, limit: int
 ) -> list[tuple[int, int, int]]:
-    """Return the chosen detections as (view, frame, joint), gross errors first, both parts sorted by decreasing gain.
+    """Return the chosen detections as (view, frame, joint), gross errors first, then by decreasing gain.
 
     Detections with equal or unknown gains are sorted by distance. Distance alone would be a poor order, because the
     robust loss ignores very distant detections, so that their correction changes the pose little.

@@ -408,7 +408,7 @@ def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
 
 
 def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
-    """Return the indices of all pairs of points, and of the fore and the hind limbs' if the names distinguish them."""
+    """Return the indices of all pairs of points, and of the pairs in each pair of limbs if the names show the limbs."""
     parts = {"all points": np.arange(len(left))}
     for limb, rows in points.roles.limbs.items():
         pairs = np.array([p for p, k in enumerate(left) if k in rows], dtype=int)
@@ -444,7 +444,7 @@ def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def mean_of_known(values: Array) -> Array:
-    """Return the mean position of the known ones of N points (T, N, C) in each frame, shape (T, C); NaN without any."""
+    """Return the mean of the known points (T, N, C) in each frame, shape (T, C); NaN if none of the N is known."""
     known = np.asarray(np.isfinite(values).all(axis=2))
     total = np.where(known[..., None], values, 0.0).sum(axis=1)
     count = known.sum(axis=1)[:, None]

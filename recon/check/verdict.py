@@ -30,28 +30,28 @@ from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
 """Powers of `Evidence.factors` in the expected error, fitted to recorded runs.
 
-The fits of November 2026 gave 0.68, 0.14, 0.76, 0.74 and 0.45 (`python benchmarks/uncertainty.py --only verdict`). The
-power of the frame rate depends on the frame rates in the fit. With one run left out, it is 0.34 to 0.52 for clips with
-all or half of their frames, and 0.29 to 0.36 for clips with half or a quarter of them. The value of 0.32 is from the
-latter.
+A later fit gave 0.67, 0.15, 0.75, 0.72 and 0.45 (`python benchmarks/uncertainty.py --only verdict`). The power of the
+frame rate depends on the frame rates of the fitted clips. Its value here is from clips with half or a quarter of their
+frames.
 """
 RATE_HZ = 60.0
 """Frame rate below which poses are less certain than the posterior states, if the prior was learned from motions."""
 SCALE = -1.30
 """Constant term in the logarithm of the pose's expected error relative to the trunk's length.
 
-The fits of November 2026 gave -1.26 (-1.17 to -1.36; `python benchmarks/uncertainty.py --only verdict`).
+With one run left out, fits gave -1.19 to -1.38 (`python benchmarks/uncertainty.py --only verdict`).
 """
 LOG_ERROR_SIGMA = 0.23
 """Standard deviation of the logarithm of the pose's error if the detections determine the whole pose.
 
-The fits of November 2026 gave 0.14 to 0.18 in runs left out. The larger value also holds for clips of 15 frames.
+With one run left out, fits gave 0.12 to 0.17 (`python benchmarks/uncertainty.py --only verdict`). The larger value also
+holds for clips of 15 frames.
 """
 SPREAD_UNSEEN = 0.45
 """Additional standard deviation of the logarithm of the pose's error if the detections determine nothing.
 
-The fits of November 2026 gave 0.34 to 0.51. It is large because the error of a pose from the prior alone is the same in
-all frames, and does not average out.
+With one run left out, fits gave 0.44 to 0.58 (`python benchmarks/uncertainty.py --only verdict`). The value is large
+because the error of a pose from the prior alone is the same in all frames, and does not average out.
 """
 USUAL_FACTORS = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
 """Values of `Evidence.factors` in a typical view."""
@@ -312,7 +312,7 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
 
 
 class _UnusableClip(Problem):
-    """Problem with a clip whose verdict is "do not use", whose message names the option to use the clip anyway."""
+    """Problem with a clip whose verdict is "do not use". The message names the option to use the clip anyway."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")

@@ -59,7 +59,7 @@ The value was measured on running cheetahs, as was `POSITION_ERROR_TIME`.
 RUNNING_S = 0.1
 """Value of `error_time_s` for a running animal, s, with which the stances of every animal are found.
 
-With the `error_time_s` of a walking dog, the dog's stances would be 5 to 20 % too short.
+With the `error_time_s` of a walking dog, the dog's stances would be too short.
 """
 SPEED_KNOWN = 0.2
 """Largest standard deviation of a peak speed, relative to that speed, at which speeds are reported."""
@@ -120,7 +120,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def pose(self) -> Pose3D:
-        """Return the upright pose for angles, gait and fields, smoothed if the motion jitters."""
+        """Return the upright pose for angles, gait and vector fields, smoothed if the motion jitters."""
         pose = self.tracked
         if not self.motion.jitters:
             return pose
@@ -319,7 +319,7 @@ class ClipAnalysis(Brief):
         return self._stride_over(effector.foot, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
 
     def _stride_over(self, foot: str, span_s: tuple[float, float], at: Literal["end effector", "return"]) -> Stride:
-        """Return a stride of a foot between two times, s, as long as the body's path in this time."""
+        """Return a stride of a foot between two times, s, whose length is that of the body's path."""
         series = self.reference_motion.series
         begin, end = (
             np.array([np.interp(at_s, series.time_s, series.value[:, axis]) for axis in (0, 1)]) for at_s in span_s
@@ -548,8 +548,8 @@ def error_time_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation times of the detections' errors and of the pose, s.
 
     The correlation time of the pose is computed from the joints (T, J, 3) relative to their mean, as the root mean
-    square distance from their average position divided by the root mean square speed. The correlation time of the
-    detections' errors is its upper limit.
+    square distance from their average position divided by the root mean square speed. It is limited to at most the
+    correlation time of the detections' errors.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)

@@ -5,10 +5,8 @@ each with its mass in the middle of its capsules. A segment rotates about this p
 gyration of the capsules. The uncertainty results from the errors of the position and the pose (`recon.gait.clip`) and
 of the masses. Derivatives are computed from splines (`recon.gait.kinematics`).
 
-The second derivative of the centre of mass does not give the forces of single stances: even from several cameras its
-error is 0.6 to 1.3 body weights. Fitting the forces, integrated twice, to the heights of the centre of mass by least
-squares improves them by 5 % in simulated runs, and not at all where force plates measured them. The net acceleration is
-not known well enough for a balance of pitch moments. Instead, the force of each stance is assumed to have the shape
+The second derivative of the centre of mass is too uncertain, even from several cameras, to give the forces of single
+stances. Instead, the force of each stance is assumed to have the shape
 
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
@@ -52,9 +50,7 @@ G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
 """Names of the components of the kinetic energy of the centre of mass."""
 SKEW = 0.8
-"""Exponent of time in the force over a stance. The force rises faster than it falls, so its centroid is at 0.41 of the
-stance (0.36 to 0.48).
-"""
+"""Exponent of time in the force over a stance, chosen so that the force rises faster than it falls."""
 GALLOP_FORE = (0.44, 0.11)
 """Fraction of a gallop's impulse on the fore feet, and its standard deviation.
 
@@ -70,13 +66,12 @@ FOOT = 0.4
 STANCE_SPREAD = 0.2
 """Standard deviation of a stance's duration, relative to the median of the stances around it.
 
-Markers on a dog that walks, trots and gallops give 0.07 to 0.21. The fore and hind feet of galloping racehorses differ
-by 9 to 20 % (J. Exp. Biol. 209:4389).
+The stances of the fore and hind feet of galloping racehorses differ by 9 to 20 % (J. Exp. Biol. 209:4389).
 """
 SHORTEST_STANCE = 1.0 - 3.0 * STANCE_SPREAD
-"""Duration of a stance, relative to the clip's median, below which it is an error of detection and has no force.
+"""Duration of a stance, relative to the clip's median, below which it counts as a false detection without force.
 
-The stance would have the impulse of a whole stance, and therefore a force that no foot can bear.
+So short a stance with the impulse of a whole one would have a force that no foot can bear.
 """
 DRAWS = 400
 """Number of random draws from which the intervals of the forces are computed."""
@@ -454,7 +449,7 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 def validity_text(gait_name: str) -> str:
-    """Return for which animals and gaits the forces were validated, and what they assume for another gait."""
+    """Return text on the animals and gaits for which forces were validated, and on the assumptions for this gait."""
     validated = "Forces were validated on galloping cheetahs on level ground."
     if "gallop" in gait_name:
         return validated
@@ -475,8 +470,8 @@ def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tup
 
     Net work and power are computed from the total energy without the internal energy. The net acceleration is the
     acceleration of the centre of mass along its path. The exchange is Cavagna's energy recovery, the fraction of the
-    increases of one energy that decreases of the other cover. The two energies are the potential plus vertical kinetic
-    energy, and the horizontal kinetic energy. The exchange is near 1 for a pendulum and near 0 for a spring.
+    increases of one energy that comes from decreases of the other. The two energies are the potential plus vertical
+    kinetic energy, and the horizontal kinetic energy. The exchange is near 1 for a pendulum and near 0 for a spring.
     """
     series, energy, sigma = result.centre.series, result.energy_j_kg, result.energy_sigma_j_kg
     ends = np.minimum(np.searchsorted(series.time_s, [start_s, end_s - 1e-9]), len(series.time_s) - 1)

@@ -443,8 +443,7 @@ A single camera hardly determines the size, so smaller ratios can have other cau
 UNLIKE = 0.3
 """Error relative to the animal's size above which the motion and the truth count as different clips.
 
-Two clips of running cheetahs differ by 0.27 to 0.67 of the size, and the poorest fit in docs/benchmarks.md has an error
-of 0.22.
+Different clips of animals with the same gait may differ by little more than a poor fit differs from the truth.
 """
 FAR = 4.0
 """Distance between the motion and the truth, relative to the animal's size, above which the origins probably differ."""

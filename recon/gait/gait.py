@@ -27,10 +27,7 @@ from recon.io.common import Pose3D
 PERIOD_OF_CLIP = (0.5, 1 / 0.6)
 """Shortest and longest period that is searched for in a clip without a complete stride, as fractions of the clip."""
 PERIOD_SIGMA = 0.08
-"""Relative standard deviation of the period of the motion in a clip without a complete stride.
-
-The value was measured on clips of a dog that last 0.7 to 1.2 times the duration of a stride.
-"""
+"""Relative standard deviation of the period of the motion in a clip without a complete stride."""
 PERIODIC = 0.9
 """Minimum fraction of the variance of the feet's motion that a periodic motion must explain to define the period."""
 AGREE = 0.2
@@ -464,7 +461,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
 
 
 def _first(lag: float) -> str:
-    """Return the words for which foot of a pair lands first, given the right foot's lag behind the left foot."""
+    """Return words that state which foot of a pair lands first, given the right foot's lag behind the left, strides."""
     return "left first" if lag > 0 else "right first"
 
 

@@ -47,8 +47,7 @@ A step takes half a stride in symmetrical gaits, to which the value adds a margi
 LONGEST_PERIOD = 1.3
 """Longest period of the motion that is used as the stride duration, relative to the clip's duration.
 
-In clips cut from a dog's walks and runs, the 90 % intervals contain the true stride duration in 97 % of cases for
-shorter periods, but only in 61 % for longer periods.
+A clip that is much shorter than a stride does not determine the period.
 """
 LEAST_STRIDES = 3
 """Minimum number of strides of each foot required to compute an asymmetry."""
@@ -124,10 +123,7 @@ def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
 
 
 def shared_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation that all lengths of a clip share.
-
-    It results from the errors of the animal's size and of the focal length.
-    """
+    """Return the relative standard deviation that all lengths of a clip share, due to animal size and focal length."""
     return float(np.hypot(_size_sigma(motion), _focal_sigma(motion)))
 
 
@@ -265,7 +261,7 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
 
 
 def _without_long_period(gait: Gait) -> Gait:
-    """Return the gait, with an unknown stride duration if this is a period longer than `LONGEST_PERIOD`."""
+    """Return the gait without its stride duration if the duration is a period longer than `LONGEST_PERIOD`."""
     if gait.strides or not gait.stride_s > LONGEST_PERIOD * np.ptp(gait.tracks.time_s):
         return gait
     return replace(gait, stride_s=np.nan, stride_sigma_s=np.nan)
@@ -442,7 +438,7 @@ def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[st
 
 
 def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array]:
-    """Return the values that an asymmetry compares, an array with a value for each stride for each of the two feet.
+    """Return two arrays, one for each foot, with the values of the strides that an asymmetry compares.
 
     `kind` is "stance" for the time on the ground, s, or "excursion" for the distance that the foot moves relative to
     the body, m.

@@ -277,7 +277,7 @@ def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_fram
         matters = (np.abs(factors) > least).any(axis=0)
         for k, sigma in enumerate(error.sigma.T):
             neighbours = sliding_window_view(sigma, frames)[1:]
-            # in batches, to limit memory
+            # Batches limit the memory.
             for batch in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):
                 added = factors[:, matters] @ (neighbours[first[matters], batch] * neighbours[second[matters], batch])
                 by_frame[:, batch, :, k] += added.reshape(3, per_frame, -1).swapaxes(1, 2)
