@@ -35,7 +35,7 @@ class LevelSigmas:
     measurement: float = 0.0
     """Standard deviation of the measurement error, common to all strides of a run, if one camera films the run."""
 
-    def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
+    def variance_of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
         """Return the variance of an animal's mean value over `runs` runs with `strides` strides each.
 
         Every run is filmed by `cameras` cameras.
@@ -46,7 +46,7 @@ class LevelSigmas:
     @property
     def icc(self) -> float:
         """Return the intraclass correlation: the variance between animals divided by the variance of single strides."""
-        total = self.of_mean(1, 1)
+        total = self.variance_of_mean(1, 1)
         return self.animal**2 / total if total else float("nan")
 
     def detectable_change(self, strides: float) -> float:
@@ -54,7 +54,7 @@ class LevelSigmas:
 
         Each run has `strides` strides.
         """
-        return 1.96 * float(np.sqrt(2 * (self.of_mean(1, strides) - self.animal**2)))
+        return 1.96 * float(np.sqrt(2 * (self.variance_of_mean(1, strides) - self.animal**2)))
 
 
 class Contrast(NamedTuple):
@@ -249,7 +249,7 @@ def power(
 
     if animals < 2:
         return 0.0
-    variance = sigmas.of_mean(runs, strides, cameras) - (sigmas.animal**2 if paired else 0.0)
+    variance = sigmas.variance_of_mean(runs, strides, cameras) - (sigmas.animal**2 if paired else 0.0)
     sigma = np.sqrt(2 * variance / animals)
     freedom = animals - 1 if paired else 2 * animals - 2
     limit, shift = t.ppf(0.975, freedom), abs(effect) / max(float(sigma), 1e-12)
@@ -304,7 +304,7 @@ def smallest_effect(
     def lacks(effect: float) -> float:
         return power(effect, sigmas, animals, runs, strides, cameras, paired) - wanted
 
-    highest = sigmas.of_mean(runs, strides, cameras) ** 0.5 or 1.0
+    highest = sigmas.variance_of_mean(runs, strides, cameras) ** 0.5 or 1.0
     while lacks(highest) < 0:
         highest *= 2
     return float(brentq(lacks, 0.0, highest))

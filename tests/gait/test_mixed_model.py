@@ -30,7 +30,7 @@ def test_components_and_effect_of_a_simulated_herd():
     assert model.sigmas.measurement == pytest.approx(0.15)
     value, sigma, low, high = model.contrast(np.array([0.0, 1.0]))
     assert low < 0.5 < high
-    assert sigma == pytest.approx(np.sqrt(2 * TRUE.of_mean(3, 4) / 30), rel=0.25)
+    assert sigma == pytest.approx(np.sqrt(2 * TRUE.variance_of_mean(3, 4) / 30), rel=0.25)
     # An error that all clips share does not average out over the animals.
     assert model.contrast(np.array([0.0, 1.0]), 0.5)[1] == pytest.approx(np.hypot(sigma, 0.5 * value))
 
