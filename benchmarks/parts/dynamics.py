@@ -257,7 +257,7 @@ def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tup
             assert d is not None
             assert gait is not None
             in_front = np.clip(fore[0] + fore[1] * rng.standard_normal(SHARES), 0.1, 0.9)
-            factor = {foot: np.exp(method.FOOT * rng.standard_normal(SHARES)) for foot in FEET}
+            factor = {foot: np.exp(method.FOOT_IMPULSE_SIGMA * rng.standard_normal(SHARES)) for foot in FEET}
             for one in d.forces.to_dict("records"):
                 foot, of_pair = one["foot"], [factor[side + one["foot"][1]] for side in "LR"]
                 share = factor[foot] / sum(of_pair) * (in_front if foot.endswith("F") else 1 - in_front)

@@ -36,7 +36,7 @@ from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, p
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
 from recon.ik.drive import degree_of_closure, drive_to, follow
-from recon.ik.limb import LAST, Limb, fit_parameter_series, follow_stride, stride_duration_range_s
+from recon.ik.limb import REFIT_FRAMES, Limb, fit_parameter_series, follow_stride, stride_duration_range_s
 from recon.ik.methods import (
     ExtendedJacobian,
     GradientProjection,
@@ -287,7 +287,9 @@ class Leg:
 
     def online(self, stride: StridePath) -> dict[str, list[Method]]:
         """Refit the parameters of each method at every frame of a stride."""
-        return fit_parameter_series(Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, LAST)[1]
+        return fit_parameter_series(
+            Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, REFIT_FRAMES
+        )[1]
 
 
 @cache
@@ -514,7 +516,7 @@ def print_online(folder: Path) -> None:
             explained = explained_by(rates_of(kept, s.frames), s.frames.dq), explained_by(np.array(rates), s.frames.dq)
             cells.append([100 * share for share in explained] + [s.off_deg(kept), s.off_deg(kept, own)])
         rows.append([name, *(f"{v:.0f}" for v in np.median(cells, axis=0))])
-    where = ("from the other runs", f"from the {LAST} frames before")
+    where = ("from the other runs", f"from the {REFIT_FRAMES} frames before")
     print_table(["method", *(f"{what}, {how}" for what in ("explained", "joint error") for how in where)], rows)
 
 

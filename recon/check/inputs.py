@@ -308,7 +308,7 @@ follows them, are fast for several frames, so the ratio is near 1. At half the v
 count, and at twice the value no step across a single missing frame.
 """
 ISOLATED_STEP_FRACTION = 0.4
-"""Minimum fraction of the long steps whose ratio to both neighbours exceeds the limit, if frames are missing.
+"""Minimum fraction of the long steps that exceed both neighbours by `ISOLATED_STEP_RATIO`, if frames are missing.
 
 The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames. At half the value, all of
 them would be reported, and at twice the value only those above 0.8. The fraction is 0.67 in 2 of 28 views of lower legs

@@ -14,7 +14,7 @@ from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.gait import STRIDE_WORDS
 from recon.ik.clip import IkSettings, run_ik
-from recon.ik.cost_study import GROWTH, TURNS
+from recon.ik.cost_study import CHAOTIC_GROWTH, TURNS
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
@@ -152,5 +152,5 @@ def _cost_lines(costs: dict[str, Any]) -> Iterator[str | Table]:
     yield _table(costs, f"extended Jacobian by cost, {TURNS} turns of the stride", columns, "cost")
     yield (
         "growth: factor by which the distance between two starts, a millionth of a radian apart, grows; chaotic: "
-        f"{GROWTH:g} or more. singular: number of steps at which the extended matrix has no inverse."
+        f"{CHAOTIC_GROWTH:g} or more. singular: number of steps at which the extended matrix has no inverse."
     )

@@ -13,8 +13,8 @@ from rich.console import Console
 from recon.base.numbers import percent, quantity
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, say, stop
-from recon.keypoint_net.network import LIKELY, PredictSettings, run_prediction
-from recon.keypoint_net.train import CHECKPOINT_FILE, FITS, TrainRunSettings, run_training
+from recon.keypoint_net.network import RING_LIKELIHOOD, PredictSettings, run_prediction
+from recon.keypoint_net.train import CHECKPOINT_FILE, MAX_LEARNED_ERROR, TrainRunSettings, run_training
 from recon.show.plain import picked
 
 
@@ -51,10 +51,11 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
             f"{percent(score['pck_px']['5.0'])} within 5 px."
         )
     if not report["labels_judged"]:
+        limit_px = MAX_LEARNED_ERROR * report["tolerance_px"]
         yield (
             "The labels were not checked: the network is off by "
             f"{quantity(report['learned_median_px'], 1, 'px')} (median) in its "
-            f"training pictures, and the check needs {quantity(FITS * report['tolerance_px'], 1, 'px')} or less."
+            f"training pictures, and the check needs {quantity(limit_px, 1, 'px')} or less."
         )
     suspects = report["suspicious_labels"]
     if suspects:
@@ -72,10 +73,10 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     start = time.monotonic()
     keypoints = run_prediction(**picked(settings, *settings.infos()), progress=progress)
     frames, seconds = len(keypoints.frames), time.monotonic() - start
-    sure = float((keypoints.confidence >= LIKELY).mean())
+    sure = float((keypoints.confidence >= RING_LIKELIHOOD).mean())
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
     speed = f"{frames} frames in {quantity(seconds, 1, 's')} ({frames / seconds:.0f} a second)"
-    likely = f"{percent(sure)} of the points have a likelihood of {LIKELY:g} or more"
+    likely = f"{percent(sure)} of the points have a likelihood of {RING_LIKELIHOOD:g} or more"
     sentence = f"{speed}; {likely}. They are in {settings.out}{drawn}."
     data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
     return Answer(data | {"notes": keypoints.notes}, [sentence], notes=keypoints.notes)

@@ -8,16 +8,16 @@ of the masses. Derivatives are computed from splines (`recon.gait.kinematics`).
 The second derivative of the centre of mass is too uncertain, even from several cameras, to give the forces of single
 stances. Instead, the force of each stance is assumed to have the shape
 
-    F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
+    F(s) = peak * sin(pi s^FORCE_SKEW),  s from 0 at touch-down to 1 at lift-off,
 
 and all stances of a stride together have the impulse of the body's weight over the stride, because over a stride on
 level ground the height returns to its initial value. The duration of the stride is the mean of the strides around a
 stance. `GALLOP_FORE` is the fraction of the impulse on the fore feet. The left and the right foot share this fraction
-equally, within `FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at
-an instant is the mean of the draws. The maximum of this force is lower than the peak, because the time of the peak is
-not known exactly. The shape and the spread within a pair were measured by force plates under two galloping cheetahs
-(`benchmarks/gait.py`). Other animals or gaits may differ by more. Joint torques are left out, because their intervals
-would be wider than the values.
+equally, within `FOOT_IMPULSE_SIGMA`. Intervals come from random draws of all these quantities and of the stances'
+times. The force at an instant is the mean of the draws. The maximum of this force is lower than the peak, because the
+time of the peak is not known exactly. The shape and the spread within a pair were measured by force plates under two
+galloping cheetahs (`benchmarks/gait.py`). Other animals or gaits may differ by more. Joint torques are left out,
+because their intervals would be wider than the values.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
 """Names of the components of the kinetic energy of the centre of mass."""
-SKEW = 0.8
+FORCE_SKEW = 0.8
 """Exponent of time in the force over a stance, chosen so that the force rises faster than it falls."""
 GALLOP_FORE = (0.44, 0.11)
 """Fraction of a gallop's impulse on the fore feet, and its standard deviation.
@@ -61,7 +61,7 @@ OTHER_FORE = (0.5, 0.16)
 """Fraction of the impulse on the fore feet in other gaits and in unknown ones, and its standard deviation, both
 guessed.
 """
-FOOT = 0.4
+FOOT_IMPULSE_SIGMA = 0.4
 """Standard deviation of the logarithm of a foot's impulse, relative to the mean of the left and the right foot."""
 STANCE_SPREAD = 0.2
 """Standard deviation of a stance's duration, relative to the median of the stances around it.
@@ -324,7 +324,7 @@ def _turning_sigma(
 def shape(share: Array) -> Array:
     """Return the vertical force, relative to its peak, at fractions of a stance; 0 outside the stance."""
     is_inside = (share > 0) & (share < 1)
-    return np.where(is_inside, np.sin(np.pi * np.clip(share, 0, 1) ** SKEW), 0.0)
+    return np.where(is_inside, np.sin(np.pi * np.clip(share, 0, 1) ** FORCE_SKEW), 0.0)
 
 
 _GRID = (np.arange(1000) + 0.5) / 1000
@@ -349,7 +349,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     ends = end + normal(count) * end_sigma
     fore_mean, fore_sigma = GALLOP_FORE if "gallop" in gait.name.name else OTHER_FORE
     fore = np.clip(fore_mean + fore_sigma * normal(1)[:, 0], 0.1, 0.9)
-    factor = np.exp(FOOT * normal(len(feet)))
+    factor = np.exp(FOOT_IMPULSE_SIGMA * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
     pair_sum = np.stack([factor[:, is_fore == pair].sum(axis=1) for pair in is_fore], axis=1)
     # The feet of a pair share the pair's impulse in proportion to random factors.

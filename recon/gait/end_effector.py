@@ -2,9 +2,9 @@
 
 The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
 strides, the foot is rearmost and begins to swing: its horizontal position has a local minimum near an extremum of its
-height. A minimum counts if it is in the rear `REAR_SHARE` of the range of the horizontal position, and if the foot has
-been ahead of `SWING_SHARE` of this range since the last boundary. If the foot has not been as far ahead between two
-minima, the rearmost of the two is the boundary. A stride lasts from one boundary to the next.
+height. A minimum counts if it is in the rear `REAR_FRACTION` of the range of the horizontal position, and if the foot
+has been ahead of `SWING_FRACTION` of this range since the last boundary. If the foot has not been as far ahead between
+two minima, the rearmost of the two is the boundary. A stride lasts from one boundary to the next.
 
 References
 ----------
@@ -20,9 +20,9 @@ import numpy as np
 from recon.base.arrays import Array, Index
 from recon.gait.series import series_kinematics
 
-REAR_SHARE = 0.25
+REAR_FRACTION = 0.25
 """Rear fraction of the foot's horizontal range in which a swing may begin."""
-SWING_SHARE = 0.5
+SWING_FRACTION = 0.5
 """Position in its horizontal range, from 0 at the rear to 1, that the foot has to reach between two boundaries."""
 _SHORT_M = 0.1
 """Distance travelled by the body below which its heading is used as the direction of travel."""
@@ -109,9 +109,9 @@ def _boundaries(forward: Array, rate: Array) -> Index:
     low, high = float(np.nanmin(forward)), float(np.nanmax(forward))
     chosen: list[int] = []
     for i in _sign_changes(rate).tolist():
-        if not (rate[i - 1] < 0 < rate[i] and forward[i] <= low + REAR_SHARE * (high - low)):
+        if not (rate[i - 1] < 0 < rate[i] and forward[i] <= low + REAR_FRACTION * (high - low)):
             continue
-        if not chosen or np.nanmax(forward[chosen[-1] : i]) >= low + SWING_SHARE * (high - low):
+        if not chosen or np.nanmax(forward[chosen[-1] : i]) >= low + SWING_FRACTION * (high - low):
             chosen.append(i)
         elif forward[i] < forward[chosen[-1]]:
             chosen[-1] = i

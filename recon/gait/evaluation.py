@@ -428,24 +428,24 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
     return common - means, means
 
 
-SHARE = 1 / 3
+MAX_REMAINING_FRACTION = 1 / 3
 """Fraction of the error that may remain, at most, if a transform is to be reported as the cause of the error."""
-SMALL = 0.05
+SMALL_ERROR = 0.05
 """Error relative to the animal's size below which no explanation is reported.
 
 The animal's size is the root mean square distance of the joints from their mean.
 """
-SCALED = 2.0
+MAX_SIZE_RATIO = 2.0
 """Largest ratio of the animal's sizes in the two files for which different units are not reported as the cause.
 
 A single camera hardly determines the size, so smaller ratios can have other causes.
 """
-UNLIKE = 0.3
+OTHER_CLIP_ERROR = 0.3
 """Error relative to the animal's size above which the motion and the truth count as different clips.
 
 Different clips of animals with the same gait may differ by little more than a poor fit differs from the truth.
 """
-FAR = 4.0
+OTHER_ORIGIN_DISTANCE = 4.0
 """Distance between the motion and the truth, relative to the animal's size, above which the origins probably differ."""
 
 
@@ -463,19 +463,19 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
     error = _error(pose, truth)
     explanation, error_left = None, error
     for code, remaining, numbers in _explanations(pose_m, truth_m, names):
-        if error_left > SMALL * size and remaining <= SHARE * error_left:
+        if error_left > SMALL_ERROR * size and remaining <= MAX_REMAINING_FRACTION * error_left:
             explanation = finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers)
             error_left = remaining
-    if error_left > UNLIKE * size:  # different clips, even if a transform removes part of the error
+    if error_left > OTHER_CLIP_ERROR * size:  # different clips, even if a transform removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
-    if error_left > UNLIKE * size:
+    if error_left > OTHER_CLIP_ERROR * size:
         return (finding("reference_unlike", left_mm=1000 * error_left, share=error_left / size),)
     if explanation is not None:
         return (explanation,)
     offset_m = np.nanmean(pose_m - truth_m, axis=1)
     median_offset_m = np.median(offset_m, axis=0)
     distance, spread_m = (float(np.linalg.norm(x, axis=1).mean()) for x in (offset_m, offset_m - median_offset_m))
-    if distance > FAR * size and spread_m <= SHARE * distance:
+    if distance > OTHER_ORIGIN_DISTANCE * size and spread_m <= MAX_REMAINING_FRACTION * distance:
         x, y, z = median_offset_m.tolist()
         return (finding("reference_elsewhere", x_m=x, y_m=y, z_m=z),)
     return ()
@@ -497,7 +497,7 @@ def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterat
         yield code, _error(turned, reference), {"turn_rad": turn_rad}
     turned, turn_rad = _turned(pose, truth)
     factor = float(np.nansum(turned * truth) / max(np.nansum(turned**2), 1e-300))
-    if not 1 / SCALED < factor < SCALED:
+    if not 1 / MAX_SIZE_RATIO < factor < MAX_SIZE_RATIO:
         yield "reference_scaled", _error(factor * turned, truth), {"factor": factor, "turn_rad": turn_rad}
 
 

@@ -2,10 +2,10 @@
 
 An animal whose four feet all stand for half a stride or more is standing still, and this time is not part of a stride.
 A missed stance joins two strides into one, and a stance that is cut in two splits a stride. A stride therefore counts
-only if its duration is within `AGREE` of the median duration of all feet's strides at that time or, if there are none,
-of the strides before and after. The only stride of a clip is compared with the period of the motion, if the period is
-known. The stride duration is the mean over the strides that count. If no stride counts, the stride duration is the
-period of the feet's motion relative to the body, provided that the clip contains enough of a period.
+only if its duration is within `MAX_DURATION_DIFFERENCE` of the median duration of all feet's strides at that time or,
+if there are none, of the strides before and after. The only stride of a clip is compared with the period of the motion,
+if the period is known. The stride duration is the mean over the strides that count. If no stride counts, the stride
+duration is the period of the feet's motion relative to the body, provided that the clip contains enough of a period.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ PERIOD_OF_CLIP = (0.5, 1 / 0.6)
 """Shortest and longest period that is searched for in a clip without a complete stride, as fractions of the clip."""
 PERIOD_SIGMA = 0.08
 """Relative standard deviation of the period of the motion in a clip without a complete stride."""
-PERIODIC = 0.9
+MIN_PERIODIC_VARIANCE = 0.9
 """Minimum fraction of the variance of the feet's motion that a periodic motion must explain to define the period."""
-AGREE = 0.2
+MAX_DURATION_DIFFERENCE = 0.2
 """Largest relative difference between a stride's duration and the median duration of the strides at that time.
 
 A stride with a missed stance is twice as long, whereas the ends of a correct stride are wrong by at most two of about
 ten frames.
 """
 
-TOGETHER = 0.05
+MAX_TOGETHER_PHASE = 0.05
 """Largest phase difference between the left and the right foot that land together, as in a bound, strides."""
-ALTERNATE = 0.4
+MIN_ALTERNATE_PHASE = 0.4
 """Smallest phase difference between the left and the right foot in a symmetrical gait, strides (0.5 is exact)."""
 IN_PHASE = 0.125
 """Largest phase difference between two feet that move together, the diagonal feet in a trot or the feet of one side in
 a pace, strides. The value is an eighth of a stride as in Hildebrand (1965).
 """
-STEADY = 0.5
+MIN_RESULTANT = 0.5
 """Minimum mean resultant length (1 if equal in all strides, 0 if random) for a phase between two feet to be used."""
-MOST = 2 / 3
+DUTY_MAJORITY = 2 / 3
 """Minimum fraction of the strides with a duty factor above one half in a walk, or below one half in a run."""
 
 
@@ -295,7 +295,7 @@ def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[St
         overlapping = (start_s[nearby] < stride.end_s) & (end_s[nearby] > stride.start_s)
         others_s = median(duration_s[nearby][overlapping] if overlapping.sum() > 1 else duration_s[nearby])
         others_s = others_s if np.isnan(period_s) else period_s
-        if abs(others_s * stride.frequency_hz - 1) <= AGREE:
+        if abs(others_s * stride.frequency_hz - 1) <= MAX_DURATION_DIFFERENCE:
             counted.append(stride)
         else:
             rejected.append(replace(stride, others_s=others_s))
@@ -345,7 +345,7 @@ def pose_period_s(tracks: Tracks) -> float:
     amplitudes = np.linalg.solve(np.einsum("pta,ptb->pab", waves, waves) + prior, moment)
     residuals = np.sum(values**2) - np.einsum("paf,paf->p", moment, amplitudes)
     best = int(residuals.argmin())
-    explained = residuals[best] < (1 - PERIODIC) * len(time) * values.var(axis=0).sum()
+    explained = residuals[best] < (1 - MIN_PERIODIC_VARIANCE) * len(time) * values.var(axis=0).sum()
     return float(periods[best]) if explained and 0 < best < len(periods) - 1 else np.nan
 
 
@@ -380,7 +380,7 @@ def name_gait(
         longest_s = [max(s.duration_s for s in all_stances if s.foot == foot) for foot in FEET]
         if name != "unknown" and median(longest_s) > 0.5 * period:
             name, criterion = "unknown", f"{criterion}; but the feet stand for more than half of the period"
-    if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
+    if name in ("walk", "trot", "pace") and 1 - DUTY_MAJORITY < (share := float(np.mean(duties > 0.5))) < DUTY_MAJORITY:
         criterion += f"; above 0.5 in {percent(share)} of strides: undecided between walk and run"
         name = "unknown"
     return _GaitName(name, criterion, phase, *duty)
@@ -391,7 +391,7 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
 
     Each touch-down is compared with the nearest touch-down of the reference foot. If one of the feet has no touch-down
     in the clip, lift-offs are used instead. Return NaN if there are no lift-offs either, or if the mean resultant
-    length of the phases is below `STEADY`.
+    length of the phases is below `MIN_RESULTANT`.
     """
     for is_known, event in (("begins", "start_s"), ("ends", "end_s")):
         reference_s, foot_s = (
@@ -403,7 +403,7 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
             # Only events within a stride, or else the nearest ones, are compared, because the phase may drift.
             nearby_s = lags_s[np.abs(lags_s) <= max(period_s, np.abs(lags_s).min())]
             resultant = np.mean(np.exp(2j * np.pi * nearby_s / period_s))
-            return float(np.angle(resultant) / (2 * np.pi) % 1.0) if np.abs(resultant) >= STEADY else np.nan
+            return float(np.angle(resultant) / (2 * np.pi) % 1.0) if np.abs(resultant) >= MIN_RESULTANT else np.nan
     return np.nan
 
 
@@ -432,7 +432,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
         return "unknown", f"no steady phase of {lacking} over the strides"
     hind, fore = _signed(phase["RH"] - phase["LH"]), _signed(phase["RF"] - phase["LF"])
     measured = f"hind feet {abs(hind):.2f} of a stride apart, {_first(hind)}; fore feet {abs(fore):.2f}, {_first(fore)}"
-    if min(abs(hind), abs(fore)) >= ALTERNATE:
+    if min(abs(hind), abs(fore)) >= MIN_ALTERNATE_PHASE:
         sides = np.exp(2j * np.pi * np.array([phase["LF"] - phase["LH"], phase["RF"] - phase["RH"]]))
         lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
         measured += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
@@ -447,11 +447,11 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
             if abs(_signed(lateral)) <= IN_PHASE
             else ("unknown", measured + ": between trot and pace")
         )
-    if max(abs(hind), abs(fore)) >= ALTERNATE:
+    if max(abs(hind), abs(fore)) >= MIN_ALTERNATE_PHASE:
         return "unknown", measured + ": one pair alternates, the other does not"
-    if abs(hind) < TOGETHER:
-        return ("bound" if abs(fore) < TOGETHER else "half-bound"), measured
-    if abs(fore) < TOGETHER:
+    if abs(hind) < MAX_TOGETHER_PHASE:
+        return ("bound" if abs(fore) < MAX_TOGETHER_PHASE else "half-bound"), measured
+    if abs(fore) < MAX_TOGETHER_PHASE:
         return "unknown", measured + ": the fore pair lands together, the hind pair does not"
     leads = ["right" if lag > 0 else "left" for lag in (hind, fore)]
     measured += f"; leading: {leads[0]} hind, {leads[1]} fore"

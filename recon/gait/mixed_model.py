@@ -19,9 +19,9 @@ from scipy.optimize import brentq, minimize
 from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
-_LEAST = 1e-4
+_MIN_SIGMA_RATIO = 1e-4
 """Lower bound of the standard deviations of animals, runs and strides in the fit, relative to that of all values."""
-_SHOWN = 1e-2
+_MIN_REPORTED_RATIO = 1e-2
 """Standard deviation of animals, runs or strides, relative to that of all values, below which 0 is reported."""
 
 
@@ -147,13 +147,13 @@ def fit_mixed_model(
 
     by_run = dict(zip(zip(animals, runs, strict=True), measurement_sigma, strict=True))
     is_separate = np.array([True, len(by_run) > len(single), len(values) > len(by_run)])
-    least = np.log(_LEAST)
+    least = np.log(_MIN_SIGMA_RATIO)
     bounds = [(least, np.log(10.0) if separate else least) for separate in is_separate]
     starts = np.where(is_separate, np.log([[0.5, 0.5, 0.5], [0.1, 0.3, 0.7]]), least)
     fits = [minimize(cost, start, method="L-BFGS-B", bounds=bounds) for start in starts]
     sigmas = np.exp(min(fits, key=lambda fit: fit.fun).x)
     effects, covariance, _ = _solve(blocks, sigmas)
-    animal, run, stride = np.where(sigmas > _SHOWN, sigmas, 0.0) * unit
+    animal, run, stride = np.where(sigmas > _MIN_REPORTED_RATIO, sigmas, 0.0) * unit
     measured = float(np.sqrt(np.mean(np.square([*by_run.values()]))))
     sigmas = LevelSigmas(float(animal), float(run), float(stride), measured)
     counts = len(single), len(by_run), len(values)

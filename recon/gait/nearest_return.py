@@ -19,11 +19,11 @@ from recon.gait.spline import MIN_POINTS, cubic_spline
 
 MAX_GAP_FRAMES = 4
 """Largest number of successive frames without a position that the spline bridges."""
-AWAY_SHARE = 0.5
+AWAY_FRACTION = 0.5
 """Smallest distance by which the foot has to move away before it returns, as a fraction of the path's diameter."""
-BACK_SHARE = 0.25
+BACK_FRACTION = 0.25
 """Largest distance from its start to which the foot has to return, as a fraction of the path's diameter."""
-SPAN_SHARE = 0.8
+SPAN_FRACTION = 0.8
 """Smallest diameter of a return, as a fraction of the diameter of the whole path."""
 _STEPS = 100
 """Number of points per frame at which the end of a return is searched for."""
@@ -70,10 +70,10 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
     best, smallest = None, np.inf
     for i in range(len(points)):
         distance = np.linalg.norm(points[i:] - points[i], axis=1)
-        left = np.flatnonzero(distance >= AWAY_SHARE * extent)
+        left = np.flatnonzero(distance >= AWAY_FRACTION * extent)
         if not len(left):
             continue
-        back = np.flatnonzero((distance < BACK_SHARE * extent) & (velocity[i:] @ velocity[i] > 0))
+        back = np.flatnonzero((distance < BACK_FRACTION * extent) & (velocity[i:] @ velocity[i] > 0))
         lag = frames[i + back] - frames[i]
         back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
@@ -81,6 +81,6 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
         # A return ends when the foot moves away again, so later frames near the start belong to another return.
         visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
         j = int(visit[np.argmin(distance[visit])])
-        if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN_SHARE * extent:
+        if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN_FRACTION * extent:
             best, smallest = (i, i + j), float(distance[j])
     return best

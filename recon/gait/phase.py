@@ -17,8 +17,8 @@ the start and the end of the path, and d_max is the diameter of the path, the la
 points. D is 100 for a path that ends at its start, and 0 for a path whose ends are as far apart as any two of its
 points. The publication does not define d_max.
 
-If the angles have standard deviations, so do the degrees of closure. They are computed from `DRAWN` paths, which are
-drawn at random from the errors of the angles. An error of the angle is sigma(t) z(t), with z smooth noise of unit
+If the angles have standard deviations, so do the degrees of closure. They are computed from `RANDOM_PATHS` paths, which
+are drawn at random from the errors of the angles. An error of the angle is sigma(t) z(t), with z smooth noise of unit
 variance, and the error of the rate is proportional to z'. The ratio of the two standard deviations gives the time over
 which z changes. The errors of start, end and turning points are therefore correlated realistically.
 
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FORWARD = ("tail_base", "neck_base")
-CHUNK = 1000
-DRAWN = 100
+CHUNK_POINTS = 1000
+RANDOM_PATHS = 100
 """Number of random paths from which the standard deviation of a degree of closure is computed."""
 _WAVES = 50
 """Number of sine waves whose sum is the noise of a random path."""
@@ -292,7 +292,7 @@ def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
     # The angular frequencies are those of smooth noise with a correlation time of 1.
     turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])
     phase = np.outer(turn_rates, portrait.time_s / correlation_s)
-    a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
+    a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, RANDOM_PATHS, _WAVES))
     noise = a @ np.cos(phase) + b @ np.sin(phase)
     change = (b * turn_rates) @ np.cos(phase) - (a * turn_rates) @ np.sin(phase)
     angle = portrait.angle_rad + portrait.angle_sigma_rad * noise
@@ -325,5 +325,5 @@ def diameter(path: Array) -> float:
 
     with suppress(QhullError):  # all points are on a line
         path = path[ConvexHull(path).vertices]  # the farthest two points are vertices of the hull
-    rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]
+    rows = [path[i : i + CHUNK_POINTS] for i in range(0, len(path), CHUNK_POINTS)]
     return max(float(np.sqrt(np.sum((a[:, None] - b) ** 2, axis=2)).max()) for a in rows for b in rows)

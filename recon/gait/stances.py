@@ -5,22 +5,22 @@ may lie at any height and may slope. Paths are cubic splines on a grid of ten ti
 (`recon.gait.kinematics`), and touch-downs and lift-offs are timed on this grid. The mean of the `body` joints
 represents the body.
 
-A foot may stand while its speed over the ground is below `SLOW[1]` of its own speed in the swing and its height is
-below `LOW[1]` of the leg length. This time is a stance if at least one instant in it is also below `SLOW[0]` and
-`LOW[0]` (hysteresis). The stance lasts from the first instant below `LANDS` (`SLOW[0]` if no instant is below `LANDS`)
-to the last below `LIFTS`. The two thresholds differ because a foot lands flat but rolls over its toes before it lifts.
-A foot's speed in the swing is the 95th percentile of its speed, or `SWING` times the body's mean speed if the
-percentile is lower. The speed in the swing is twice the body's speed at a gallop and four times at a walk, so that no
-single threshold relative to the body's speed suits both. The marker lies some centimetres above the sole and rises with
-the heel during the stance. A foot therefore counts as low below 0.15 of the leg length (9 cm of 0.6 m), and below 0.3
-at the end of the push-off. A standing foot seems to move because of the error of its speed, which is `SPEED_ERROR` of
-the stated standard deviation. The square of this error is subtracted first. Stances shorter than `MIN_STANCE_S` are
-noise.
+A foot may stand while its speed over the ground is below `SLOW_SPEEDS[1]` of its own speed in the swing and its height
+is below `LOW_HEIGHTS[1]` of the leg length. This time is a stance if at least one instant in it is also below
+`SLOW_SPEEDS[0]` and `LOW_HEIGHTS[0]` (hysteresis). The stance lasts from the first instant below `TOUCH_DOWN_SPEED`
+(`SLOW_SPEEDS[0]` if no instant is below `TOUCH_DOWN_SPEED`) to the last below `LIFT_OFF_SPEED`. The two thresholds
+differ because a foot lands flat but rolls over its toes before it lifts. A foot's speed in the swing is the 95th
+percentile of its speed, or `MIN_SWING_SPEED` times the body's mean speed if the percentile is lower. The speed in the
+swing is twice the body's speed at a gallop and four times at a walk, so that no single threshold relative to the body's
+speed suits both. The marker lies some centimetres above the sole and rises with the heel during the stance. A foot
+therefore counts as low below 0.15 of the leg length (9 cm of 0.6 m), and below 0.3 at the end of the push-off. A
+standing foot seems to move because of the error of its speed, which is `SPEED_ERROR` of the stated standard deviation.
+The square of this error is subtracted first. Stances shorter than `MIN_STANCE_S` are noise.
 
 The ground is a plane through the positions of the slow feet, fitted with Tukey weights. Clips of a few strides hardly
 determine its slope across the track, so the slopes have a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, which is
 a stretch that was reconstructed separately, has its own plane. If no foot is slow, or if the slow feet are more than
-`LOW[0]` of the leg length away from a plane, the ground is unknown and there are no stances.
+`LOW_HEIGHTS[0]` of the leg length away from a plane, the ground is unknown and there are no stances.
 
 The standard deviation of a touch-down or lift-off is an uncertainty of the foot's speed, divided by the foot's
 acceleration at this time. It has two parts. One is the error of the speed, scaled to the apparent speed that standing
@@ -55,15 +55,15 @@ BODY = ("neck_base", "tail_base")
 OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longest gap in the path of a foot or the body that is interpolated, s. A longer gap could hide a touch-down."""
-SLOW = (0.16, 0.32)
+SLOW_SPEEDS = (0.16, 0.32)
 """Speeds of a foot over the ground below which the foot certainly stands and may stand, relative to its swing speed."""
-SWING = 1.3
+MIN_SWING_SPEED = 1.3
 """Minimum of the speed of a foot in the swing, relative to the body's mean speed."""
-REST = 0.5
+MAX_REST_SPEED = 0.5
 """Maximum apparent speed of standing feet due to jitter of the poses, relative to the body's speed."""
-LANDS = 0.12
+TOUCH_DOWN_SPEED = 0.12
 """Speed of a foot at touch-down, relative to its speed in the swing, fitted to force plate measurements."""
-LIFTS = 0.22
+LIFT_OFF_SPEED = 0.22
 """Speed of a foot at lift-off, relative to its speed in the swing, fitted to force plate measurements."""
 EVENT_SIGMAS = (0.05, 0.1)
 """Standard deviations of a foot's speed at touch-down and at lift-off, relative to its speed in the swing."""
@@ -71,7 +71,7 @@ SPEED_ERROR = 0.6
 """Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
 the value on two of three kinds of recordings and tests it on the stances of the third.
 """
-LOW = (0.15, 0.3)
+LOW_HEIGHTS = (0.15, 0.3)
 """Heights above the ground, in leg lengths, below which a slow foot certainly stands and below which it may stand."""
 INTERVAL = 0.9
 """Probability that the stated interval of a time or a duty factor contains the true value."""
@@ -185,7 +185,7 @@ class Tracks(Brief):
 
         The unit is the stated standard deviation of the speed. Return 1 if no foot stands.
         """
-        rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
+        rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW_HEIGHTS[0] * self.leg_m)
         rest &= self.foot_speed_sigma_m_s > 0
         relative = self.foot_speed_m_s[rest] / self.foot_speed_sigma_m_s[rest]
         return float(np.quantile(relative, 0.9)) if len(relative) else 1.0
@@ -278,9 +278,9 @@ def pose_tracks(
     body_speed = np.linalg.norm(body_path.rate[:, :2], axis=1)
     known_speeds = [speed[np.isfinite(speed)] if np.isfinite(speed).any() else np.zeros(1) for speed in foot_speed.T]
     rest, fast = np.array([np.percentile(speed, (10, 95)) for speed in known_speeds]).T * [[restless], [1]]
-    rest = np.minimum(rest, REST * mean(body_speed))
-    swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
-    slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
+    rest = np.minimum(rest, MAX_REST_SPEED * mean(body_speed))
+    swing_m_s = np.maximum(fast, MIN_SWING_SPEED * mean(body_speed)) - rest
+    slow_m_s = rest + np.multiply.outer((*SLOW_SPEEDS, TOUCH_DOWN_SPEED, LIFT_OFF_SPEED), swing_m_s)
     slow = foot_speed < slow_m_s[0]
     grounds = tuple((rows, ground_plane(foot[_fine(rows)], slow[_fine(rows)])) for rows in segments)
     return Tracks(
@@ -352,7 +352,7 @@ def why_no_ground(tracks: Tracks) -> str | None:
     if not planes:
         return "the ground is not known, because no foot is slow enough to be standing"
     spread_m = max(plane.spread_m for plane in planes)
-    if not spread_m < LOW[0] * tracks.leg_m:
+    if not spread_m < LOW_HEIGHTS[0] * tracks.leg_m:
         return f"the ground is not known, because slow feet are {length_text(spread_m)} (median) from a common plane"
     return None
 
@@ -362,10 +362,10 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
     speed = np.sqrt(np.maximum(tracks.foot_speed_m_s[:, k] ** 2 - speed_error**2, 0.0))
     certain_speed, largest_speed, landing_speed, lifting_speed = tracks.slow_m_s[:, k]
     slow_rows = np.flatnonzero(speed < certain_speed)
-    certain_rows = slow_rows[height[slow_rows] < LOW[0] * tracks.leg_m]
+    certain_rows = slow_rows[height[slow_rows] < LOW_HEIGHTS[0] * tracks.leg_m]
     is_known = np.pad(np.isfinite(speed), 1)  # element i belongs to sample i - 1
     result = []
-    may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * tracks.leg_m)
+    may_stand = np.less(speed, largest_speed) & np.less(height, LOW_HEIGHTS[1] * tracks.leg_m)
     for first, end in frame_ranges(np.flatnonzero(may_stand)):
         if np.any((certain_rows >= first) & (certain_rows < end)):
             stance_speed = speed[first:end]

@@ -29,8 +29,8 @@ from recon.ik.figures import joint_space, parameter_series, task_space
 from recon.ik.limb import (
     COSTS,
     EXTENDED,
-    LAST,
-    SLOWER,
+    REFIT_FRAMES,
+    SLOWDOWN,
     Limb,
     animal_portraits,
     cost_of,
@@ -248,7 +248,7 @@ def run_ik(settings: IkSettings) -> IkRun:
             fitted = settings.fitted or settings.online
             series, refitted = None, {}
             if fitted:
-                series, refitted = fit_parameter_series(limb, stride, cost, LAST if settings.online else 0)
+                series, refitted = fit_parameter_series(limb, stride, cost, REFIT_FRAMES if settings.online else 0)
             methods = methods_of(limb, settings.methods, parameters, fitted, cost, settings.alpha)
             start, foremost = farthest_reach(chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
@@ -270,7 +270,7 @@ def run_ik(settings: IkSettings) -> IkRun:
 
 def _cost_outcomes(limb: Limb, stride: StridePath) -> dict[str, CostOutcome]:
     """Study how the extended Jacobian behaves on the stride with each cost of `COSTS`."""
-    interval_s = SLOWER * stride.interval_s
+    interval_s = SLOWDOWN * stride.interval_s
     return {
         name: cost_outcome(limb.chain, stride.q[0], stride.path_m, cost(limb), interval_s)
         for name, cost in COSTS.items()

@@ -3,7 +3,7 @@
 Appendices B and C of C. van der Leek, MSc(Eng), University of Cape Town, 2022, contain costs on the joint angles for
 which the method becomes singular or its paths chaotic. A cost is "convergent" if each turn ends at the angles at which
 it began, "singular" if the extended matrix was singular on the way, "chaotic" if two starts that are `NEAR_RAD` apart
-end `GROWTH` times as far apart, and "drifting" otherwise.
+end `CHAOTIC_GROWTH` times as far apart, and "drifting" otherwise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NEAR_RAD = 1e-6
 """Difference of every joint angle between the two starts whose paths are compared, rad."""
 CLOSED_RAD = 1e-3
 """Largest change of a joint angle over one turn at which the path counts as closed, rad."""
-GROWTH = 1e3
+CHAOTIC_GROWTH = 1e3
 """Growth of the distance between two paths, as a factor, above which a path counts as chaotic."""
 TURNS = 10
 """Number of times that the closed path is followed."""
@@ -66,7 +66,7 @@ def cost_outcome(
     elif run.singular.any():
         outcome = "singular"
     else:
-        outcome = "chaotic" if growth > GROWTH else "drifting"
+        outcome = "chaotic" if growth > CHAOTIC_GROWTH else "drifting"
     return CostOutcome(
         outcome=outcome,
         stationary=stationary,

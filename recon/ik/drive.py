@@ -22,15 +22,15 @@ from numpy.typing import ArrayLike
 from recon.base.arrays import Array, Bools
 from recon.gait import phase
 from recon.ik.chain import SerialChain, manipulability, unreachable
-from recon.ik.methods import ALL, INTERVAL_S, ExtendedJacobian, JointRates, Method
+from recon.ik.methods import ALL_JOINTS, INTERVAL_S, ExtendedJacobian, JointRates, Method
 from recon.ik.null_space import joint_names, to_null_space_optimum
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
 """Longest motion of the end effector towards a target in one iteration, metres."""
-PATIENCE = 100
-"""Number of iterations within which the distance from the target must shrink by `PROGRESS`."""
-PROGRESS = 0.01
+PROGRESS_ITERATIONS = 100
+"""Number of iterations within which the distance from the target must shrink by `MIN_PROGRESS`."""
+MIN_PROGRESS = 0.01
 """Smallest reduction of the distance from the target, relative to the smallest so far, that counts as progress."""
 STILL_RAD = 1e-10
 """Motion, rad, or rate, rad/s, below which a joint counts as still, because only rounding errors remain."""
@@ -185,9 +185,13 @@ def drive_to(
         distance = float(np.linalg.norm(target - end))
         if note or distance <= tolerance_m:
             return note
-        if distance < (1 - PROGRESS) * best:
+        if distance < (1 - MIN_PROGRESS) * best:
             best, best_at = distance, k
-        if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
+        if (
+            k >= max_iterations
+            or k - best_at >= PROGRESS_ITERATIONS
+            or (k and float(np.abs(last.dq).max()) <= STILL_RAD)
+        ):
             left = f"{1000 * distance:.1f} mm left after {k} iterations"
             if stopped:
                 return f"limits: joints {joint_names(chain, stopped)} at their limits, {left}"
@@ -324,7 +328,7 @@ def _one_interval(
         method = replace(method, gain_per_s=1 / interval_s)
     free = np.ones(chain.n, bool)
     while True:
-        step = method.rates(chain, q, dx, ALL if free.all() else free)
+        step = method.rates(chain, q, dx, ALL_JOINTS if free.all() else free)
         moved = q + interval_s * step.dq
         outside = chain.inside_limits(moved) != moved
         if not outside.any():

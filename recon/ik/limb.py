@@ -15,7 +15,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
-from recon.gait.gait import AGREE, Gait, Stride, rejection_text
+from recon.gait.gait import MAX_DURATION_DIFFERENCE, Gait, Stride, rejection_text
 from recon.gait.kinematics import angle_kinematics
 from recon.gait.phase import Portrait, phase_portrait
 from recon.gait.series import jitter_errors
@@ -33,13 +33,13 @@ from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance,
 from recon.ik.drive import Run, follow
 from recon.ik.methods import STANDARD, ExtendedJacobian, GradientProjection, Method, best_scale
 from recon.ik.null_space import to_null_space_optimum
-from recon.ik.parameters import PARAMETERS, PULL, Frames, ParameterFit, explained_by, fits, rates_of
+from recon.ik.parameters import EQUAL_WEIGHT_PULL, PARAMETERS, Frames, ParameterFit, explained_by, fits, rates_of
 from recon.ik.stride import OVERSAMPLING, StridePath, find_stride
 
 EXTENDED = "extended"
 """Name of the extended Jacobian with the requested cost."""
 Dim = Literal[2, 3]
-SLOWER = 10
+SLOWDOWN = 10
 """Factor by which a stride is followed more slowly than the animal ran it.
 
 The rate limits of the animal's joints would restrict a method that uses the joints differently. The degrees of closure
@@ -50,7 +50,7 @@ CONSTANT_VECTOR = "constant-vector"
 VECTORS = (CONSTANT_VECTOR, "gradient-projection")
 """Names of the methods whose fitted parameter can be a vector g, with a component for each joint."""
 EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
-LAST = 3
+REFIT_FRAMES = 3
 """Number of previous frames to which `--online` refits the parameters at each frame of the stride."""
 
 
@@ -234,7 +234,7 @@ def fit_parameter_series(
     first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
     costs = (cost or joint_differences(limb.chain),) if cost is not None or not last else ()
     columns, methods = {"time_s": limb.first_s + at_s[first:stop]}, {}
-    every = fits(costs, PULL)
+    every = fits(costs, EQUAL_WEIGHT_PULL)
     if costs:
         every[CONSTANT_VECTOR] = fits()["gradient-projection"]
     for name, fit in every.items():
@@ -344,7 +344,7 @@ def stride_duration_range_s(gait: Gait) -> tuple[float, float]:
     """
     time_s = gait.tracks.time_s
     if 0 < gait.stride_s < time_s[-1] - time_s[0]:
-        return (1 - AGREE) * gait.stride_s, (1 + AGREE) * gait.stride_s
+        return (1 - MAX_DURATION_DIFFERENCE) * gait.stride_s, (1 + MAX_DURATION_DIFFERENCE) * gait.stride_s
     landed = [s for s in gait.stances if s.begins]
     if len({s.foot for s in landed}) < len(landed):
         return 0.0, np.inf
@@ -355,7 +355,7 @@ def stride_duration_range_s(gait: Gait) -> tuple[float, float]:
 def follow_stride(
     chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, by_frame: Sequence[Method] = ()
 ) -> Run:
-    """Follow the stride `SLOWER` times more slowly than the animal, and convert times and rates back to the animal's.
+    """Follow the stride `SLOWDOWN` times more slowly than the animal, and convert times and rates back to the animal's.
 
     The extended Jacobian starts at a stationary point of its cost, with the foot at the same position. `by_frame` has
     one method for every frame of the stride, and replaces `method` unless it is empty.
@@ -367,5 +367,5 @@ def follow_stride(
     def method_at(k: int) -> Method:
         return by_frame[min(k % steps // OVERSAMPLING, len(by_frame) - 1)]
 
-    run = follow(chain, q0, stride.path_m, method_at if by_frame else method, turns, SLOWER * stride.interval_s)
-    return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)
+    run = follow(chain, q0, stride.path_m, method_at if by_frame else method, turns, SLOWDOWN * stride.interval_s)
+    return replace(run, dq=SLOWDOWN * run.dq, interval_s=stride.interval_s)

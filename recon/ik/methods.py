@@ -29,12 +29,12 @@ from recon.ik.costs import Cost
 
 INTERVAL_S = 1 / 90
 """Default duration of one iteration of `drive_to` and `follow`, seconds."""
-SINGULAR = 1e-6
+MIN_EIGENVALUE_RATIO = 1e-6
 """Ratio of the smallest to the largest eigenvalue of J J' below which J J' is singular.
 
 The corresponding ratio of the singular values of J is one thousandth.
 """
-LOST = 1e-12
+MIN_SINGULAR_RATIO = 1e-12
 """Singular value of J, relative to the largest, below which the singular direction counts as immovable."""
 EXTENDED_SINGULAR = 1e-3
 """Ratio of the smallest to the largest eigenvalue of N' M N, in magnitude, below which the matrix is singular."""
@@ -43,7 +43,7 @@ MAX_CORRECTION_RAD = 0.05
 
 A longer step along the null space would move the end effector by millimetres, to second order.
 """
-ALL = slice(None)
+ALL_JOINTS = slice(None)
 """Value of `free` with which all joints may move."""
 Free = Bools | slice
 
@@ -68,7 +68,7 @@ class Method(ABC):
     alpha: float | None = field(default=1.0, kw_only=True)
     """Factor on all rates; None for <dx, J dq> / |J dq|^2, which brings J dq nearest to dx at every step."""
 
-    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL) -> JointRates:
+    def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL_JOINTS) -> JointRates:
         """Return the joint rates at q (n,) for an end-effector velocity dx (dim,)."""
         J, curvature = chain.derivatives(q)
         step = _within_limits(chain, free, self._solve(J[:, free], dx, q, free, curvature))
@@ -82,7 +82,7 @@ class Method(ABC):
 
         The basis N of the extended Jacobian is treated as constant.
         """
-        solved = self._solve(J, dx, q, ALL, None)
+        solved = self._solve(J, dx, q, ALL_JOINTS, None)
         total = solved.dq + solved.along
         return total * (best_scale(J @ total, dx) if self.alpha is None else self.alpha)
 
@@ -198,10 +198,10 @@ class SingularDirections(NamedTuple):
     def of_motion(cls, J: Array, dx: Array) -> SingularDirections:
         """Split a motion dx (dim,) into the singular directions of J (dim, n)."""
         u, s, vt = np.linalg.svd(J, full_matrices=False)
-        sways, moves = np.abs(vt) @ np.linalg.norm(J, axis=0), s > LOST * s[0]
+        sways, moves = np.abs(vt) @ np.linalg.norm(J, axis=0), s > MIN_SINGULAR_RATIO * s[0]
         parts = np.divide(dx @ u, s, out=np.zeros_like(s), where=moves)
         shares = np.minimum(1.0, np.divide(s, sways, out=np.ones_like(s), where=moves))
-        return cls(vt * parts[:, None], shares, np.asarray(s[-1] ** 2 <= SINGULAR * s[0] ** 2))
+        return cls(vt * parts[:, None], shares, np.asarray(s[-1] ** 2 <= MIN_EIGENVALUE_RATIO * s[0] ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ STANDARD: dict[str, Method] = {
 
 
 def reduced_gradient(
-    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Free = ALL
+    cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Free = ALL_JOINTS
 ) -> tuple[Array, Array]:
     """Return grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the m free joints.
 
@@ -270,8 +270,8 @@ def best_scale(rates: Array, wanted: Array) -> float:
 def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
     """Return A' (J A' + damping I)^-1 (n, dim), and whether J A' is singular without the damping.
 
-    A (dim, n) is `along`, or J, which gives J+. If J A' is singular, at least SINGULAR times its trace is added to its
-    diagonal. The result is zero if J A' is zero or not finite.
+    A (dim, n) is `along`, or J, which gives J+. If J A' is singular, at least MIN_EIGENVALUE_RATIO times its trace is
+    added to its diagonal. The result is zero if J A' is zero or not finite.
     """
     A = J if along is None else along
     gram = J @ A.T
@@ -279,7 +279,7 @@ def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) ->
         trace = float(gram.trace())
         if not 0.0 < trace < math.inf:
             return np.zeros(A.shape[::-1]), True
-        damping = max(damping, SINGULAR * trace)
+        damping = max(damping, MIN_EIGENVALUE_RATIO * trace)
     if damping:
         gram = gram + damping * np.eye(len(gram))
     return np.asarray(dposv(gram, A)[1]).T, singular
@@ -294,7 +294,7 @@ def _is_singular(gram: Array) -> bool:
     trace, rest = float(gram.trace()), max(len(gram) - 1, 1)
     if not 0.0 < trace < math.inf:
         return True
-    return bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / rest) ** rest)
+    return bool(np.linalg.det(gram) <= MIN_EIGENVALUE_RATIO * trace * (trace / rest) ** rest)
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:

@@ -30,11 +30,11 @@ from recon.ik.methods import (
     weighted_least_norm,
 )
 
-RANGE = (1e-4, 1e2)
+SEARCH_RANGE = (1e-4, 1e2)
 """Search range of lambda (m) and gamma_max (rad); outside it, the rates no longer change or are close to zero."""
 WEIGHT_RANGE = 1e3
 """Largest factor by which a fitted weight can be above or below its starting value."""
-PULL = 0.01
+EQUAL_WEIGHT_PULL = 0.01
 """Strength with which the weights of one configuration are drawn towards equal weights.
 
 Without this pull, many sets of weights would explain a single configuration equally well. The value is the residual of
@@ -109,7 +109,7 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
 
     - transpose: alpha, 1/m^2
     - gradient-projection, with k = 1: coefficients of the costs, or the smallest constant g (n,) if there are none
-    - weighted: diag W, positive, with a mean of 1; `pull` is the strength described at `PULL`
+    - weighted: diag W, positive, with a mean of 1; `pull` is the strength described at `EQUAL_WEIGHT_PULL`
     - damped: lambda, metres
     - selectively-damped: gamma_max, rad, for steps of `INTERVAL_S`
     """
@@ -176,7 +176,7 @@ def _in_range(
     frames: Frames,
     rates_with: Callable[[float], Array] | None = None,
 ) -> ParameterFit:
-    """Fit a parameter within `RANGE` to the rates of the frames, by searching a logarithmic grid and refining the best.
+    """Fit a parameter within `SEARCH_RANGE` to the frames' rates: search a logarithmic grid, and refine the best value.
 
     `rates_with` returns the rates (T, n) for a value of the parameter; None to use the formula of the method.
     """
@@ -185,12 +185,12 @@ def _in_range(
     def cost(log_value: float) -> float:
         return float(np.sum((rates_at(float(np.exp(log_value))) - frames.dq) ** 2))
 
-    grid = np.linspace(np.log(RANGE[0]), np.log(RANGE[1]), 61)
+    grid = np.linspace(np.log(SEARCH_RANGE[0]), np.log(SEARCH_RANGE[1]), 61)
     i = int(np.argmin([cost(x) for x in grid]))
     around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
     refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
     value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
-    (low, high), (name, unit), note = RANGE, name_and_unit, ""
+    (low, high), (name, unit), note = SEARCH_RANGE, name_and_unit, ""
     if i == 0 and name == "lambda":
         # Because dx is J dq, damping can only add to the error of the least-norm method.
         note = "lambda is 0, because damping only reduces the least-norm rates, which are too small already"

@@ -30,7 +30,7 @@ SAME_PX = 1.0
 """Largest distance, in pixels, between a detection in the keypoint file and its rounded position in a correction."""
 HALF_PX = 0.5
 """Distance from the centre of a pixel at the edge, whose coordinate is 0, to the edge of the picture."""
-SHOWN = 3
+MAX_SHOWN = 3
 """Largest number of positions outside the picture that a note lists."""
 MANY_CORRECTIONS = 5
 """Minimum number of corrected detections required to check whether corrections belong to a keypoint file."""
@@ -190,7 +190,7 @@ def _outside(
     ]
     if outside:
         is_one = len(outside) == 1
-        shown = f"{'; '.join(outside[:SHOWN])}{'; ...' if len(outside) > SHOWN else ''}"
+        shown = f"{'; '.join(outside[:MAX_SHOWN])}{'; ...' if len(outside) > MAX_SHOWN else ''}"
         yield (
             f"{counted(len(outside), 'corrected position')} {'lies' if is_one else 'lie'} outside the picture of "
             f"{width}x{height} px ({shown}). If {'this is' if is_one else 'these are'} not intended, change "

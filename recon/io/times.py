@@ -13,7 +13,7 @@ import numpy as np
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.io.common import MAX_FRAME, StoredPoints
 
-IRREGULAR = 0.25
+MAX_IRREGULARITY = 0.25
 """Largest difference, in frames, between a time step and a whole number of frames at which times count as regular."""
 EVEN_MIN = 10
 """Minimum number of times required to estimate a frame rate despite rounding or jitter."""
@@ -217,7 +217,7 @@ def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tupl
         since_start = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
         misses = np.abs(steps_s / step_s - np.diff(since_start))
         rounded = fps is None and _is_rounded_to(step_s, times_s)
-        if (np.diff(since_start) >= 1).all() and (misses <= IRREGULAR).all() and not rounded:
+        if (np.diff(since_start) >= 1).all() and (misses <= MAX_IRREGULARITY).all() and not rounded:
             drifts = fps is None and len(times_s) >= EVEN_MIN and _off_frames(since_start, times_s) > EVEN_OFF
             if not drifts:
                 fps = float(f"{since_start[-1] / (times_s[-1] - times_s[0]):.9g}") if fps is None else fps

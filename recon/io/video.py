@@ -33,19 +33,19 @@ MPEG-4 part 2 is shown by players but not by browsers. VP8 is played by every br
 Motion JPEG. The wheels have no encoder for H.264.
 """
 
-UNEVEN = 0.3
+MAX_UNEVENNESS = 0.3
 """Largest deviation of the time between frames from a multiple of the usual time, as a fraction of the usual time."""
 STAMP_S = 1e-3
-"""Tolerance of time stamps in seconds, in addition to `UNEVEN`, because Matroska's are whole milliseconds."""
+"""Tolerance of time stamps in seconds, in addition to `MAX_UNEVENNESS`, because Matroska's are whole milliseconds."""
 DRIFT = 0.05
 """Largest relative deviation from a video's usual frame rate; phones film more slowly in the dark."""
 DRIFT_FRAMES = 30
 """Number of frames over which the frame rate is compared with the video's usual frame rate."""
 MOST_GAPS = 5
 
-BLACK = 24
+MAX_BLACK = 24
 """Largest brightness in a black bar, 0 to 255, because compressed black is not quite 0."""
-LIT = 80
+MIN_BRIGHTNESS = 80
 """Smallest mean brightness of the lines between two black bars, each line by its brightest pixel, 0 to 255."""
 BAR_SHARE = 0.02
 """Smallest width of a black bar, as a fraction of the picture's width, or of its height for bars at top and bottom."""
@@ -91,8 +91,8 @@ def probe(path: str | Path) -> VideoInfo:
 def black_bars(picture: Image, axis: int) -> int:
     """Return the width of equal black bars at both ends of an axis of a picture (H, W, 3), or 0 without them."""
     brightness = picture.max(axis=(1 - axis, 2))
-    lit = np.flatnonzero(brightness > BLACK)
-    if not len(lit) or brightness[lit[0] : lit[-1] + 1].mean() < LIT:
+    lit = np.flatnonzero(brightness > MAX_BLACK)
+    if not len(lit) or brightness[lit[0] : lit[-1] + 1].mean() < MIN_BRIGHTNESS:
         return 0
     ends = int(lit[0]), len(brightness) - 1 - int(lit[-1])
     is_even = abs(ends[0] - ends[1]) <= BAR_PX
@@ -135,7 +135,7 @@ def missing_frames(times_s: Array) -> dict[int, int] | None:
     if not usual > 0:
         return None
     counts = np.rint(steps / usual).astype(int)
-    if (counts < 1).any() or (np.abs(steps - counts * usual) > UNEVEN * usual + STAMP_S).any():
+    if (counts < 1).any() or (np.abs(steps - counts * usual) > MAX_UNEVENNESS * usual + STAMP_S).any():
         return None
     window = max(1, min(DRIFT_FRAMES, len(times_s) // 2))
     due_s = usual * np.concatenate([[0], np.cumsum(counts)])

@@ -32,7 +32,7 @@ from recon.io.writing import frames_text
 from recon.show.plain import picked
 
 SPLIT = "Which pictures"
-OUTSIDE = 0.1
+MAX_OUTSIDE_FRACTION = 0.1
 """Largest fraction of the labels that may lie outside their pictures; more means that the pictures are wrong."""
 
 
@@ -154,7 +154,7 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
     # So many points outside cannot be labelling errors: the labels belong to other pictures.
-    if outside.sum() > OUTSIDE * read.labelled.sum():
+    if outside.sum() > MAX_OUTSIDE_FRACTION * read.labelled.sum():
         i, k = np.argwhere(outside)[0]
         detail = (
             f"{outside.sum()} of {read.labelled.sum()} points are outside, first {read.names[k]} in {read.images[i]}"
@@ -306,7 +306,7 @@ def _mirrored(name: str) -> Iterator[str]:
 
 PARTS = ("train", "validation", "test")
 """Parts of a split: pictures to train on, to evaluate and calibrate on during training, and to test on at the end."""
-BLOCKS = 10
+MIN_BLOCKS = 10
 """Minimum number of blocks of consecutive pictures into which the labels are divided. Whole blocks are held out.
 
 Successive pictures look similar, so a single held-out picture would almost equal a picture of the training.
@@ -386,7 +386,7 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
         return chosen
     if choice == 0 or len(remaining) < 2:
         return remaining[:0]
-    blocks = np.array_split(remaining, min(len(remaining), max(BLOCKS, round(2 / choice))))
+    blocks = np.array_split(remaining, min(len(remaining), max(MIN_BLOCKS, round(2 / choice))))
     count = min(len(blocks) - 1, max(1, round(choice * len(blocks))))
     drawn = np.random.default_rng(seed).permutation(len(blocks))[:count]
     return np.sort(np.concatenate([blocks[i] for i in drawn]))

@@ -89,19 +89,19 @@ HEAD = 48
 
 SIGMA = 0.9
 """Standard deviation, in cells of the grid, of the Gaussian that the network is trained on."""
-LEAST_SIGMA = 0.15
+MIN_SIGMA = 0.15
 """Standard deviation of a point, in cells, if its probability is not broader than the Gaussian."""
 BLUR = 0.8
 """Standard deviation of the blur of the probability, in cells of the grid."""
-FAR = 4.0
+MAX_SPREAD_CELLS = 4.0
 """Largest distance from a point, in cells, that `variance` uses; larger distances are clipped to this value."""
 _REACH = 3
 """Number of cells on each side of a cell over which the blur extends."""
-NOWHERE = -1e4
+OUTSIDE_SCORE = -1e4
 """Score of the cells outside a keypoint's search window, low enough for a probability of 0."""
 MARGIN_PX = 32
 """Margin around the search windows of the second stage, pixels, so that the network sees their surroundings."""
-SURE = 0.05
+MIN_WINDOW_LIKELIHOOD = 0.05
 """Raw likelihood above which a point of the first stage must be inside the part that the second stage sees."""
 
 _EDGE = 1e-4
@@ -262,7 +262,7 @@ def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.T
     """Convert scores to probabilities (B, K, h, w), float32, that add up to 1 over the grid of each keypoint."""
     scores = scores.float()
     if window is not None:
-        scores = scores.masked_fill(~_inside(window, scores.shape[2:]), NOWHERE)
+        scores = scores.masked_fill(~_inside(window, scores.shape[2:]), OUTSIDE_SCORE)
     return scores.flatten(2).softmax(dim=2).view(scores.shape)
 
 
@@ -301,10 +301,10 @@ def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
 
     The variance of the probability (B, K, h, w) around each point is reduced by the variance of the Gaussian that the
-    network is trained on. Distances beyond `FAR` count as `FAR`.
+    network is trained on. Distances beyond `MAX_SPREAD_CELLS` count as `MAX_SPREAD_CELLS`.
     """
-    spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
-    return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
+    spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=MAX_SPREAD_CELLS**2)).sum(dim=(2, 3))
+    return (spread - SIGMA**2).clamp_min(0) + MIN_SIGMA**2
 
 
 def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
@@ -324,7 +324,7 @@ def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -
         mask = _inside(window, size)
         aim = aim * mask.flatten(2)
         aim = aim / aim.sum(dim=2, keepdim=True).clamp_min(1e-6)
-        scores = scores.masked_fill(~mask, NOWHERE)
+        scores = scores.masked_fill(~mask, OUTSIDE_SCORE)
     entropies = -(aim * scores.flatten(2).log_softmax(dim=2)).sum(dim=2)
     return (entropies * labelled).sum() / labelled.sum().clamp_min(1)
 
@@ -465,7 +465,7 @@ def part_of(
     The result is the first pixel of the part in each picture, (B, 2), and the size (width, height) of the part, px,
     which is the same in all pictures.
     """
-    sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
+    sure = (raw >= np.minimum(MIN_WINDOW_LIKELIHOOD, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
     high = np.where(sure, xy_px, -np.inf).max(axis=1) + margin_px
     sides = 32 * np.ceil((high - low).max(axis=0) / 32)
@@ -540,11 +540,11 @@ def load_torch(path: Path) -> dict[str, Any]:
 WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 
 
-LIKELY = 0.5
+RING_LIKELIHOOD = 0.5
 """Likelihood below which points are drawn as rings in the overlay video."""
-PIXELS = 2**20
+MAX_BATCH_PIXELS = 2**20
 """Maximum number of pixels in a batch, at the network's scale."""
-WAITING = 2
+BATCHES_AHEAD = 2
 """Number of batches of video frames to decode ahead of the network."""
 LOST_SHARE = 0.01
 """Largest fraction of a video's stated frames that may be missing before the video counts as damaged.
@@ -634,7 +634,9 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
             staged = stack.enter_context(_overlay_output(settings, settings.overlay).staged_file())
             write = stack.enter_context(video_writer(staged, even_size, info.fps or 30.0))
         chunks = _chunks(video, info, spec.scale, keep=write is not None)
-        for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(prefetched(chunks, 1 + WAITING))):
+        for of_chunk, stamps_s, pictures, originals in stack.enter_context(
+            closing(prefetched(chunks, 1 + BATCHES_AHEAD))
+        ):
             xy, raw = trained.points(pictures, background)
             sure = calibrated(raw, spec.calibration)
             results.append((of_chunk, stamps_s, xy.astype(np.float32), sure.astype(np.float32)))
@@ -658,7 +660,7 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
 def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[_Chunk]:
     """Yield the frames of a video in batches; `keep` adds the original pictures."""
     width, height = info.size_px
-    size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
+    size = int(np.clip(MAX_BATCH_PIXELS / (width * height * scale**2), 1, 32))
     frames = timed_frames(video)
     while chunk := list(islice(frames, size)):
         numbers, times_s, pictures = (list(column) for column in zip(*chunk, strict=True))
@@ -666,12 +668,12 @@ def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator
 
 
 def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
-    """Return a copy of a picture with a dot at each point (K, 2), or a ring if its likelihood is below `LIKELY`."""
+    """Return a copy of a picture with a dot at each point (K, 2), or a ring below `RING_LIKELIHOOD`."""
     drawn = picture.copy()
     radius = max(2.0, max(picture.shape[:2]) / 160)
     for point, point_likelihood, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):
         if np.isfinite(point).all():
-            likely = point_likelihood >= LIKELY
+            likely = point_likelihood >= RING_LIKELIHOOD
             if likely:
                 draw_circle(drawn, point, radius + 1, (0, 0, 0), -1)
             draw_circle(drawn, point, radius if likely else 0.7 * radius, colour, -1 if likely else 1)

@@ -46,7 +46,7 @@ The first stage locates the animal in small pictures. The second stage refines t
 """
 PART_PX = (128, 128)
 """Width and height of the second stage's training pictures, pixels."""
-OFF = 0.75
+MAX_WINDOW_ERROR = 0.75
 """Largest simulated error of the first stage in training, as a fraction of the radius of the second stage's window."""
 CROP = 1.4
 """Width and height of training pictures, relative to the animal's length."""
@@ -54,14 +54,14 @@ MARGIN = 0.12
 """Margin around the animal's labelled points, relative to the animal's length."""
 NO_BACKGROUND = 0.2
 """Fraction of the training pictures without the difference from the background."""
-AHEAD = 3
+BATCHES_AHEAD = 3
 """Number of batches that the thread makes in advance."""
 
-LEAST_PICTURES = 8
+MIN_PICTURES = 8
 """Minimum number of pictures required to compute a background."""
-MOST_PICTURES = 60
+MAX_PICTURES = 60
 """Maximum number of pictures from which a background is computed."""
-MOST_BYTES = 2**28
+MAX_BYTES = 2**28
 """Maximum memory for a video's pictures, bytes."""
 STILL_LEVELS = 12.0
 """Largest difference of a still pixel from the background, in grey levels."""
@@ -256,9 +256,9 @@ def _partly_covered(
 
 def background_of(pictures: Sequence[Image]) -> Image | None:
     """Return the median of one clip's pictures, or None if there are too few or if the camera moves."""
-    if len(pictures) < LEAST_PICTURES:
+    if len(pictures) < MIN_PICTURES:
         return None
-    picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MOST_PICTURES).round().astype(int))]
+    picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MAX_PICTURES).round().astype(int))]
     background = np.empty_like(picked[0])
     for rows in np.array_split(np.arange(len(background)), max(1, background.size * len(picked) // 2**24)):
         background[rows] = np.median(np.stack([p[rows] for p in picked]), axis=0).astype(np.uint8)
@@ -280,8 +280,8 @@ def background_of_video(video: Path, scale: float) -> Image | None:
     """Return the background of a video at the network's scale, or None if the camera moves."""
     info = probe(video)
     width, height = scaled_size(info.size_px, scale)
-    count = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
-    step = max(1, (info.stated_frames or MOST_PICTURES) // count)
+    count = int(np.clip(MAX_BYTES // (3 * width * height), MIN_PICTURES, MAX_PICTURES))
+    step = max(1, (info.stated_frames or MAX_PICTURES) // count)
     pictures = [resize(picture, scale) for _, picture in read_frames(video, 0, step * count, step)]
     return background_of(pictures)
 

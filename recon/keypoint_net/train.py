@@ -1,9 +1,9 @@
 """Train a keypoint network on labelled pictures (`recon train`).
 
 The optimiser is AdamW. In the first part of a run, the network learns from the training pictures, and is evaluated and
-its likelihoods are calibrated on the validation pictures. In the last part, from `FINISH` on, it learns from both, so
-that no label is wasted. In each part the learning rate falls along a cosine to almost 0; at the start of the run it
-warms up first. The final weights are a moving average of the optimiser's weights.
+its likelihoods are calibrated on the validation pictures. In the last part, from `FINISH_FRACTION` on, it learns from
+both, so that no label is wasted. In each part the learning rate falls along a cosine to almost 0; at the start of the
+run it warms up first. The final weights are a moving average of the optimiser's weights.
 
 The result of a run depends only on its settings, its labels and its device: augmentation depends on the seed and the
 step, and a checkpoint contains everything else. If the number of steps is given, a run that was stopped and resumed
@@ -59,15 +59,15 @@ LEARNING_RATE = 2e-3
 """Highest learning rate of AdamW."""
 WEIGHT_DECAY = 0.05
 """Weight decay of AdamW."""
-FINISH = 0.6
+FINISH_FRACTION = 0.6
 """Fraction of a run after which the network also learns from the validation pictures."""
 FINISH_RATE = 0.5
-"""Initial learning rate of the part after `FINISH`, relative to `LEARNING_RATE`."""
+"""Initial learning rate of the part after `FINISH_FRACTION`, relative to `LEARNING_RATE`."""
 WARM_UP = 0.04
 """Fraction of a run over which the learning rate rises."""
 EVALUATIONS = 30
 """Number of evaluations in a run."""
-MOST_AVERAGED = 300.0
+MAX_AVERAGED_STEPS = 300.0
 """Maximum number of steps over which the weights are averaged; the average is shorter at the beginning."""
 TRAINING = "Training"
 
@@ -146,7 +146,7 @@ class State:
     @property
     def finishing(self) -> bool:
         """Return whether the run also learns from the validation pictures."""
-        return self.share >= FINISH
+        return self.share >= FINISH_FRACTION
 
 
 def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
@@ -194,7 +194,7 @@ def train(
         held_out = not state.finishing
         pool, steps = first if held_out else all_labelled, count(state.step)
         batches = (tuple(source(step, pool) for source in sources) for step in steps)
-        with closing(pictures.prefetched(batches, pictures.AHEAD)) as drawn:
+        with closing(pictures.prefetched(batches, pictures.BATCHES_AHEAD)) as drawn:
             while state.share < 1.0 and held_out != state.finishing:
                 rate, share_before = LEARNING_RATE * schedule(state.share), state.share
                 value = _learn(state, next(drawn), rate, run, half)
@@ -239,7 +239,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
     parts = [
         dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.backgrounds)
     ]
-    off_px = pictures.OFF * spec.reach_cells * net.STRIDE
+    off_px = pictures.MAX_WINDOW_ERROR * spec.reach_cells * net.STRIDE
     return first, partial(pictures.make_batch, parts, pictures.PART_PX, *last, off_px=off_px)
 
 
@@ -249,9 +249,9 @@ def schedule(share: float) -> float:
     After a warm-up the rate follows a cosine, then another cosine in the last part. The rate is almost 0 at the
     calibration and at the end.
     """
-    if share < FINISH:
-        return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH)
-    return FINISH_RATE * _cosine((share - FINISH) / (1 - FINISH))
+    if share < FINISH_FRACTION:
+        return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH_FRACTION)
+    return FINISH_RATE * _cosine((share - FINISH_FRACTION) / (1 - FINISH_FRACTION))
 
 
 def _cosine(share: float) -> float:
@@ -282,7 +282,7 @@ def _learn(
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
     state.optimizer.step()
     state.step += 1
-    keep = 1 - 1 / min(MOST_AVERAGED, 1 + 0.2 * state.step)
+    keep = 1 - 1 / min(MAX_AVERAGED_STEPS, 1 + 0.2 * state.step)
     with torch.no_grad():
         for a, b in zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True):
             if a.dtype.is_floating_point:
@@ -392,7 +392,7 @@ def _resumed(run: TrainingRun, out: Path) -> State:
     return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})
 
 
-WORST = 6
+MAX_WORST_PICTURES = 6
 """Maximum number of pictures in worst.png."""
 LEAST_WIDTH_PX = 560
 """Minimum width of a picture in worst.png, pixels; smaller pictures are enlarged."""
@@ -400,20 +400,20 @@ LABEL = (255, 255, 255)
 """Colour (blue, green, red) of labels in worst.png."""
 LINE = (60, 60, 230)
 """Colour (blue, green, red) of the lines from labels to predictions in worst.png."""
-FAR = 0.2
+SUSPICIOUS_DISTANCE = 0.2
 """Distance of a label from the network's point, in body lengths, above which the label is suspicious."""
-APART = 0.15
+SUSPICIOUS_EXCESS = 0.15
 """Excess of a label's distance from the other labels over the usual distance, in body lengths, that is suspicious."""
 REASONS = {
     "network": "body lengths from the network's point",
     "others": "body lengths farther from every other label than usual",
 }
-LEARNED = 5.0
+SUSPICIOUS_RATIO = 5.0
 """Distance of a label from the network's point above which a label is suspicious, relative to the keypoint's median.
 
-The distance must also exceed `FAR`. A large median means that the network has not learned the keypoint.
+The distance must also exceed `SUSPICIOUS_DISTANCE`. A large median means that the network has not learned the keypoint.
 """
-FITS = 2.0
+MAX_LEARNED_ERROR = 2.0
 """Largest median error in the training pictures with which a network can find suspicious labels.
 
 The error is relative to the tolerance of a correct point.
@@ -439,9 +439,9 @@ MEASURED_ERRORS = (
 
 The values come from the tables of docs/net.md (`python benchmarks/net.py --only circle labels large horse`).
 """
-USUAL = 0.95
+USUAL_QUANTILE = 0.95
 """Quantile of the distances between two keypoints that counts as their largest usual distance."""
-MOST = 30
+MAX_SUSPICIOUS = 30
 """Maximum number of suspicious labels in the report."""
 
 
@@ -460,7 +460,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     learned = np.concatenate([split["train"], split["validation"]])
     learned_px = median(errors[learned])
-    is_fit = bool(learned_px <= FITS * spec.tolerance_px)
+    is_fit = bool(learned_px <= MAX_LEARNED_ERROR * spec.tolerance_px)
     suspects = _suspects_among(learned, run, xy_px) if is_fit else []
     report = {
         "recon": __version__,
@@ -597,7 +597,7 @@ def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Inte
     mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
     for i in indices[np.argsort(-np.nan_to_num(mean_px[indices], nan=-np.inf))]:
         is_new = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
-        if is_new and np.isfinite(mean_px[i]) and len(chosen) < WORST:
+        if is_new and np.isfinite(mean_px[i]) and len(chosen) < MAX_WORST_PICTURES:
             chosen.append(i)
     tiles: list[Image] = []
     for i in chosen:
@@ -646,7 +646,10 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
         "others": _excess_distance_px(labels.xy_px) / length_px,
     }
     median_distances = np.array([median(of_one) for of_one in clues["network"].T])
-    limits = {"network": np.fmax(FAR, LEARNED * median_distances), "others": np.full(len(median_distances), APART)}
+    limits = {
+        "network": np.fmax(SUSPICIOUS_DISTANCE, SUSPICIOUS_RATIO * median_distances),
+        "others": np.full(len(median_distances), SUSPICIOUS_EXCESS),
+    }
     rows = []
     for i, k in np.argwhere(labels.labelled):
         (x, y), against = labels.xy_px[i, k].tolist(), {name: float(of_all[i, k]) for name, of_all in clues.items()}
@@ -654,7 +657,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
         reasons = tuple(f"{value:.2f} {REASONS[name]}" for name, value in beyond.items())
         row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y, **against}
         rows += [row | {"rank": sum(beyond.values()), "reasons": reasons}] if beyond else []
-    return sorted(rows, key=lambda row: -row["rank"])[:MOST]
+    return sorted(rows, key=lambda row: -row["rank"])[:MAX_SUSPICIOUS]
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
@@ -663,7 +666,7 @@ def _excess_distance_px(xy_px: Array) -> Array:
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan
     pairs = pd.DataFrame(distance.reshape(n, k * k))
-    usual = pairs.quantile(USUAL).where(pairs.count() >= 5)
+    usual = pairs.quantile(USUAL_QUANTILE).where(pairs.count() >= 5)
     return np.fmin.reduce((pairs - usual).to_numpy().reshape(n, k, k), axis=2)
 
 

@@ -209,9 +209,9 @@ class TableSettings(Settings):
 ENDLESS = "the joints can move without moving the end: this is one of infinitely many solutions"
 STARTS = 100
 """Number of random starts of the search for configurations."""
-SAME = 1e-4
+MAX_DIFFERENCE = 1e-4
 """Largest difference, in rad or m, between configurations that count as the same."""
-REACHED = 1e-7
+MAX_RELATIVE_ERROR = 1e-7
 """Largest error of a solution as a fraction of the chain's length."""
 
 
@@ -366,13 +366,15 @@ def all_solutions(
     start_points = [(low + high) / 2, *np.random.default_rng(0).uniform(low, high, (starts, chain.n))]
     ends = (root(equations, q, jac=True, method="lm", options={"xtol": 1e-12, "ftol": 1e-14}).x for q in start_points)
     solutions = [
-        np.where(turns, (q + np.pi) % (2 * np.pi) - np.pi, q) for q in ends if np.abs(equations(q)[0]).max() < REACHED
+        np.where(turns, (q + np.pi) % (2 * np.pi) - np.pi, q)
+        for q in ends
+        if np.abs(equations(q)[0]).max() < MAX_RELATIVE_ERROR
     ]
     isolated = all(np.linalg.matrix_rank(equations(q)[1], 1e-6) == chain.n for q in solutions)
     distinct: list[Array] = []
     for q in solutions if isolated else solutions[:1]:
         differences = [np.where(turns, np.angle(np.exp(1j * (q - known))), q - known) for known in distinct]
-        if all(np.abs(difference).max() > SAME for difference in differences):
+        if all(np.abs(difference).max() > MAX_DIFFERENCE for difference in differences):
             distinct.append(q)
     sorted_solutions = np.array(distinct).reshape(len(distinct), chain.n)
     return sorted_solutions[np.lexsort(sorted_solutions.round(6).T[::-1])], isolated

@@ -52,9 +52,9 @@ STEP = 1e-5
 """Step of a numerical derivative with respect to the state, m or rad."""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
 """Axis and edges of the pyramid inscribed in the friction cone, within which ground forces lie, shape (5, 3)."""
-TRIES = 5
+MAX_ATTEMPTS = 5
 """Maximum number of attempts to find forces that also keep the torque limits."""
-STRETCHED = 0.05
+MIN_MOBILITY = 0.05
 """Mobility of a foot in a direction, relative to its most mobile direction, below which the foot counts as fixed."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
 """Factors on the times and the lengths of a motion, in the order in which `--fit-limits` tries them.
@@ -63,21 +63,21 @@ Shorter strides come first, since a slower robot has to leap higher to be in the
 """
 DEGREE = 5
 """Degree of the polynomials that describe how a foot's force rises and falls over a stance."""
-MOST = 10.0
+MAX_COEFFICIENT = 10.0
 """Largest coefficient of the polynomials that describe a foot's force, as a fraction of the weight."""
-TURNS = 12
+MAX_STEPS = 12
 """Maximum number of optimisation steps in `carried`."""
-HOPELESS = 50.0
+MAX_EXCESS = 50.0
 """Weighted sum of squared excesses over the limits, after three optimisation steps, above which `carried` stops."""
-UNIT = 0.02
+WEIGHT_UNIT = 0.02
 """Unmet part of the required forces that gives a residual of 1, as a fraction of the weight."""
-TORQUE = 0.05
+TORQUE_UNIT = 0.05
 """Excess of a torque that gives a residual of 1, as a fraction of its limit."""
-WITHIN = 0.02
+LIMIT_UNIT = 0.02
 """Excess of a rate or an angle that gives a residual of 1, as a fraction of its limit."""
-NEAR = 3.0
+BASE_WEIGHT = 3.0
 """Weight in `carried` of the base's displacement (in standing heights) and rotation (rad)."""
-AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
+LIMIT_FRACTIONS = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
 """Fraction of each limit that the optimisation in `carried` aims to stay below."""
 WIDER_RAD = 0.4
 """Angle by which joints may exceed their limits in intermediate steps of `carried`, rad."""
@@ -249,7 +249,7 @@ def balanced(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
     for k, stands in enumerate(motion.stands_at(time_s)):
         pushes = (SLOPES @ asked.moves[k, stands]).reshape(-1, len(plain)).T
         units, over = plain * ([1.0] * 6 + [1e-3] * (len(plain) - 6)), np.zeros(len(plain), bool)
-        for _ in range(TRIES if stands.any() else 0):
+        for _ in range(MAX_ATTEMPTS if stands.any() else 0):
             units[over] *= 3
             left[k] = asked.needed[k] - pushes @ nnls(units[:, None] * pushes, units * asked.needed[k])[0]
             over[6:] = np.abs(plain * left[k])[6:] > 1
@@ -345,7 +345,7 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     return time, off_m
 
 
-def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> tuple[RobotMotion, Array]:
+def carried(motion: RobotMotion, model: MjModel, hopeless: float = MAX_EXCESS) -> tuple[RobotMotion, Array]:
     """Move a motion's base as little as possible so that the robot can perform the motion.
 
     The base's path is a cubic spline with one knot per frame. The forces of each stance are within the friction cone;
@@ -374,7 +374,7 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
     moved, pushes = np.zeros(problem.moved_shape), np.full(problem.n_pushes, 0.2)
     current, best, demand = motion, motion, _demand_of(motion.robot, model, *_states(motion, problem.time_s))
     values, damping, stalled_steps = problem.values(current, demand, moved, pushes), 300.0, 0
-    for turn in range(TURNS):
+    for turn in range(MAX_STEPS):
         if least_share(best, model) == 1 or stalled_steps > 2:
             break
         excess = problem.beyond(values)
@@ -439,8 +439,10 @@ class _Carrying:
         scale = np.diag([1 / robot.stand_m] * 3 + [1.0] * 3)
         self.near = sparse.csr_array(np.einsum("kn,ij->kinj", self.ways[0], scale).reshape(6 * K, 6 * n))
         sizes = [6 * K, J * K, J * K, J * K, self.n_pushes, 6 * K]
-        self.weights = np.repeat([1 / UNIT, 1 / TORQUE, 1 / WITHIN, 1 / WITHIN, 1 / UNIT, NEAR], sizes)
-        self.allowed = np.repeat([*AIM.values(), MOST / 2, 0.0], sizes)
+        self.weights = np.repeat(
+            [1 / WEIGHT_UNIT, 1 / TORQUE_UNIT, 1 / LIMIT_UNIT, 1 / LIMIT_UNIT, 1 / WEIGHT_UNIT, BASE_WEIGHT], sizes
+        )
+        self.allowed = np.repeat([*LIMIT_FRACTIONS.values(), MAX_COEFFICIENT / 2, 0.0], sizes)
         self.limited = slice(6 * K, sum(sizes[:4]))
 
     def _spline(self, time_s: Array, order: int = 0) -> Array:
@@ -469,7 +471,9 @@ class _Carrying:
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (demand.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), demand.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
-        return np.concatenate([*(part.ravel() for part in shares), pushes - MOST / 2, self.near @ moved.ravel()])
+        return np.concatenate(
+            [*(part.ravel() for part in shares), pushes - MAX_COEFFICIENT / 2, self.near @ moved.ravel()]
+        )
 
     def beyond(self, values: Array) -> Array:
         """Return the weighted excess of the residuals over their allowed values."""
@@ -527,7 +531,7 @@ class _Carrying:
         ends = np.cumsum([6, *(len(leg.joints) for leg in robot.legs.values())])
         state_rates[:, range(6), range(6)] = 1.0
         for index, columns in enumerate(map(slice, ends[:-1], ends[1:])):
-            follow = np.linalg.pinv(moves[:, index, :, columns], rcond=STRETCHED)
+            follow = np.linalg.pinv(moves[:, index, :, columns], rcond=MIN_MOBILITY)
             state_rates[:, columns] = -self.held[:, index, None, None] * (follow @ moves[:, index, :, :6])
         return state_rates
 

@@ -226,7 +226,7 @@ def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike)
     return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]
 
 
-STAND = 0.7
+STANDING_HEIGHT = 0.7
 """Standing height of the hips as a fraction of the stretched leg's length, for a robot from a URDF or MJCF file."""
 SHORTEST_M = 1e-3
 """Smallest length of a leg in a URDF or MJCF file."""
@@ -340,7 +340,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
     The legs are the four chains of at least three moving joints that end in a leaf. The positions of the hips decide
     which leg is which. If several leaves hang on the same joints, the lowest leaf is the foot. The hips stand at the
-    fraction `STAND` of the stretched legs' length, with each foot below the second joint of its leg.
+    fraction `STANDING_HEIGHT` of the stretched legs' length, with each foot below the second joint of its leg.
     """
     model = read_model(path)
     names, chain_of_leaf = body_names(model), {}
@@ -362,7 +362,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
         places = "; ".join(f"({x:.2f}, {y:.2f})" for x, y, _ in hips)
         raise InputError(Problem(path, "hips", places, "one at each corner, x forwards and y left"))
     shortest = min(float(chain.lengths_m[1:].sum()) for chain in chains)
-    stand = STAND * shortest
+    stand = STANDING_HEIGHT * shortest
     if not stand > SHORTEST_M:
         raise InputError(Problem(path, "legs", f"{shortest:g} m long", f"legs longer than {SHORTEST_M:g} m"))
     neutral = hips - [0.0, 0.0, stand]

@@ -11,10 +11,10 @@ to the middle of the foot's path, which is halfway between the foremost and the 
 along y. The height of a foot is above the ground, minus the mean height in stance, because a marker is above the sole.
 
 One factor, the scale, turns the animal's lengths into the robot's. The robot's base follows the scaled path of the
-animal at the robot's own height. The scaled deviations of height, pitch and roll are added, limited to `LIFT`,
+animal at the robot's own height. The scaled deviations of height, pitch and roll are added, limited to `MAX_BODY_RISE`,
 `PITCH_RAD` and `ROLL_RAD` by a tanh. A foot's position is its neutral position under the hip, plus the scaled
 displacement of the animal's foot from the middle of its path. A robot's foot stands when the animal's foot stands. The
-lift of the animal's foot is scaled, and limited by a tanh to the fraction `CLEARANCE` of the height by which the
+lift of the animal's foot is scaled, and limited by a tanh to the fraction `MAX_FOOT_LIFT` of the height by which the
 robot's leg can be folded.
 
 By default, the scale is the largest one up to stand_m / leg_m at which all feet are within reach and joint limits, in
@@ -24,7 +24,7 @@ until it is within reach.
 
 In stance a foot stays at the stance's mean position, on the ground. In swing, the animal's path is shifted smoothly
 from the previous foothold to the next. The robot's foot leaves the ground for this path, and returns from it, within
-the fraction `EASE` of the swing, so that its acceleration does not jump at lift-off and touch-down.
+the fraction `EASE_FRACTION` of the swing, so that its acceleration does not jump at lift-off and touch-down.
 
 In a gallop, an animal with a flexible back brings its feet so close together that the fore and hind legs of a robot
 with a rigid body would meet. The robot's hind feet then pass outside its fore feet, as a cheetah's do, by the smallest
@@ -295,9 +295,9 @@ PITCH_RAD = 0.25
 """Largest pitch of the body, rad."""
 ROLL_RAD = 0.15
 """Largest roll of the body, rad."""
-LIFT = 0.15
+MAX_BODY_RISE = 0.15
 """Largest rise of the body, as a fraction of the standing height of the hips."""
-CLEARANCE = 0.7
+MAX_FOOT_LIFT = 0.7
 """Largest lift of a foot, as a fraction of the height by which its leg can be folded."""
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Distances by which the hind feet may pass outside the fore feet, as fractions of the hips' standing height, in the
@@ -309,14 +309,14 @@ Legs are about this thick.
 """
 SCALES = 0.97 ** np.arange(76)
 """Scales to try, in decreasing order, as fractions of the largest scale."""
-_EVERY = 5
+_SAMPLE_STEP = 5
 """Step, in samples, of tests on a part of a motion. Five samples are half a frame."""
 _BISECTIONS = 25
-CLEAR = 0.05
+GROUND_BEND_HEIGHT = 0.05
 """Height within which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
-EASE = 0.28
+EASE_FRACTION = 0.28
 """Fraction of a swing in which a foot leaves or reaches its foothold."""
-SOFT = 0.1
+PATH_BEND_FRACTION = 0.1
 """Fraction of a path's height within which the path is bent to stay above the ground."""
 
 
@@ -413,7 +413,7 @@ class RobotMotion(KeptMotion):
         """
         share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
-            points = self.points(label)[::_EVERY]
+            points = self.points(label)[::_SAMPLE_STEP]
             links = points[:, :-1, None] * (1 - share) + points[:, 1:, None] * share
             legs[label] = links.reshape(len(points), -1, 3)
         pairs = ((legs[f"{side}F"][:, :, None], legs[f"{side}H"][:, None]) for side in "LR")
@@ -519,7 +519,7 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
         return True
 
     scales = (float(scale) for scale in largest * SCALES)
-    return next((scale for scale in scales if fits(scale, _EVERY) and fits(scale, 1)), largest / 2)
+    return next((scale for scale in scales if fits(scale, _SAMPLE_STEP) and fits(scale, 1)), largest / 2)
 
 
 def place(
@@ -538,14 +538,14 @@ def place(
     """
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
-    position[:, 2] = _within(position[:, 2], LIFT * robot.stand_m) - robot.ground_m
+    position[:, 2] = _within(position[:, 2], MAX_BODY_RISE * robot.stand_m) - robot.ground_m
     pose = body_pose(position, _within(roll, ROLL_RAD), _within(pitch, PITCH_RAD), yaw)
     level = body_pose(position * (1.0, 1.0, 0.0), 0.0, 0.0, yaw)
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m
     # Legs that cannot bend get a small positive limit, to avoid a division by 0.
-    room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)
+    room = np.maximum(MAX_FOOT_LIFT * robot.folding_m, 1e-9)
     ways[..., 2] = np.where(ways[..., 2] > 0, _within(ways[..., 2], room), ways[..., 2])
     standing = reference.standing
     advance = None if reference.advance_m is None else scale * reference.advance_m
@@ -624,11 +624,11 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     if len(knots) > 1:
         shift = CubicHermiteSpline(time_s[knots], (footholds - path_m)[knots], np.zeros((len(knots), 3)))
         moving += shift(np.clip(time_s, time_s[knots[0]], time_s[knots[-1]]))
-    moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], SOFT * np.ptp(path_m[:, 2]))) / 2
+    moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], PATH_BEND_FRACTION * np.ptp(path_m[:, 2]))) / 2
     if not ends:
         return moving
     last_standing, next_standing, since, until, lasts = _swings(time_s, standing)
-    share = np.minimum(np.minimum(since, until) / (EASE * lasts), 1.0)[:, None]
+    share = np.minimum(np.minimum(since, until) / (EASE_FRACTION * lasts), 1.0)[:, None]
     hold = footholds[np.where(since <= until, last_standing, np.minimum(next_standing, len(time_s) - 1))]
     return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
 
@@ -684,6 +684,8 @@ def moved_by(motion: RobotMotion, shifts: Array, robot: Quadruped | None = None)
     pose, loose = body_pose(motion.pose.translation + shifts[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
     along = feet_in_world(pose, np.zeros(3), leg_targets(motion.pose, np.zeros(3), motion.feet_m))
     feet = motion.feet_m + loose * (along - motion.feet_m)
-    feet[..., 2] = (feet[..., 2] + np.hypot(feet[..., 2], CLEAR * motion.robot.stand_m * loose[..., 0])) / 2
+    feet[..., 2] = (
+        feet[..., 2] + np.hypot(feet[..., 2], GROUND_BEND_HEIGHT * motion.robot.stand_m * loose[..., 0])
+    ) / 2
     moved = replace(posed(robot or motion.robot, motion.time_s, pose, feet, motion.standing), robot=motion.robot)
     return replace(moved, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)

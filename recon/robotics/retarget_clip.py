@@ -57,7 +57,7 @@ from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMo
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
 
-MOST_SAMPLES = 10_000
+MAX_SAMPLES = 10_000
 """Largest number of motions that --samples draws."""
 RATE_HZ = 50.0
 """Default frame rate of files for programs that train policies, frames per second."""
@@ -82,7 +82,7 @@ class RetargetSettings(Settings):
     rate: Annotated[Positive, Option(expected="a number above 0")] = RATE_HZ
     """Frame rate of the files of --format, frames per second."""
     samples: Annotated[
-        Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
+        Annotated[Integer, Field(ge=2, le=MAX_SAMPLES)] | None, Option(expected=f"a number from 2 to {MAX_SAMPLES}")
     ] = None
     """Number of further motions to draw from the fit's posterior, such as 32."""
     check: bool = False
@@ -99,7 +99,7 @@ class RetargetSettings(Settings):
 
 
 REPORT, STACKED = "report.json", "samples.npz"
-REPEATS = 3
+STRIDE_REPEATS = 3
 """Number of strides in the playback of a stride."""
 SLIP_M = 0.002
 """Slip of a foot in a stance above which the report has a note, metres."""
@@ -309,7 +309,7 @@ def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
     write_tables(done.stride, folder, "stride_")
     (folder / REPORT).write_text(to_json(report), encoding="utf-8")
     write_robot(done.clip, folder / "motion.rrd", companion(done))
-    write_robot(repeated(done.stride, REPEATS), folder / "stride.rrd")
+    write_robot(repeated(done.stride, STRIDE_REPEATS), folder / "stride.rrd")
 
 
 def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:

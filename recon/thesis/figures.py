@@ -14,7 +14,7 @@ from recon.base.arrays import Array, mean
 from recon.show.plots import style
 from recon.thesis.inspect import CAMERA_ANGLES, EXIT_FLAGS, PUBLISHED, SolverRecord
 
-_LEAST = 1e-12
+_MIN_DRAWN = 1e-12
 """Smallest value drawn on a logarithmic axis."""
 _DECADES = 1e-6
 """Lower end of a logarithmic axis relative to its upper end."""
@@ -81,7 +81,7 @@ def solver_unknowns(record: SolverRecord) -> Figure:
         shown = (np.abs(record.gradient), "|gradient|"), (record.column_norm, "norm of the Jacobian's column")
         for axes, (values, label) in zip(panels, shown, strict=True):
             solved = values[record.motion.solved]
-            low, middle, high = (np.maximum(f(solved, axis=0), _LEAST) for f in (np.min, np.median, np.max))
+            low, middle, high = (np.maximum(f(solved, axis=0), _MIN_DRAWN) for f in (np.min, np.median, np.max))
             rows = np.arange(len(names))
             axes.hlines(rows, low, high, color=style.GREY, lw=1.0)
             axes.plot(middle, rows, "o", ms=3.5, color=style.look(0)["color"])
@@ -104,7 +104,7 @@ def solver_frame(record: SolverRecord) -> Figure:
     """
     search = record.search
     title = f"frame {record.frame}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
-    shown = {"objective (½σ²)": search.costs, "step (rad, m)": search.step_norms.clip(_LEAST)}
+    shown = {"objective (½σ²)": search.costs, "step (rad, m)": search.step_norms.clip(_MIN_DRAWN)}
     if (search.damping > _UNDAMPED).any():
         shown[f"damping λ\n({_UNDAMPED:g}: none)"] = search.damping.clip(_UNDAMPED)
     else:
@@ -149,7 +149,7 @@ def solver_rotation(record: SolverRecord) -> Figure:
         for i, (solution, label) in enumerate(solutions):
             distance_px = np.linalg.norm(view.xy_px - view.project(solution.joints_m)[0], axis=2)
             angles = [np.degrees(solution.unknown(name)) for name in CAMERA_ANGLES]
-            is_fixed = max(float(np.nanmax(angle) - np.nanmin(angle)) for angle in angles) < _LEAST
+            is_fixed = max(float(np.nanmax(angle) - np.nanmin(angle)) for angle in angles) < _MIN_DRAWN
             names.append(f"{label}: {'fixed' if is_fixed else 'free'}")
             error_px = np.array([mean(frame_px) for frame_px in distance_px])
             for axes, values in zip(rows, (*angles, solution.unknown("base_length_m"), error_px), strict=True):
@@ -171,7 +171,7 @@ def solver_gradient(record: SolverRecord) -> Figure:
         shown = (np.abs(record.gradient), "|gradient|"), (record.column_norm, "norm of the Jacobian's column")
         for axes, (values, label) in zip(panels, shown, strict=True):
             size = np.where(values == 0, np.nan, values).T
-            largest = float(np.nanmax(size, initial=_LEAST))
+            largest = float(np.nanmax(size, initial=_MIN_DRAWN))
             image = _logarithmic_image(figure, axes, size, _DECADES * largest, largest, label)
             image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
             axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)
@@ -257,7 +257,9 @@ def _logarithmic_image(figure: Figure, axes: Axes, values: Array, low: float, hi
 
 def _logarithmic(axes: Axes, time_s: Array, curves: Sequence[Array]) -> None:
     for i, values in enumerate(curves):
-        axes.plot(time_s, np.where(values > _LEAST, values, np.nan), **style.dots(len(time_s), 2.2), **style.look(i))
+        axes.plot(
+            time_s, np.where(values > _MIN_DRAWN, values, np.nan), **style.dots(len(time_s), 2.2), **style.look(i)
+        )
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, _DECADES * high), high)

@@ -15,7 +15,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 
-_LARGEST = 1e12
+_MAX_DAMPING = 1e12
 """Damping above which a search is stopped, because its steps no longer change the solution."""
 
 
@@ -72,7 +72,7 @@ def minimise(
                     status = 3
                 break
             damping *= factor
-            if is_small or damping > _LARGEST:
+            if is_small or damping > _MAX_DAMPING:
                 status = 3
                 break
     return Minimum(x, 0.5 * float(r @ r), status, nfev, njev)

@@ -23,7 +23,7 @@ Status = Literal["converged", "not_converged", "no_data"]
 
 FEW_POINTS_SHARE = 0.75
 """Fraction of a frame's joints that are detected, below which the frame is flagged "few points"."""
-GOOD_SHARE = 1 / 3
+GOOD_FRACTION = 1 / 3
 """Fraction of detected joints times the detections' mean weight below which a frame is flagged "data poor"."""
 WARN_LIMITS = 0.25
 """Fraction of solved frames with angles beyond their ranges above which a finding is reported."""
@@ -337,7 +337,7 @@ def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
         "no data": [report is None for report in reports],
         "diverged": [report is not None and not report.in_view for report in reports],
         "few points": [report is not None for report in reports] & (present < FEW_POINTS_SHARE * J),
-        "data poor": present * trust < GOOD_SHARE * J,
+        "data poor": present * trust < GOOD_FRACTION * J,
         "outliers": (distance_px > OUTLIER_SIGMAS * sigma_px).any(axis=1),
         "not converged": [status == "not_converged" for status in solution.status],
         "at range limit": (solution.beyond_range_rad > 0).any(axis=1),

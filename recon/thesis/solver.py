@@ -34,7 +34,7 @@ from recon.thesis.start import estimate_travel, geometric_start, parse_start_ang
 
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's `least_squares` that mean that a tolerance was met."""
-MOST_SIZE = 10.0
+MAX_SIZE = 10.0
 """Ratio of base length and expected base length, in either direction, above which a pose counts as diverged."""
 _WIDE_MAX = 50.0
 """Largest factor by which the assumed noise is raised in the first search from a distant start."""
@@ -177,7 +177,7 @@ class FrameProblem:
     def in_view(self, x: Array) -> bool:
         """Return whether all detected joints can be projected, and the animal has a plausible size and distance."""
         base, nominal = float(x[self.chain.base_index]), self.chain.nominal_base_length_m
-        if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
+        if not nominal / MAX_SIZE < base < nominal * MAX_SIZE:
             return False
         depth = float(np.median(self.chain.pose(x[None]).joints_m[0, :, 2]))
         reach = sum(link.length_ratio for link in self.chain.links) * base * _focal_px(self.pixels.camera)

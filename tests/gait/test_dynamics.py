@@ -14,11 +14,11 @@ from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
 from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.api.analyse import summarise
 from recon.gait.dynamics import (
+    FORCE_SKEW,
     G_M_S2,
     MEAN_OF_PEAK,
     OFF_GRAVITY,
     OVER_STRIDE,
-    SKEW,
     StanceForce,
     _forces,
     _turning_sigma,
@@ -240,7 +240,7 @@ def test_the_force_begins_and_ends_at_zero_and_peaks_early():
     into = np.linspace(-0.2, 1.2, 1401)
     force = shape(into)
     assert (force[(into <= 0) | (into >= 1)] == 0).all()
-    assert into[force.argmax()] == pytest.approx(0.5 ** (1 / SKEW), abs=1e-3)
+    assert into[force.argmax()] == pytest.approx(0.5 ** (1 / FORCE_SKEW), abs=1e-3)
     assert np.trapezoid(force, into) == pytest.approx(MEAN_OF_PEAK, rel=1e-4)
     assert np.trapezoid(into * force, into) / MEAN_OF_PEAK == pytest.approx(0.44, abs=0.03)
 

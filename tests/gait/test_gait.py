@@ -25,7 +25,7 @@ from recon.gait.gait import (
     strides,
 )
 from recon.gait.series import Errors
-from recon.gait.stances import FEET, SLOW, Stance, ground_plane, pose_tracks, stances
+from recon.gait.stances import FEET, SLOW_SPEEDS, Stance, ground_plane, pose_tracks, stances
 from recon.testing.gallop import KEYPOINT_NAMES, gallop
 
 FPS = 90.0
@@ -87,7 +87,7 @@ def test_gaits_have_their_names(name):
         assert (found.name.phase[foot] - phase[foot] + 0.5) % 1 == pytest.approx(0.5, abs=0.02)
         # A foot counts as standing until it has a sixth of its largest speed in the swing, which is a half sine, so the
         # duty factor is a little larger than the fraction of a stride without motion.
-        extra = 2 * (1 - duty) * np.arcsin(SLOW[0]) / np.pi
+        extra = 2 * (1 - duty) * np.arcsin(SLOW_SPEEDS[0]) / np.pi
         assert found.duty_factor[foot] == pytest.approx(duty + extra, abs=0.015)
     assert found.stride_frequency_hz == pytest.approx(2.5, rel=1e-3)
     assert found.stride_length_m == pytest.approx(2.4, rel=1e-3)
@@ -170,7 +170,7 @@ def test_stances_of_the_simulated_gallop():
     for foot, joint in FEET.items():
         paw = truth.xyz_m[:, where[joint], :2]
         speed = np.linalg.norm(np.gradient(paw, axis=0), axis=1) * 3600
-        edges = np.flatnonzero(np.diff(np.r_[0, (speed < SLOW[0] * np.percentile(speed, 95)).astype(int), 0]))
+        edges = np.flatnonzero(np.diff(np.r_[0, (speed < SLOW_SPEEDS[0] * np.percentile(speed, 95)).astype(int), 0]))
         slow = [(a, b - 1) for a, b in edges.reshape(-1, 2)]
         found = [s for s in stances(moved) if s.foot == foot]
         assert len(found) == len(slow)

@@ -33,7 +33,7 @@ from recon.ik.limb import (
     stride_of,
 )
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
-from recon.ik.parameters import PULL, RANGE, Frames, explained_by, fits, rates_of
+from recon.ik.parameters import EQUAL_WEIGHT_PULL, SEARCH_RANGE, Frames, explained_by, fits, rates_of
 from recon.io.common import Pose3D
 from recon.testing.gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
@@ -246,7 +246,7 @@ def test_weighted_cost_factor_and_parameters_of_each_frame(folder):
     np.testing.assert_allclose(weights.mean(axis=1), 1.0)
     # Weights fitted to each configuration explain at least as much as least norm.
     assert (table["weighted_explained"] > table["least-norm_explained"] - 1e-9).all()
-    assert table["damped_lambda_m"].between(*RANGE).all()
+    assert table["damped_lambda_m"].between(*SEARCH_RANGE).all()
 
 
 @pytest.mark.slow
@@ -261,7 +261,7 @@ def test_online_parameters_come_from_the_three_frames_before(folder):
     dx = np.array([limb.chain.jacobian(q) @ rate for q, rate in zip(limb.q, dq, strict=True)])
     frames = Frames.without_gaps(limb.chain, limb.q, dx, dq)
     for t in (5, len(stride.q) - 1):
-        fit = fits(pull=PULL)["weighted"](frames[first + t - 3 : first + t])
+        fit = fits(pull=EQUAL_WEIGHT_PULL)["weighted"](frames[first + t - 3 : first + t])
         np.testing.assert_allclose(series[[f"weighted_{joint}" for joint in limb.chain.names]].iloc[t], fit.parameter)
         now = frames[first + t : first + t + 1]
         assert series["weighted_explained"].iloc[t] == pytest.approx(explained_by(rates_of(fit.method, now), now.dq))

@@ -21,7 +21,7 @@ from recon.ik.methods import (
     right_inverse,
     weighted_least_norm,
 )
-from recon.ik.parameters import PULL, Frames, explained_by, fits, rates_of
+from recon.ik.parameters import EQUAL_WEIGHT_PULL, Frames, explained_by, fits, rates_of
 
 LENGTHS = (0.4, 0.3, 0.25, 0.28, 0.2)
 CHAINS = {"planar": planar_chain(LENGTHS), "summed": summed_chain(LENGTHS)}
@@ -274,7 +274,7 @@ def test_parameters_of_each_configuration(chain):
         assert one.explained == pytest.approx(1.0, abs=1e-8)
         assert one.alpha == pytest.approx(1.0, abs=1e-4)
     # Many weights explain a single configuration. The fit returns the most even of them, within their range.
-    weights = [fits(pull=PULL)["weighted"](one) for one in each]
+    weights = [fits(pull=EQUAL_WEIGHT_PULL)["weighted"](one) for one in each]
     np.testing.assert_allclose([w.parameter.mean() for w in weights], 1.0)
     assert min(w.explained for w in weights) >= min(fits()["least-norm"](one).explained for one in each) - 1e-9
 

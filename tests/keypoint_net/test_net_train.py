@@ -405,8 +405,8 @@ def test_the_learning_rate_warms_up_and_falls_to_almost_zero_twice():
     assert rates[-1] < 0.002
     rises = shares[1:][(np.diff(rates) > 0) & (shares[1:] > 0.06)]
     assert len(rises) == 1  # the rate rises once, to half the first rate, when the last part begins
-    assert rates[shares < train_module.FINISH][-1] < 0.01
-    assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
+    assert rates[shares < train_module.FINISH_FRACTION][-1] < 0.01
+    assert rates[shares >= train_module.FINISH_FRACTION][0] == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_missing_torch_is_reported_with_the_command_to_install_it(clip, monkeypatch, tmp_path):

@@ -60,7 +60,7 @@ from recon.show.view.scene import LIMB_COLOURS, TimePlot
 
 NONE = -1
 """Index that stands for "no leg": all four feet are planted."""
-AROUND = (0, 2, 3, 1)
+COUNTERCLOCKWISE = (0, 2, 3, 1)
 """Indices into `LEGS`, counterclockwise as seen from above."""
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
 """Sign of the outward y direction, 1 or -1, for each of `LEGS`."""
@@ -68,9 +68,9 @@ MAX_WAIT = 400
 """Maximum number of frames that a foot waits."""
 MAX_EVALUATIONS = 100
 """Maximum number of evaluations of the fields in one frame."""
-NUDGE = 1e-6
+DERIVATIVE_STEP = 1e-6
 """Change of the torso for numerical derivatives, in metres and radians."""
-SETTLED = 1e-8
+MIN_STEP = 1e-8
 """Length of a Newton step below which the search for the equilibrium ends, in metres and radians."""
 NEWTON_REACH_M = 0.03
 """Longest shift of the torso in one Newton step, metres."""
@@ -352,8 +352,8 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
 
     `feet_m` has shape (..., 4, 2). A line between two feet that is not a side of the polygon has an infinite distance.
     """
-    feet = feet_m[..., AROUND, :]
-    up = np.asarray(lifted)[..., None] == np.array(AROUND)
+    feet = feet_m[..., COUNTERCLOCKWISE, :]
+    up = np.asarray(lifted)[..., None] == np.array(COUNTERCLOCKWISE)
     distances = []
     for separations in (1, 2):
         a, b = feet, np.roll(feet, -separations, axis=-2)
@@ -464,15 +464,15 @@ def equilibrium(
     """
     columns, n, torso = list(free), len(free), start
     nudges = np.zeros((2 * n + 1, 6))
-    nudges[1:, columns] = NUDGE * np.concatenate([np.eye(n), -np.eye(n)])
+    nudges[1:, columns] = DERIVATIVE_STEP * np.concatenate([np.eye(n), -np.eye(n)])
     for count in range(1, MAX_EVALUATIONS):
         solution = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, columns]
-        stiffness = (solution[n + 1 :] - solution[1 : n + 1]) / (2 * NUDGE)
+        stiffness = (solution[n + 1 :] - solution[1 : n + 1]) / (2 * DERIVATIVE_STEP)
         values, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2)
         step = np.zeros(6)
         step[columns] = vectors @ (vectors.T @ solution[0] / np.abs(values))
         torso = _moved(torso, capped(step, NEWTON_REACH_M, TRUST_RAD))
-        if np.linalg.norm(step) < SETTLED:
+        if np.linalg.norm(step) < MIN_STEP:
             return torso, count, True
     return torso, MAX_EVALUATIONS, False
 
