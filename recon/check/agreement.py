@@ -4,12 +4,12 @@ The rays of the cameras are compared by their error ratios (`recon.check.sights`
 pose, so it also detects a camera that pulls the fit away from the others. The cameras' poses are those of the fit,
 which may have refined them.
 
-If error ratios are too high, cameras are left out one by one until the others agree (`_largest_agreeing_group`). For
-each camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If the
-rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown.
-Without a third camera, no cause can be found, so two cameras are reported together unless their files are exchanged.
-Exchanged files of two cameras are tried first, since they explain the errors of two cameras at once
-(`_exchanged_pair`). If no two cameras agree, a single error names all of them.
+If error ratios are too high, an exchange of two cameras' files is tried first, because it explains the errors of two
+cameras at once (`_exchanged_pair`). Cameras are then left out one by one until the others agree (`_agreeing_group`).
+For each camera left out, the best rotation and the best time offset are determined (`best_turned`, `best_shifted`). If
+the rotation or the offset lowers the error ratio enough, it is reported as the cause. Otherwise the cause is unknown.
+If no two cameras agree, a single error names all of them. Without a third camera, no rotation or offset can be found,
+so two cameras that disagree are always reported together.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ def _compare_with_agreeing(
     A camera can be turned by some degrees about its line of sight while its error ratio is still low. Agreeing cameras
     that a rotation or a time offset clearly improves are therefore removed as well.
     """
-    agreeing = _largest_agreeing_group(sights, fps, limit, points_of)
+    agreeing = _agreeing_group(sights, fps, limit, points_of)
     comparisons = _compare_each(sights, agreeing or range(len(sights)), fps, points_of)
     while len(agreeing) > 2:
         worst = max(agreeing, key=lambda v: _gain(comparisons[v]))
@@ -294,7 +294,7 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     ]
 
 
-def _largest_agreeing_group(sights: Sequence[Sight], fps: float, limit: float, points_of: PointsOf) -> tuple[int, ...]:
+def _agreeing_group(sights: Sequence[Sight], fps: float, limit: float, points_of: PointsOf) -> tuple[int, ...]:
     """Return the cameras that agree after the others were removed one by one, or () if no two agree.
 
     The last two of three cameras can only be compared with each other, and two cameras that stand side by side may

@@ -75,8 +75,10 @@ def input_findings(
 
     - copied detections
     - motions that no animal makes
-    - for each camera, another picture, then left-right swaps
-    - for a single camera, another camera of its file, the animal's halves, the lens, the stretch and the focal length
+    - for each camera, another picture
+    - for each camera, left-right swaps
+    - for a single camera, the animal's halves, the lens, the stretch and the focal length, then another camera of its
+      file
     - for several cameras, their clocks
     - the frame rate
 

@@ -67,6 +67,7 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
 
 
 def _best_offset(sight: Sight, partner_sights: Sequence[Sight], reach: int, rows: Index) -> float:
+    """Return the offset of at most `reach` frames with the least mean error ratio, 0 unless clearly best, or NaN."""
     offsets = np.arange(-reach, reach + 1)
     partners = [partner.part(rows) for partner in partner_sights]
     shifted_sights = [sight.later(by).part(rows) for by in offsets.tolist()]
@@ -78,7 +79,8 @@ def _best_offset(sight: Sight, partner_sights: Sequence[Sight], reach: int, rows
     sums, number = np.where(compared, ratios, 0.0).sum(axis=1), compared.sum(axis=1)
     mean = np.where(number > 0, sums / np.maximum(number, 1), np.inf)
     best = int(np.argmin(mean))
-    return 0.0 if mean[best] > MAX_OFFSET_RATIO * mean[reach] else float(offsets[best])
+    without_offset = mean[reach]
+    return 0.0 if mean[best] > MAX_OFFSET_RATIO * without_offset else float(offsets[best])
 
 
 def solve_time_offsets(

@@ -125,7 +125,7 @@ class Posterior:
     joint_by_size_m: Array
     """Derivatives q of the joints with respect to the size (see the module), shape (T, J, 3)."""
     size_precision: float
-    """Precision of the size due to the pixels; 0 if the pixels do not determine it."""
+    """Precision of the size from all terms without its prior, nearly all from the pixels; 0 if the size is fixed."""
     shared_sigma: dict[str, Array]
     """Standard deviations (P,) of the estimated shared unknowns, and of lengths and offsets, by name.
 
@@ -161,7 +161,7 @@ class Curvature:
     others_by_size: Array
     """Derivatives of the unknowns other than the size with respect to the size, shape (P,)."""
     size_precision: float
-    """Precision of the size due to the pixels, before the variance factor; 0 if the size is fixed."""
+    """Precision of the size from all terms, without its prior, before the variance factor; 0 if the size is fixed."""
     excess_bias_m2: Array | float
     """Variance of the common keypoint bias minus its expected variance, m^2, shape (J,); 0 if the bias was estimated.
     """

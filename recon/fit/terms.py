@@ -8,7 +8,8 @@ loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets
 
 States belong to a body of nominal size in a scene about an origin, the first camera's centre. The point p of this scene
 lies at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that
-stays at the origin can determine the size. Only the `Reprojection` of other cameras reads it.
+stays at the origin can determine the size. The `Reprojection` of other cameras determines it. `StanceVelocity` and a
+plane that is fixed in the world (`OnGround.at`) read the size too, but hardly add to its precision.
 
 Errors of the prior persist over many frames. The weight of a prior per second is therefore the same at every frame rate
 (`REFERENCE_HZ`).
