@@ -189,7 +189,7 @@ class Body(Brief):
     anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     """Markers above, at and below each anatomical joint, with names such as left_elbow as keys."""
     subject: str | None = None
-    """Name of the animal whose measured lengths the body has; None if the lengths are those of the skeleton file."""
+    """Name of the animal whose measured lengths the body has; None for the lengths of the skeleton file."""
 
     def scaled(self, size: float) -> Body:
         """Return the body of an animal with the same proportions, `size` times as large."""

@@ -275,7 +275,7 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     dict
         The clip's cells of the summary, with three further entries: `files` has the digest of the clip's manifest, and
         `identity` and `inputs_hash` identify the inputs at the time of the fit, which may have changed since the batch
-        was planned. If the worker has another version of recon, only `status` ("failed") and `error`.
+        was planned. If the worker has another version of recon, the result has only `status` ("failed") and `error`.
     """
     own_version, planned_version = version(), planned.identity["version"]
     if own_version != planned_version:
@@ -296,8 +296,8 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return the cells of a summary row that come from the report of a fit (columns `RESULTS`).
 
-    Speeds are those of the root, without the frame-to-frame jitter if that is known. `warnings` is the number of
-    warnings. `size` is the factor on the skeleton's lengths, which only the trajectory method estimates.
+    Speeds are speeds of the root, without the jitter from frame to frame if the jitter is known. `warnings` is the
+    number of warnings. `size` is the factor on the skeleton's lengths, which only the trajectory method estimates.
     """
     summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
     speeds = path["smoothed"] or path["exact"]

@@ -237,7 +237,7 @@ def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[s
 
 
 def _why_left_out(path: Path) -> str:
-    """Return why a file of a folder is not a clip, or "" if it is one or is too damaged to tell."""
+    """Return why a file of a folder is not a clip, or "" if the file is a clip or too damaged to tell."""
     if not os.access(path, os.R_OK):
         return "not readable"
     try:
@@ -255,7 +255,7 @@ def _why_left_out(path: Path) -> str:
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
-    """Return the drafts without those whose files an earlier draft already has, even by another path.
+    """Return the drafts except those whose files an earlier draft already has, even by another path.
 
     All rows of a manifest are kept.
     """

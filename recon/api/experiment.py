@@ -36,7 +36,7 @@ ALL = "all"
 SPEED = "speed_m_s"
 MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _SLOPE_NAMES = {SPEED: "per m/s of speed"}
-"""Names in the table of slopes that are not named after their covariate."""
+"""Names, in the table, of slopes that do not have the name of their covariate."""
 _LEAST_SHARE = 0.01
 """Minimum standard deviation of a camera's independent error, as a fraction of the sigma of its total error."""
 _LEAST_SIGMA = 1e-9

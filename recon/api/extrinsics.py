@@ -86,9 +86,9 @@ def run_extrinsics(
     Returns
     -------
     tuple
-        The cameras, and the report that `--json` prints. The sigmas of a camera in the report are those of its position
+        The cameras, and the report that `--json` prints. The sigmas in the report describe the position of a camera
         relative to the first camera (`Camera.corrected`). The sigma of the height is None if the ground is unknown or
-        comes from the camera file. Time offsets are the given or the estimated ones.
+        comes from the camera file. Time offsets are as given or as estimated.
 
     Raises
     ------

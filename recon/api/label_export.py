@@ -158,7 +158,7 @@ class CorrectedClip:
 
 
 def labels_output(folder: Path, video: str, kind: str, option: str, overwrite: bool, inputs: Sequence[Path]) -> Output:
-    """Return the output for the label files of a video in a folder, which may be that of a DeepLabCut project.
+    """Return the output for the label files of a video in a folder, such as the folder of a DeepLabCut project.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def frames_by_gain(motion: Motion, camera: int, count: int) -> list[int]:
     Raises
     ------
     InputError
-        For a motion of the frame method, which computes no expected gain.
+        If the motion is from the frame method, which computes no expected gain.
     """
     if motion.correction_gain_m2 is None:
         actual = "a result of the frame method, which does not compute the expected gain"

@@ -190,7 +190,7 @@ def swaps_by_effect(
 def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
     """Return the distances by which camera v moves the points triangulated from the cameras `partners`, m.
 
-    The values are those of `EFFECTS`: the movement of the points about their mean, and the movement of this mean, both
+    The values are listed in `EFFECTS`: the movement of the points about their mean, and the movement of this mean, both
     averaged over joints and frames. Both are NaN if `partners` see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)

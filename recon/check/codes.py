@@ -50,7 +50,7 @@ FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
 """Names of the numbers that state by how much the fault of a finding changes poses and positions, m.
 
-The change of a pose is that of the joints relative to their mean.
+The change of a pose is the change of the joints relative to their mean.
 """
 SPEEDS: tuple[str, str] = ("given_speed_m_s", "other_speed_m_s")
 """Names of the numbers that state the animal's mean speed at the given and at the other frame rate, m/s."""

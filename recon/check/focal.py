@@ -35,7 +35,7 @@ LONGER_LOG_FACTORS = (0.2, 0.4)
 MEAN_LOG_FACTOR = -0.12
 """Mean over correct views of the logarithm of the estimated factor on the focal length."""
 LOG_FACTOR_SIGMA = 0.15
-"""Standard deviation over correct views of the logarithm of the estimated factor, without errors of the detections."""
+"""Standard deviation over correct views of the logarithm of the estimated factor, not counting detection errors."""
 POSSIBLE_SIGMAS = 0.65
 """Deviation of the estimate, in standard deviations, beyond which another focal length is reported as possible.
 

@@ -563,7 +563,7 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
 def _without_lens(clip: ClipProblem, flat: Camera) -> float:
     """Return the log-likelihood gain of the camera `flat`, which has no lens distortion, over the given camera.
 
-    The gain is that of the part of the clip with the most detections.
+    The part of the clip with the most detections is compared.
     """
     clip = clip.part(densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps)))
     bent, straight = (
@@ -737,7 +737,7 @@ def _has_usual_speed(prior: MotionPrior, speed_m_s: float) -> bool:
 
 
 def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: float = 1.0) -> float:
-    """Return the cost of the keypoints and the motion without that of the poses, which does not depend on the rate."""
+    """Return the cost of the keypoints and of the motion, but not of the poses, which do not depend on the rate."""
     costs = problem.costs(estimate.states)
     return costs["reprojection"] / correlation_frames + costs[MOTION]
 

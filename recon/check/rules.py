@@ -59,7 +59,7 @@ OUT_OF_STEP_SIGMAS = 3.0
 MAX_CAMERA_LENGTHS = 100.0
 """Distance between cameras, in lengths of the animal, above which the calibration is probably in another unit."""
 FEW_FRAMES = 12
-"""Number of frames with a pose below which a clip shows too little of the motion, which is reported."""
+"""Number of frames with a pose below which a finding says that the clip shows too little of the motion."""
 SIZE_SIGMAS = 2.5
 """Deviation of the animal's size from the expected size, in standard deviations, above which it is reported."""
 SIZE_SIGMAS_MOST = 4.0
@@ -86,7 +86,7 @@ SUBJECT_SIGMAS = 3.0
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
-    """Return all findings on a motion, its own and those of the rules, in the order in which summaries list them.
+    """Return all findings on a motion, its own and the rules', in the order in which summaries list them.
 
     Findings with codes of `FROM_MOTION` are left out if the fit does not explain the detections.
     """

@@ -20,7 +20,7 @@ from recon.fit.terms import focal_scale
 MEAN_LOG_STRETCH = 0.05
 """Mean of the estimated logarithm of the stretch in videos that are not stretched."""
 LOG_STRETCH_SIGMA = 0.04
-"""Standard deviation of the estimated logarithm in videos that are not stretched, without errors of the detections."""
+"""Standard deviation of the estimated logarithm in videos that are not stretched, not counting detection errors."""
 SIGMA_FACTOR = 0.5
 """Factor on the stated standard deviation, which is twice the standard deviation of the estimates in tests."""
 LIMITS = -1.6, 3.3

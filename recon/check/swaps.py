@@ -267,7 +267,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     """Return a dictionary of each frame's log-likelihood gain if the sides are exchanged, shape (T,), for each kind.
 
-    The gain of the kind "all" is that of all legs.
+    The gain of the kind "all" is computed from all legs.
     """
     legs = {name: permutation != np.arange(len(permutation)) for name, permutation in kinds.items() if name != "all"}
     in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)

@@ -51,7 +51,7 @@ MIN_JUMP = 0.2
 JUMP_SPREADS = 10.0
 """Smallest jump of a point that is reported, relative to the point's median distance from its interpolated track."""
 JUMP_FRAMES = 2
-"""Largest number of frames after which a point that jumped has to come back."""
+"""Number of frames within which a point that jumped has to come back."""
 GAP_FRAMES = 3
 """Largest number of frames between two known side vectors that are compared across a gap."""
 MAX_PAIR_GAIN = 6.0
@@ -224,10 +224,10 @@ def jumps_of(points: AuditedPoints) -> Array:
     Returns
     -------
     ndarray
-        Ratios (T, K). The distance is that from the line between the positions before and after a jump of a few frames,
-        relative to the path of the animal. The limit is `MIN_JUMP` times the animal's size or, if larger,
-        `JUMP_SPREADS` times the point's median distance. NaN where the point is unknown, where there is a gap around
-        it, and where it does not come back.
+        Ratios (T, K). The distance is measured from the line between the positions before and after a jump of a few
+        frames, relative to the path of the animal. The limit is `MIN_JUMP` times the animal's size or, if larger,
+        `JUMP_SPREADS` times the point's median distance. A ratio is NaN if the point is unknown, next to a gap, or does
+        not come back.
     """
     jumps = np.full(points.known.shape, np.nan)
     relative = points.positions - _path(points.positions)[:, None]

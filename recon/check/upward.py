@@ -33,7 +33,7 @@ MIN_STANDING = 3
 class _Upward(NamedTuple):
     """Upward unit vector (3,), a point on the ground (3,), m, and the standard deviation of the direction, rad.
 
-    Both are in the world frame of the camera poses. The standard deviation is that about the less certain axis.
+    Both are in the world frame of the camera poses. The standard deviation applies to the less certain axis.
     """
 
     up: Array

@@ -94,7 +94,7 @@ def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
     """Return the index of the camera with the given name, or of the camera that the video's file name contains.
 
-    Without a name and a video, the index is that of the first camera.
+    Without a name and a video, the first camera is chosen.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
 
 
 def rate_note(video: Path, fps: float | None) -> str | None:
-    """Return a note if the frame rate in the video file differs from that of the clip.
+    """Return a note if the frame rate in the video file differs from the clip's.
 
     Such a video may be slowed down or sped up.
     """

@@ -61,7 +61,7 @@ _STEP_SHARES = (1.0, 0.5, 0.2)
 
 
 def piece_of(fps: float) -> int:
-    """Return the number of frames in a piece of a long clip, which is solved at once."""
+    """Return the number of frames of a long clip that are solved at once, as one piece."""
     return _FRAMES_AT_ONCE * math.ceil(_PIECE_S * fps / _FRAMES_AT_ONCE)
 
 

@@ -94,7 +94,7 @@ class Verdict(Brief):
     warned: bool = False
     """Whether a finding warns that errors may be larger than stated."""
     reason_code: str = ""
-    """What the reason is about: the code of a finding, `no_fault`, `no_serious_fault`, `not_all_checked`, `no_pose`, or
+    """Subject of the reason: the code of a finding, `no_fault`, `no_serious_fault`, `not_all_checked`, `no_pose`, or
     the quantity that makes the expected error large; "" in results of earlier versions.
     """
 

@@ -321,8 +321,8 @@ def _estimate_size(
 ) -> tuple[float, float, tuple[str, ...]]:
     """Return the animal's size, its standard deviation, and the names of its sources.
 
-    The prior expects a size of 1. Several views are a further source. The ground is one if its distance below the
-    camera is known, because the size has to put the feet at this distance.
+    The prior expects a size of 1. Several views are a further source. The ground is another source if its distance
+    below the camera is known, because the size has to put the feet at this distance.
     """
     prior_precision, bias_variance = clip.size_sigma**-2, _size_error_of_bias(clip) ** 2
     precision, pull, sources = prior_precision, prior_precision, ["prior"]

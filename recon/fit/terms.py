@@ -95,7 +95,7 @@ OUT_OF_SIGHT = 50.0
 """Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
 POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
 PRIOR_TERMS = POSE, MOTION
-"""Names of the terms that come from a prior, also from the body's own prior, which has the rest of the weight."""
+"""Names of the terms of the prior, and of the body's own prior, which gets the weight that the prior loses."""
 ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
 """Names of the terms that penalise accelerations."""
 

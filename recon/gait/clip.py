@@ -178,8 +178,8 @@ class ClipAnalysis(Brief):
     def _spine(self) -> tuple[str, str, str] | None:
         """Return the rear, the middle and the front marker of the back, or None if the skeleton has no such markers.
 
-        The middle marker is that of the spine in the skeleton's anatomy or, if the motion does not have this marker,
-        the middle one of the limb along the back.
+        The middle marker is the marker of the spine in the skeleton's anatomy or, if the motion does not have this
+        marker, the middle one of the limb along the back.
         """
         named = self.motion.body.anatomy.get("spine")
         if named and {*named} <= {*self.motion.names}:

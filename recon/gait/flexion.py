@@ -169,7 +169,7 @@ def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
     """Return the mean flexion of each joint over the complete strides of the foot of its limb.
 
-    The strides of the spine and the neck are those of the foot with the most strides. Joints without complete strides
+    For the spine and the neck, the strides of the foot with the most strides are used. Joints without complete strides
     are left out. `time_s` are the times of the frames, shape (T,).
     """
     if gait is None or not gait.strides:

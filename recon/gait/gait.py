@@ -181,7 +181,7 @@ class Gait(Brief):
     speed_m_s: float
     name: _GaitName
     rejected_strides: tuple[Stride, ...] = ()
-    """Strides that were left out of `strides` because their durations contradict those of the other feet."""
+    """Strides that were left out of `strides` because their durations contradict the other feet's."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
         """Return the mean duration of the strides around a time interval, s, and its standard deviation, s.
@@ -387,7 +387,7 @@ def name_gait(
 
 
 def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
-    """Return the mean phase of a foot's touch-downs relative to those of the reference foot, in strides, [0, 1).
+    """Return the mean phase of a foot's touch-downs relative to the reference foot's, in strides, [0, 1).
 
     Each touch-down is compared with the nearest touch-down of the reference foot. If one of the feet has no touch-down
     in the clip, lift-offs are used instead. Return NaN if there are no lift-offs either, or if the mean resultant

@@ -251,7 +251,7 @@ def _at_peak(values: Array, quantity: Array) -> float:
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
     """Return the mean acceleration of a point along its direction of travel and the standard deviation, m/s^2.
 
-    The acceleration is that of a parabola in time, fitted by least squares to the horizontal positions along the line
+    The acceleration comes from a parabola in time, fitted by least squares to the horizontal positions along the line
     from the first to the last point. Return NaN for fewer than four frames, or if the point does not travel.
 
     Parameters

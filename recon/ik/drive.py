@@ -64,7 +64,7 @@ class Run:
     closed: bool
     """Whether the path was closed."""
     note: str
-    """Why the target was not reached: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
+    """Reason why the target was not reached: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
 
     Along a path, the note is the first problem with its step. The note is empty if there was no problem.
     """

@@ -1,9 +1,9 @@
 """Describe an animal as bones that turn relative to each other, and write BVH, OpenSim and glTF 2.0.
 
 These formats are for programs that work with bones, not points. Lengths are in metres, with x forwards, y up and z
-right. With all angles 0 every bone's axes are those of the world. Angles keep their names and signs: yaw turns about y,
-pitch about -z and roll about x. `recon.show.rig` makes an armature from a fit. Joints are written as bones without
-rotation, at the ends of limbs.
+right. With all angles 0, every bone's axes are parallel to the world's. Angles keep their names and signs: yaw turns
+about y, pitch about -z and roll about x. `recon.show.rig` makes an armature from a fit. Joints are written as bones
+without rotation, at the ends of limbs.
 
 BVH files of other programs are read as positions of the joints, with y up by convention and no unit. Position channels
 replace a joint's OFFSET, as in most programs. End sites are joints with the parent's name and `_end`, unless they have
@@ -77,7 +77,7 @@ class Armature:
     title: str
     bones: tuple[Bone, ...]
     joints: tuple[str, ...]
-    """Names of the J joints, which are those of the keypoints."""
+    """Names of the J joints, the same as the keypoints' names."""
     joint_bones: tuple[int, ...]
     joint_offsets_m: Array
     """Positions of the joints in the frames of the bones that they are fixed to, shape (J, 3)."""
@@ -265,7 +265,7 @@ ROOT_AXES = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 def write_opensim(rig: Armature, path: Path) -> None:
     """Write an OpenSim model, with its motion (.mot) and its markers' trajectories (.trc) under the same name.
 
-    Times are those of the keypoint file. If the skeleton has no masses, the bodies have no mass, and the model can be
+    Times are taken from the keypoint file. If the skeleton has no masses, the bodies have no mass, and the model can be
     used for kinematics only.
 
     Raises

@@ -3,7 +3,7 @@
 Label3D's file has cameras (`params`) and labels (`labelData`); predictions are `save_data_AVG.mat` (`pred`,
 `sampleID`). Poses and matrices are MATLAB's: rows are points, X_camera = X_world r + t and pixels X_camera K, and the
 first pixel is (1, 1). Lengths are in the unit of the calibration, which is usually millimetres. Points have no names
-unless the file has a `skeleton`. Frame numbers are those of the first camera's video, in `data_frame` for labels and in
+unless the file has a `skeleton`. Frames are numbered as in the first camera's video, in `data_frame` for labels and in
 `sampleID` for predictions.
 
 This module reads MATLAB's files of versions 5 to 7 and checks everything, because damaged files crash scipy. A file is

@@ -324,7 +324,7 @@ def _choose_animal(
 
 
 def _equal_repeats(columns: Sequence[tuple[str, str, str]], values: np.ndarray) -> set[int]:
-    """Return the indices of columns whose name and numbers are those of an earlier column."""
+    """Return the indices of columns that repeat the name and the numbers of an earlier column."""
     first: dict[tuple[str, str, str], int] = {}
     return {
         j

@@ -286,7 +286,7 @@ Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
 
 
 def recognises_movement(path: Path) -> bool:
-    """Return whether a file is movement's, 2D or 3D.
+    """Return whether a file is in movement's format, 2D or 3D.
 
     Raises
     ------

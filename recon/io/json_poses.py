@@ -304,7 +304,7 @@ ANIMAL3D = (
     "right_front_knee left_back_knee right_back_knee neck tail_end left_ear right_ear left_mouth right_mouth nose "
     "tail_mid"
 )
-"""Correct names of FMPose3D's points in the network's order, which are those of the data set Animal3D."""
+"""Correct names of FMPose3D's points, as in the data set Animal3D, in the network's order."""
 LENGTHS = (
     "FMPose3D's lengths have no unit and its axes are arbitrary: compare poses only after scaling and rotation (PA)."
 )

@@ -100,7 +100,7 @@ def black_bars(picture: Image, axis: int) -> int:
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
-    """Yield a problem if the size of a video is not that for which the camera is calibrated."""
+    """Yield a problem if the size of a video differs from the size for which the camera is calibrated."""
     video_size, camera_size = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
     if video_size != camera_size:
         yield Problem(video, "size", video_size, f"{camera_size}, the size for which the camera is calibrated")
@@ -109,7 +109,7 @@ def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Prob
 def read_picture(path: Path, flags: int) -> Image | None:
     """Return a picture, rotated by its orientation tag; None if unreadable or too large for OpenCV.
 
-    `flags` are those of `cv2.imdecode`.
+    `flags` are passed to `cv2.imdecode`.
     """
     image = None
     if not path.is_file():  # reading a pipe would block

@@ -211,7 +211,7 @@ def _other_background(background: Image, size_px: tuple[int, int], rng: np.rando
 def _random_light(
     size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
-    """Return new levels (256, 3) for each colour, and a factor (H, W, 1) per pixel if a patch is lit differently."""
+    """Return a table (256, 3) of new values for each colour, and a factor (H, W, 1) if a patch is lit differently."""
     levels = np.arange(256)[:, None] / 255.0
     gamma = math.exp(rng.uniform(-options.gamma, options.gamma))
     contrast = math.exp(rng.uniform(-options.contrast, options.contrast))

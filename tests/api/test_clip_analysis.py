@@ -108,7 +108,7 @@ def test_speed_is_proportional_to_size(whole):
 
 
 def test_uncertainty_of_position_does_not_widen_angles(whole):
-    """The uncertainty of angles excludes that of the position, which would make it several times as large."""
+    """Standard deviations of angles exclude the error of the position, which would multiply them several times."""
     knee = whole.angles["l_back_knee"]
     assert np.degrees(np.median(knee.series.value_sigma)) < 30
     points = whole.pose.xyz_m[:, [whole.pose.names.index(n) for n in ("l_hip", "l_back_knee", "l_back_ankle")]]
@@ -244,7 +244,7 @@ def test_the_frame_methods_path_has_the_true_speed(one_sided):
 
 
 def test_without_a_path_the_straight_run_has_the_speed(frame_results, one_sided):
-    """If there is no path, the speed is that of a straight run, as in the summary of the fit, and right to a tenth."""
+    """Without a path, the speed is computed for a straight run, as in the fit's summary, and is right to 10 %."""
     motion = Motion.load(frame_results)
     told = dict(build_report(motion)["lines"])
     assert told["speed"].startswith("at most 15.4 m/s")

@@ -155,7 +155,7 @@ def work():
 
 @posix
 def test_interrupt_after_the_command():
-    """An interrupt after the command prints the line once, and does not wait for functions registered for the exit."""
+    """An interrupt after the command prints the line once, and does not wait for functions registered with `atexit`."""
     code = """
 def work():
     atexit.register(lambda: (ctrl_c(), time.sleep(60)))

@@ -347,7 +347,7 @@ def test_without_a_learned_prior_neither_sides_nor_rates_are_tested():
 
 @pytest.mark.parametrize(("stop", "code"), [(14, "left_right_swap_mended"), (19, "clip_swapped_back")])
 def test_swaps_are_undone_in_the_clip(small_trajectory: Motion, stop, code):
-    """Mending swaps the sides back; if most of the clip was swapped, it may be a mirrored video."""
+    """Correcting a swap exchanges the sides again. If most of the clip was swapped, the video may be mirrored."""
     (source,) = small_trajectory.sources
     places = opposites(small_trajectory.body.markers)
     legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(places != np.arange(24)))
@@ -456,7 +456,7 @@ UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
     ],
 )
 def test_an_animal_that_runs_upside_down_is_reported(code, axis, changed):
-    """An upside-down animal has a named cause only if one is clearly more likely, which a turned picture is not.
+    """The cause of an upside-down animal is named only if it is clearly more likely than other causes.
 
     A turned picture of a level camera is as likely as keypoints with y counted from the bottom.
     """

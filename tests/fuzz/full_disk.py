@@ -185,7 +185,7 @@ def prepare(folder: Path) -> None:
 
 
 class Child:
-    """Run `recon ARGUMENTS` in a child of this process, which has already imported everything."""
+    """Child process that runs `recon ARGUMENTS`, forked from this process after all imports."""
 
     def __init__(self, case: Case, folder: Path, limit: int | None = None, then_read: bool = False) -> None:
         self.err = tempfile.TemporaryFile()  # noqa: SIM115  # for as long as the child

@@ -85,7 +85,7 @@ def test_a_spline_needs_four_finite_values_at_increasing_times(t, values):
 
 @pytest.mark.parametrize("points", [4, 5, 6, 60])
 def test_the_spline_of_a_path_is_scipys(points):
-    """The spline of a path is scipy's, with gaps of the longest bridged duration."""
+    """The spline of a path equals scipy's, also across gaps of the longest duration that is bridged."""
     rng = np.random.default_rng(points)
     time_s = np.cumsum(rng.choice([1 / 120, 1 / 60, 0.19], points))
     path = rng.normal(size=(points, 3))

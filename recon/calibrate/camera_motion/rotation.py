@@ -145,7 +145,7 @@ def describe_points(frame: GreyPicture) -> tuple[Array, Image]:
 
 
 def is_same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
-    """Return whether a homography maps the points of one picture (pixels, descriptors) to those of another."""
+    """Return whether a homography maps the points (pixels, descriptors) of one picture to the points of another."""
     pairs = match_descriptors(a[1], b[1])
     if len(pairs) < MIN_SAME:
         return False

@@ -16,7 +16,7 @@ gain tanh(sharpness d).
 
 The publication does not say how an angle's force depends on the length of the leg, nor how it turns the torso. Here,
 each field is the gradient of an energy in all degrees of freedom of the torso, so an equilibrium exists. The force of
-an angle is slope (X x r) / |X x r|^2, and its moment is that of the same force at the foot.
+an angle is slope (X x r) / |X x r|^2, and its moment is the moment of the same force at the foot.
 
 Recipe files number the legs as the published footfalls do: left front, left rear, right front, right rear. Positions in
 these files are (right, forward). In Python, legs are in the order of `LEGS`; x is forward, y left and z up.
@@ -65,7 +65,7 @@ COUNTERCLOCKWISE = (0, 2, 3, 1)
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
 """Sign of the outward y direction, 1 or -1, for each of `LEGS`."""
 MAX_WAIT = 400
-"""Maximum number of frames that a foot waits."""
+"""Maximum number of frames for which a foot waits for the torso."""
 MAX_EVALUATIONS = 100
 """Maximum number of evaluations of the fields in one frame."""
 DERIVATIVE_STEP = 1e-6
