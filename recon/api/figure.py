@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recon.api.analyse import DEFAULT_FIGURES, figures_of
@@ -79,7 +80,7 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
     width_mm : float
         Width on paper in mm, such as 89 for a column and 183 for a page.
     results : str
-        Name of the results folder, for the caption.
+        Path of the results folder, whose name is in the caption.
 
     Raises
     ------
@@ -89,25 +90,25 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
     drawn = figures_of(analysis)
     wrong = [name for name in names if name not in drawn]
     if wrong:
-        raise InputError(_no_figure(name, analysis, [*drawn]) for name in wrong)
+        raise InputError(_no_figure(name, analysis, [*drawn], results) for name in wrong)
     draws = [drawn[name] for name in names]
     if not draws:
-        raise InputError(Problem("NAME", "figure", "none", f"one or more of {', '.join(drawn)}"))
+        raise InputError(Problem(results or "result", "figure", "none", f"one or more of {', '.join(drawn)}"))
     figure = _single(draws[0], width_mm) if len(draws) == 1 else _stacked(draws, width_mm)
-    return PrintedFigure(figure, caption_of(analysis, names, results), width_mm)
+    return PrintedFigure(figure, caption_of(analysis, names, Path(results).name), width_mm)
 
 
-def _no_figure(name: str, analysis: ClipAnalysis, drawn: Sequence[str]) -> Problem:
+def _no_figure(name: str, analysis: ClipAnalysis, drawn: Sequence[str], results: str) -> Problem:
     """Return the problem with a figure that the analysis does not have.
 
     `drawn` are the names of the figures that the analysis has.
     """
     if name == _STRIDE_FIGURE and analysis.gait is not None and not analysis.gait.strides:
         names = ", ".join(figure for figure in DEFAULT_FIGURES if figure in drawn)
-        return Problem(
-            "NAME", "figure", f"{name}, but no complete stride in the clip", f"another figure, such as {names}"
-        )
-    return Problem("NAME", "figure", name, f"one of {', '.join(drawn)}")
+        actual, expected = f"{name}, but no complete stride in the clip", f"another figure, such as {names}"
+    else:
+        actual, expected = name, f"one of {', '.join(drawn)}"
+    return Problem(results or "result", "figure", actual, expected)
 
 
 def _single(draw: Callable[[], Figure], width_mm: float) -> Figure:

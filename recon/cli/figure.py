@@ -29,7 +29,7 @@ class FigureSettings(Settings):
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Results folder, such as results/clip."""
-    names: Annotated[tuple[str, ...], Option(argument="NAME")] = ()
+    names: Annotated[tuple[str, ...], Option(argument="FIGURE")] = ()
     """Figures, such as joint_flexion, which are stacked and lettered if there are several. (default: list them)"""
     out: Path | None = None
     """File to write, such as fig1.pdf: PDF, SVG or PNG (600 dpi). The caption is written next to it, such as
@@ -67,7 +67,7 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
     output = Output(out.parent, "figure", settings.overwrite, input_paths(settings), made_from, exact=out.name)
     output.require((out.name, caption_path.name))
     progress("drawing", 0.4)
-    printed = draw_for_print(analysis, settings.names, settings.width, settings.folder.absolute().name)
+    printed = draw_for_print(analysis, settings.names, settings.width, str(settings.folder.absolute()))
     from recon.show.plots.style import printed_content, printing
 
     with printing(settings.width):

@@ -117,5 +117,5 @@ def test_the_command_writes_figure_and_caption(whole_results: Path, tmp_path: Pa
     out = tmp_path / "fig1.svg"
     assert run("figure", whole_results, "speed", "--out", out, "--width", 89).code == 0
     assert sorted(path.name for path in tmp_path.iterdir() if path.suffix != ".json") == ["fig1.svg", "fig1.txt"]
-    refused(["figure", whole_results, "speeed", "--out", tmp_path / "b.svg"], ("NAME", "figure", "speeed"))
+    refused(["figure", whole_results, "speeed", "--out", tmp_path / "b.svg"], (whole_results, "figure", "speeed"))
     refused(["figure", whole_results, "speed", "--out", tmp_path / "b.jpg"], ("--out", "file"))

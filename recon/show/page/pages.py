@@ -256,7 +256,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps)])
         if analysis.flexion_curves:
             text = (
-                "Mean flexion over the strides, from touch-down (0 %) to touch-down; 0° is straight. Left: blue and  "
+                "Mean flexion over the strides, from touch-down (0 %) to touch-down; 0° is straight. Left: blue and "
                 "dashed; right: orange; middle: black. Bars: stance (for "
                 "spine and neck: of the foot with the most strides)."
             )
