@@ -292,6 +292,29 @@ def test_cursors_stay_on_their_curves_and_words_stay_whole_on_a_phone(pages, ope
     assert max(heights_px) < 50
 
 
+@pytest.mark.parametrize("view", ["desk", "phone"])
+def test_panels_contain_their_bands_and_two_ticks_or_more(pages, opened, view):
+    page = opened(pages["whole"], view)
+    page.evaluate(f"{PLAYER}.strips.forEach((strip) => strip.draw(true))")
+    panels = page.evaluate(f"""{PLAYER}.strips.filter((strip) => strip.panel).map((strip) => {{
+      const ends = strip.panel.curves.flatMap(({{ values, band }}) => band && !strip.filled
+        ? [...values].flatMap((value, row) => [value - band[row], value + band[row]]) : [...values]);
+      const known = ends.filter((end) => !Number.isNaN(end));
+      return [strip.panel.title, strip.panel.least === 0, strip.filled, strip.range, strip.ticks,
+        [Math.min(...known), Math.max(...known)]];
+    }})""")
+    assert sum(title.startswith("speed") for title, *_ in panels) == 1
+    assert len(panels) > 10
+    for title, begins_at_0, filled, (low, top), ticks, (least, most) in panels:
+        assert 2 <= len(ticks) <= 5, title
+        assert low <= min(ticks) < max(ticks) <= top, title
+        if not filled and most - least < top - low + 1e-9:  # bands of single frames may be far wider than the curve
+            assert most <= top + 1e-9, title
+            assert begins_at_0 or least >= low - 1e-9, title
+    speed = next(panel for panel in panels if panel[0].startswith("speed"))
+    assert speed[3][1] >= speed[5][1] - 1e-6
+
+
 def test_keys_and_buttons_move_the_cursor(pages, opened):
     page = opened(pages["film"])
     row = lambda: page.evaluate(f"{PLAYER}.cursor.row")  # noqa: E731

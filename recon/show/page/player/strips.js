@@ -110,7 +110,20 @@ function rangeOf(panel) {
   return { all, low, high, range: [panel.least === 0 ? 0 : low - room, high + room] };
 }
 
-/** Return whether the bands of all curves would fill the panel. */
+/** Return a range that also contains the bands, each end by at most the height of the range further. */
+function withBands(panel, [low, top]) {
+  let [least, most] = [low, top];
+  for (const { values, band } of panel.curves) {
+    for (let row = 0; band && row < values.length; row++) {
+      if (Number.isNaN(values[row]) || Number.isNaN(band[row])) continue;
+      [least, most] = [Math.min(least, values[row] - band[row]), Math.max(most, values[row] + band[row])];
+    }
+  }
+  const room = top - low;
+  return [panel.least === 0 ? low : Math.max(least, low - room), Math.min(most, top + room)];
+}
+
+/** Return whether the bands of all curves would fill a panel that is as high as the curves. */
 export function isFilled(panel) {
   const [low, top] = rangeOf(panel).range;
   return panel.curves.every(({ values, band }) => {
@@ -134,7 +147,8 @@ export class CurveStrip extends Strip {
   setPanel(panel) {
     this.panel = panel;
     const { all, low, high, range } = rangeOf(panel);
-    [this.range, this.filled] = [range, isFilled(panel)];
+    this.filled = isFilled(panel);
+    this.range = this.filled ? range : withBands(panel, range);
     this.text = all.length ? `${panel.title}: ${this.format(low)} to ${this.format(high)}${unitOf(panel)}` : `${panel.title}: not known`;
     this.canvas.setAttribute("aria-label", `${this.text}. A click shows the frame.`);
     this.stale = true;
@@ -142,6 +156,10 @@ export class CurveStrip extends Strip {
 
   format(value) {
     return fixed(value, this.panel.unit === "°" || Math.abs(value) >= 100 ? 0 : Math.abs(value) >= 10 ? 1 : 2);
+  }
+
+  get ticks() {
+    return ticks(...this.range);
   }
 
   y(value, high) {
@@ -152,7 +170,7 @@ export class CurveStrip extends Strip {
   drawStill(pen, wide, high, paint) {
     pen.textBaseline = "middle";
     pen.textAlign = "right";
-    for (const value of ticks(...this.range)) {
+    for (const value of this.ticks) {
       const y = this.y(value, high);
       pen.fillStyle = paint.line;
       pen.fillRect(this.gutter, Math.round(y), wide - this.gutter - 10, 1);
@@ -247,13 +265,14 @@ function clamp(y, high) {
   return Math.min(high, Math.max(0, y));
 }
 
-/** Return about three round values within a range. */
-export function ticks(low, high) {
-  const rough = (high - low) / 3, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((x) => x * power).find((x) => x >= rough);
-  const values = [];
-  for (let value = Math.ceil(low / step) * step; value <= high; value += step) values.push(value);
-  return values;
+/** Return two to five round values within a range, if possible four. */
+function ticks(low, high) {
+  const power = 10 ** Math.floor(Math.log10(high - low));
+  const multiples = [0.1, 0.2, 0.5, 1, 2, 5].map((x) => {
+    const step = x * power, first = Math.ceil(low / step - 1e-9), last = Math.floor(high / step + 1e-9);
+    return Array.from({ length: Math.max(0, last - first + 1) }, (_, k) => (first + k) * step);
+  });
+  return multiples.reduce((best, values) => (Math.abs(values.length - 4) <= Math.abs(best.length - 4) ? values : best));
 }
 
 /** The median distance between detections and pose. */
