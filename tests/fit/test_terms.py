@@ -6,6 +6,7 @@ A new term is one line in `terms` of tests/term_cases.py.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -42,7 +43,7 @@ def cost(term, states: np.ndarray) -> float:
     return problem.cost(states)
 
 
-def test_every_term_of_a_fit_is_tested():
+def test_every_term_of_a_fit_is_tested_and_on_the_page_of_the_method():
     states = some_states()
     options = TrajectoryOptions()
     clip = ClipProblem.from_views([view(detections(states))], BODY, PRIOR, FPS, options, ground_near_zero=True)
@@ -52,6 +53,9 @@ def test_every_term_of_a_fit_is_tested():
     of_fit = {term.name for problem in problems for term in (*problem.linear, *problem.terms)}
     of_fit |= {term.name for term in contacts(clip, points_m, 1.0)[2]}
     assert {"reprojection", "climb", "stance", "known angles"} <= of_fit <= {term.name for term in terms()}
+    page = (Path(__file__).parents[2] / "docs" / "method" / "trajectory.md").read_text(encoding="utf-8")
+    of_clips = of_fit - {"known angles"}  # only for measuring an animal against known poses
+    assert not [name for name in of_clips if f"\n**{name.capitalize()}" not in page]
 
 
 @pytest.mark.parametrize("term", terms(), ids=lambda t: t.name)
