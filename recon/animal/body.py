@@ -50,7 +50,7 @@ def _side_pattern() -> re.Pattern[str]:
 
     The word stands between separators, as in front_left_paw or eye.L, or is set off by capitals, as in frontLeftPaw,
     hipR or Nearknee. A letter may be part of a leg's code: LF, FL, RH, HR, LB, BL. A letter next to a digit does not
-    count: l1 may be a vertebra.
+    count, because l1 may be a vertebra.
     """
     words = [word for word in _OPPOSITE if len(word) > 1]
     lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))

@@ -1,7 +1,7 @@
 """Name the bones of an animal and the joints that they connect, from the skeleton's `[anatomy]`.
 
-A bone connects two joints of a limb or of the trunk. Its length is the length of an offset in the skeleton file, of a
-segment from its parent or of a marker from its segment.
+A bone connects two joints of a limb or of the trunk. Its length is the length of offsets in the skeleton file, from a
+parent to its segment or from a segment to its marker.
 """
 
 from __future__ import annotations
@@ -110,6 +110,5 @@ def _segment_of(body: Body, marker: str) -> str:
 
 
 def _segment_at_origin(body: Body, marker: str) -> str | None:
-    """Return the name of the segment whose origin is at a marker, or None if there is none."""
     item = next(item for item in body.tree.markers if item.name == marker)
     return None if any(item.offset_m) else item.segment

@@ -1,4 +1,4 @@
-"""Read and write subject files, the measured lengths of an animal, and write detector and prior files."""
+"""Read and write subject files, which have the measured lengths of an animal, and write detector and prior files."""
 
 from __future__ import annotations
 

@@ -118,9 +118,9 @@ class _PosesAndChanges(NamedTuple):
     inner_poses: Array
     """Angles in the frames with both neighbours, rad, shape (M, A)."""
     rates: Array
-    """Rates of the angles in these frames, rad/s, shape (M, A)."""
+    """Rates of the angles in the frames with both neighbours, rad/s, shape (M, A)."""
     accelerations: Array
-    """Accelerations of the angles in these frames, rad/s², shape (M, A)."""
+    """Accelerations of the angles in the frames with both neighbours, rad/s², shape (M, A)."""
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _PosesAndChanges:

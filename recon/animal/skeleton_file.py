@@ -147,7 +147,7 @@ class _BodyFile(FileTable):
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """Markers above, at and below each anatomical joint; a joint on the left also defines the one on the right."""
+    """Markers above, at and below each anatomical joint. A left joint also defines the right one."""
     mass: _Mass | None = None
 
 
@@ -257,7 +257,7 @@ def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: s
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems with the name of a segment or marker, and add the name to `used`, the names before it."""
+    """Yield problems with the name of a segment or marker, and add it to `used`, the names of all items before."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":

@@ -59,7 +59,7 @@ MAX_REMAINING_FRACTION = 0.25
 CLEAR_ROTATION_RAD = np.radians(3.0)
 """Minimum rotation for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0
-"""Minimum time offset, frames, for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
+"""Minimum offset in frames for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_GAIN = 1.5
 """Minimum factor by which a rotation or a time offset must reduce the error ratio of a camera that agrees."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
@@ -212,7 +212,7 @@ def _effect_m(sights: Sequence[Sight], v: int, partners: Sequence[int]) -> dict[
 def _compare_with_agreeing(
     sights: Sequence[Sight], fps: float, limit: float, points_of: PointsOf
 ) -> tuple[tuple[int, ...], list[Comparison]]:
-    """Return the cameras that agree, and the comparison of each camera with these, or with all cameras if none agree.
+    """Return the agreeing cameras, and the comparison of each camera with them, or with all cameras if none agree.
 
     A camera can be turned by some degrees about its line of sight while its error ratio is still low. Agreeing cameras
     that a rotation or a time offset clearly improves are therefore removed as well.
@@ -262,7 +262,7 @@ def _compare_each(
 
 
 def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
-    """Return a dictionary of the camera's error ratio after correcting each possible cause, with the code as the key.
+    """Return a dictionary of the camera's error ratio after correcting each possible cause, by the cause's code.
 
     A rotation below `least_rad`, or a delay below `least_frames`, is not a possible cause.
     """

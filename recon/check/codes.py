@@ -44,7 +44,7 @@ FLAGS: Mapping[str, str] = {
 """Meaning of each flag of a frame, in the order in which summaries list them."""
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
-"""Severity and text of each code, from `codes.toml`; causes precede their consequences."""
+"""Severity and text of each code, from `codes.toml`, with causes before their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of other findings."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
@@ -60,7 +60,7 @@ _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
-    """Return a finding with a code, the severity of this code, and numbers.
+    """Return a finding with the severity that belongs to its code.
 
     Parameters
     ----------
@@ -110,9 +110,10 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_si
 
 
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings sorted by severity, then in the order of `CODES`; findings of the same code keep their order.
+    """Return findings sorted by severity, then in the order of `CODES`.
 
-    Findings that may be consequences (`FOLLOWS`) are left out if there is an error that is not itself one of these.
+    Findings of the same code keep their order. Findings that may be consequences (`FOLLOWS`) are left out if there is
+    an error that is not itself one of these.
     """
     caused = any(item.severity == "error" and item.code not in FOLLOWS for item in findings)
     kept, order = (item for item in findings if not (caused and item.code in FOLLOWS)), [*CODES]

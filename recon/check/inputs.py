@@ -233,7 +233,7 @@ def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline)
 def _rate_findings(
     clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None, is_known: bool
 ) -> Sequence[Finding]:
-    """Return the finding on the frame rate, if there is one; only a note if the user knows the rate (`is_known`)."""
+    """Return the finding on the frame rate, if any, as a note if the user knows the rate (`is_known`)."""
     segment = solution.longest_segment
     if segment is None:
         return ()
@@ -287,7 +287,7 @@ LONG_STEP_RATIO = 1.45
 """Length of a step between frames, relative to the steps around it, above which the step is long.
 
 A step across one missing frame is 2 times as long as the steps around it, so the limit is about the geometric mean of 1
-and 2. At twice the value, no such step would be long; at half of it, ordinary steps would be.
+and 2. At twice the value, no such step would be long, and at half of it, ordinary steps would be.
 
 In 32 real views, at most 0.12 of the steps are long, also with half of the points missing, a side hidden, or an animal
 that comes into the picture. The fraction is 0.06 to 0.29 (median 0.19) if a quarter of the frames is left out (`python
@@ -299,7 +299,7 @@ LONG_STEP_FRACTION = 0.13
 """Fraction of long steps above which frames are missing, provided that less than half as many steps are short.
 
 The value is just above the fractions in correct views (see `LONG_STEP_RATIO`). At half the value, correct views with
-half of their points missing would be reported (up to 0.12); at twice the value, most clips without a quarter of their
+half of their points missing would be reported (up to 0.12). At twice the value, most clips without a quarter of their
 frames would not be (median 0.19).
 """
 ISOLATED_STEP_RATIO = 1.3

@@ -64,7 +64,7 @@ STUDENT_T_DEGREES = 3.0
 TESTED_S = 1.0
 """Duration of the part of a clip that is solved again for a test, seconds."""
 TRIANGULATED_S = 4.0
-"""Approximate duration of the parts that are triangulated at once, seconds; enough to estimate the keypoints' noise."""
+"""Approximate duration of the parts that are triangulated at once, seconds, enough to estimate the keypoints' noise."""
 LOOSE_NOISE_FACTOR = 2.0
 """Factor by which the noise is multiplied in a fit in which each keypoint may belong to either side."""
 

@@ -81,7 +81,7 @@ def one_steps(
     fixed: Sequence[str] = (),
     every: int = 1,
 ) -> dict[int, Step]:
-    """Return the estimate of an additional unknown for each of some cameras, from the longest segment of a clip.
+    """Return the estimate of one additional unknown for each camera in `unknowns`, from a clip's longest segment.
 
     In each estimate, the additional unknowns of the other cameras are 0.
 

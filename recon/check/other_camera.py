@@ -25,11 +25,11 @@ from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT, YAW
 
 MIN_GAIN = 3.0
-"""Log-likelihood gain above which another camera is reported; errors within the correlation time count only once.
+"""Log-likelihood gain above which another camera is reported.
 
-The gain is at most 0.5 in 32 correct views, 2.0 if the views show less of the animal or the ground rises by 3 %, and
-2.2 in a simulated run on such ground. The gain exceeds this limit in 70 of 136 fits with another camera in the file
-(`python benchmarks/wrong_inputs.py --only which-camera`).
+Errors within the correlation time count only once. The gain is at most 0.5 in 32 correct views, 2.0 if the views show
+less of the animal or the ground rises by 3 %, and 2.2 in a simulated run on such ground. The gain exceeds this limit in
+70 of 136 fits with another camera in the file (`python benchmarks/wrong_inputs.py --only which-camera`).
 """
 
 

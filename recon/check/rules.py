@@ -86,7 +86,7 @@ SUBJECT_SIGMAS = 3.0
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
-    """Return all findings on a motion, its own and the rules', in the order in which summaries list them.
+    """Return all findings on a motion, including those of the rules, in the order in which summaries list them.
 
     Findings with codes of `FROM_MOTION` are left out if the fit does not explain the detections.
     """

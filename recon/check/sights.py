@@ -114,7 +114,7 @@ def _with_keypoint_noise(sight: Sight, position_m: Array, keypoint_sigma_m: floa
 
 
 def meeting_points(sights: Sequence[Sight]) -> Points:
-    """Return the points nearest to the rays of two or more cameras; outliers have less weight."""
+    """Return the points nearest to the rays of two or more cameras, with less weight for outlying rays."""
     rays = np.array([sight.rays for sight in sights])
     centres = np.array([sight.centre_m for sight in sights])[:, :, None]
     noise = np.array([sight.noise_rad for sight in sights])
@@ -175,14 +175,14 @@ def error_ratio(sight: Sight, points: Points) -> float:
 
 
 def error_ratio_of_pair(a: Sight, b: Sight) -> tuple[float, float, int]:
-    """Return the error ratio of two cameras, the median angle between rays and epipolar planes, rad, and their number.
+    """Return two cameras' error ratio, the median angle of rays to epipolar planes, rad, and the number of points.
 
     A ray of a is compared with the plane through both cameras' centres and the corresponding ray of b. The error ratio
     is the same if a and b are exchanged.
     """
     line = b.centre_m - a.centre_m
     plane_of_b, plane_of_a = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
-    # The triple product of both rays and the line changes by this much for each radian of an error of a's or b's ray.
+    # An error of one radian in a's or b's ray changes the triple product of both rays and the line by these lengths.
     by_a, by_b = np.linalg.norm(plane_of_b, axis=-1), np.linalg.norm(plane_of_a, axis=-1)
     off_plane = np.abs(np.sum(a.rays * plane_of_b, axis=-1))
     is_known = np.isfinite(off_plane) & (by_a > 0) & (by_b > 0)

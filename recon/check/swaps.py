@@ -27,7 +27,7 @@ from recon.clip import Keypoints, Source, View
 from recon.fit.result import Finding
 
 MIN_JUMP_GAIN = -3.0
-"""Log-likelihood gain of a jump above which a swap may begin or end there; negative, as crossing legs hardly jump."""
+"""Log-likelihood gain of a jump above which a swap may begin or end, negative because crossing legs hardly jump."""
 MIN_TRIED_GAIN = 15.0
 """Log-likelihood gain of the cheap signs above which a swap of a stretch of frames is tried by a fit."""
 MAX_REFITS = 3
@@ -42,9 +42,9 @@ more likely with the sides exchanged, but by less than the margin. In the other,
 a swap (`MIN_TRIED_GAIN`).
 """
 LEAST_S = 0.25
-"""Minimum duration of a clip in which a swap of the whole clip is tested, seconds; less than a stride.
+"""Minimum duration of a clip in which a swap of the whole clip is tested, seconds.
 
-The clip must also show a leg.
+The value is less than a stride. The clip must also show a leg.
 """
 OF_LEG = 3
 """Number of markers, from the end of a leg on, that show its side. The upper markers hardly show it."""
@@ -53,7 +53,7 @@ _STRAIGHT = 3
 _LEAST_OFF_PX = 3.0
 """Lower bound of the usual deviation of tracks from a line, pixels."""
 MAX_TRACK_DEVIATION = 1.0
-"""Largest usual deviation of tracks from a line, relative to the distance between the sides, for tracks to be used."""
+"""Largest usual deviation of tracks from a line, relative to the distance between the sides, at which they are used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +215,9 @@ def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
-    """Return a stretch that reaches an end of the clip and the rest of the clip, either of which may be swapped.
+    """Return the stretches that may be swapped if there is a swap in the frames from `first` up to `stop` of T.
 
-    For any other stretch, return the stretch only.
+    If the frames reach an end of the clip, the rest of the clip may be swapped instead.
     """
     remainders = [] if stop - first == T else [(stop, T)] if first == 0 else [(0, first)] if stop == T else []
     return [(first, stop), *remainders]

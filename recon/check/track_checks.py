@@ -214,7 +214,7 @@ def _jumps(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def jumps_of(points: AuditedPoints) -> Array:
-    """Return the distance by which each point jumps away from its track and comes back, relative to the limit of jumps.
+    """Return the distance by which each point jumps away from its track before it comes back, relative to a limit.
 
     Parameters
     ----------

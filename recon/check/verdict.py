@@ -188,9 +188,8 @@ def _frame_evidence(motion: Motion) -> _FrameEvidence:
 def frame_rms_m(motion: Motion) -> Array:
     """Return the expected RMS distance of the joints from their true positions in each frame, with poses centred, (T,).
 
-    The mean over the frames agrees with the expected error of the verdict. The distance depends on the quantities of a
-    frame as that error depends on the quantities of a clip. Without an expected error, the distance follows from the
-    posterior alone.
+    The expected error of the verdict is distributed over the frames according to the posterior, the distance of the
+    animal and its direction in each frame. Without an expected error, the distance follows from the posterior alone.
     """
     verdict, posed = motion.verdict, motion.solved
     if verdict is None or verdict.pose_m is None or not posed.any():

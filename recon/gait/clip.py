@@ -277,7 +277,7 @@ class ClipAnalysis(Brief):
     def end_effector(self) -> EndEffector | None:
         """Return the path of a chain's fore foot relative to the reference joint.
 
-        Return None for a whole animal, and for a clip that is too short to be smoothed, such as four frames.
+        Return None for a whole animal, and for a clip that is too short to be smoothed, for example with four frames.
         """
         return self._effector_of(self.pose)
 
@@ -394,7 +394,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def portraits(self) -> dict[str, phase.Portrait]:
-        """Return phase portraits of the fit's own angles over `stride`, or over the whole clip without a stride."""
+        """Return phase portraits of the angles that the fit solved for, over `stride` or, without one, the clip."""
         ends = () if self.stride is None else (self.stride.start_s, self.stride.end_s)
         return {name: phase.phase_portrait(angle, *ends) for name, angle in self.skeleton_angles.items()}
 

@@ -1,9 +1,9 @@
 """Compute the centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
 
-All values are per kilogram of the animal; forces are in body weights. The centre of mass is computed from the segments,
-each with its mass in the middle of its capsules. A segment rotates about this point like a rod with the radius of
-gyration of the capsules. The uncertainty results from the errors of the position and the pose (`recon.gait.clip`) and
-of the masses. Derivatives are computed from splines (`recon.gait.kinematics`).
+Forces are in body weights, and all other values are per kilogram of the animal. The centre of mass is computed from the
+segments, each with its mass in the middle of its capsules. A segment rotates about this point like a rod with the
+radius of gyration of the capsules. The uncertainty results from the errors of the position and the pose
+(`recon.gait.clip`) and of the masses. Derivatives are computed from splines (`recon.gait.kinematics`).
 
 The second derivative of the centre of mass is too uncertain, even from several cameras, to give the forces of single
 stances. Instead, the force of each stance is assumed to have the shape

@@ -248,7 +248,7 @@ def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[st
 def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
     """Yield a note if one file counts frames from 1, as TRC files do, and the other from 0.
 
-    There is no note if the positions do not agree better after shifting the frame numbers by one.
+    The note is given only if the positions agree better after shifting the frame numbers by one.
     """
     first_frames = int(pose.frames[0]), int(truth.frames[0])
     if sorted(first_frames) != [0, 1]:

@@ -189,8 +189,8 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
     """Return the foot whose strides define the phase of a joint, or None if this foot has no complete stride.
 
-    This is the foot of the joint's limb. For the spine and the neck, and if no fore foot has strides, it is the foot
-    `reference`.
+    The foot belongs to the joint's limb. The foot `reference` is used for the spine and the neck, and for a fore limb
+    if no fore foot has strides.
     """
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:

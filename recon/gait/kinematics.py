@@ -47,7 +47,7 @@ class JointKinematics(Brief):
     speed_sigma_m_s: Array
     """Standard deviation of the speed by linear propagation, shape (N,); NaN without errors.
 
-    Noise also raises the speed itself by about sigma^2 / speed; this bias is not subtracted.
+    Noise also raises the speed itself by about sigma^2 / speed. This bias is not subtracted.
     """
     acceleration_sigma_m_s2: Array
     """Standard deviation of `acceleration_m_s2`, shape (N,)."""
@@ -249,7 +249,7 @@ def _at_peak(values: Array, quantity: Array) -> float:
 
 
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
-    """Return the mean acceleration of a point along its direction of travel and the standard deviation, m/s^2.
+    """Return the mean acceleration of a point along its direction of travel and its standard deviation, m/s^2.
 
     The acceleration comes from a parabola in time, fitted by least squares to the horizontal positions along the line
     from the first to the last point. Return NaN for fewer than four frames, or if the point does not travel.

@@ -359,7 +359,7 @@ def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
 
 
 def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the time for which the left and the right foot both stand; if negative, the time between the stances."""
+    """Return the time for which the left and the right foot both stand, negative for a time between the stances."""
     name, source = f"overlap_{girdle}_s", "footfalls"
     steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
     if not steps:

@@ -161,7 +161,7 @@ class Camera(Brief):
             Pixels of the points, shape (..., 2), as in `project`.
         by_point : ndarray
             Derivatives of the pixels with respect to the points, px/m, shape (..., 2, 3). The derivatives are zero
-            where invalid; the array is empty if `jacobian` is false.
+            where invalid. The array is empty if `jacobian` is false.
         valid : ndarray
             Whether each point is valid, shape (...), as in `project`.
         """
@@ -236,8 +236,6 @@ class Camera(Brief):
         valid &= solved
         rays[~valid] = np.nan
         return rays.reshape(*uv.shape[:-1], 3), valid.reshape(uv.shape[:-1])
-
-    # Parts
 
     @cached_property
     def lens(self) -> Lens:
@@ -329,8 +327,6 @@ class Camera(Brief):
         matrix = self.matrix.copy()
         matrix[:2, :2] *= math.exp(log_scale)
         return replace(self, matrix=matrix)
-
-    # Plain data
 
     def to_dict(self) -> dict[str, Any]:
         """Return the camera as a dictionary of strings, numbers and lists, without an unknown pose or a zero tilt."""

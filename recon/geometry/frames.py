@@ -100,8 +100,8 @@ def quaternions(rotations: Array) -> Array:
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Return the rotation matrices (..., 3, 3) about the x, the y and the z axis by angles (..., 3), rad.
 
-    They follow from Rodrigues' formula, R = I + sin(angle) G + (1 - cos(angle)) G G, where G is the cross-product
-    matrix of the axis. The derivative is dR = G R.
+    The matrices follow from Rodrigues' formula, R = I + sin(angle) G + (1 - cos(angle)) G G, where G is the
+    cross-product matrix of the axis. The derivative is dR = G R.
     """
     angles = np.asarray(angles_rad, dtype=float)[..., None, None]
     turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE

@@ -81,9 +81,9 @@ class Segment:
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the segment in the parent's frame, (x, y, z)."""
     rotation: tuple[tuple[float, ...], ...] | None = None
-    """Rotation from the segment's frame to its parent's at the joint's zero position, shape (3, 3); None for none.
+    """Rotation from the segment's frame to its parent's at the joint's zero position, shape (3, 3).
 
-    Only joints of the kinds turn, slide and fixed have such a rotation.
+    Only joints of the kinds turn, slide and fixed have such a rotation. None means the identity.
     """
 
 
@@ -128,7 +128,10 @@ class _Plan:
         carriers = [path[-2] for path in paths[1:]] + [index_of[marker.segment] for marker in markers]
 
         self.sums = _sums_of(tree, paths)
-        """Matrix with 1 where an angle of the state is part of a rotation's angle, shape (K + 1, K); last row 0."""
+        """Matrix with 1 where an angle of the state is part of a rotation's angle, shape (K + 1, K).
+
+        The last row is 0.
+        """
         base_frame = np.array([0, *(base + 1 for base in base_segments)], dtype=np.intp)
         self.levels = [(1 + level, base_frame[level]) for level in _levels_of(base_segments)]
         """Indices of the frames at each depth in the tree, and of the frames relative to which they turn."""
@@ -366,7 +369,7 @@ class Tree(Brief):
     def _pattern(self) -> tuple[object, ...]:
         """Return a description of the tree without its lengths, which is equal for trees that can share a plan.
 
-        It contains the segments, the markers, and which of their offsets are zero.
+        The description contains the segments, the markers, and which of their offsets are zero.
         """
         segments = tuple((s.name, s.parent, s.joint, s.rotation, any(s.offset_m)) for s in self.segments)
         return segments, tuple((m.name, m.segment, any(m.offset_m)) for m in self.markers)

@@ -193,7 +193,7 @@ class _Fisheye(Lens):
 
 
 LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _RadialTangential, _Fisheye)}
-"""Classes of all lens models by their names."""
+"""Class of each lens model, with the model's name as the key."""
 
 
 def lens_named(text: str) -> str | None:
