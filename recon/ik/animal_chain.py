@@ -1,9 +1,9 @@
 """Build chains from the root of a skeleton to a foot, and compute their joint angles from a reconstruction.
 
 Every chain starts at the root, in a level base frame. The base frame of planar chains and of the spine-front-leg chain
-of the 8U skeleton has the axes U along the direction of travel, V down and W to the side, and is right-handed. In a
-planar chain, x is U and y is V. The chains of whole animals have x along the direction of travel, y left and z up, as
-in `recon.geometry.kinematics`.
+of the 8U skeleton has the axes U along the direction of travel, V down and W to the left. In a planar chain, x is U and
+y is V. The chains of whole animals have x along the direction of travel, y left and z up, as in
+`recon.geometry.kinematics`.
 
 In the 8U skeleton, the first link of the spine lies along U and has no angles. In the chains built here, this link has
 two angles, which follow from the rotation of the skeleton.
@@ -37,9 +37,10 @@ def spine_front_leg(
 ) -> SerialChain:
     """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton, from the root to the front foot, in a level base frame.
 
-    The joints are named as in the publication, after the joint at the end of each link: theta_9 for the first link,
-    then theta_1 to theta_4, and the phis likewise. The skeleton itself has no theta_9 and phi_9. theta_9 is the pitch
-    `J0_pitch` of the skeleton's root, and phi_9 is the root's yaw `J0_yaw` relative to the direction of travel.
+    The joints are named as in the thesis of C. van der Leek (2022), after the joint at the end of each link: theta_9
+    for the first link, then theta_1 to theta_4, and the phis likewise. The skeleton itself has no theta_9 and phi_9.
+    theta_9 is the pitch `J0_pitch` of the skeleton's root, and phi_9 is the root's yaw `J0_yaw` relative to the
+    direction of travel.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
 
 
 def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> SerialChain:
-    """Return the chain from the origin of the root segment to a marker, with the joint names of the state.
+    """Return the chain from the origin of the root segment to a marker, with joints named as in the body's state.
 
     The first joints are the root's yaw relative to the direction of travel, its pitch and its roll.
 

@@ -1,8 +1,8 @@
 """Describe serial chains as trees (`recon.geometry.kinematics`) with a single branch and joint limits.
 
-There are three ways to make a chain. In the chains of the publication, each angle is relative to the previous link, and
-the angles add up. T_k and P_k are the sums up to link k, and r_k is its length. In two dimensions (`planar_chain`)
-link k adds r_k (cos T_k, sin T_k). In three (`summed_chain`), with q = [theta..., phi...], it adds
+There are three ways to make a chain. In the chains of C. van der Leek (2022), each angle is relative to the previous
+link, and the angles add up. T_k and P_k are the sums up to link k, and r_k is its length. In two dimensions
+(`planar_chain`) link k adds r_k (cos T_k, sin T_k). In three (`summed_chain`), with q = [theta..., phi...], it adds
 
     r_k (cos T_k cos P_k,  sin T_k,  cos T_k sin P_k)
 

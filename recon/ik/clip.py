@@ -86,7 +86,7 @@ class IkSettings(Settings):
     limits: bool = True
     """Respect the limits of the joints."""
     fitted: bool = False
-    """Use the methods' parameters fitted to this clip; also fit them to each frame of the stride."""
+    """Use the methods' parameters fitted to this clip, and also fit them to each frame of the stride."""
     online: bool = False
     """Refit the parameters at every frame of the stride to the animal's recent joint rates."""
     cost: str | None = None

@@ -31,7 +31,7 @@ MAX_STEP_M = 0.02
 PROGRESS_ITERATIONS = 100
 """Number of iterations within which the distance from the target must shrink by `MIN_PROGRESS`."""
 MIN_PROGRESS = 0.01
-"""Smallest reduction of the distance from the target, relative to the smallest so far, that counts as progress."""
+"""Smallest reduction of the distance from the target, as a fraction of it, that counts as progress."""
 STILL_RAD = 1e-10
 """Motion, rad, or rate, rad/s, below which a joint counts as still, because only rounding errors remain."""
 
@@ -66,7 +66,7 @@ class Run:
     note: str
     """Reason why the target was not reached: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
 
-    Along a path, the note is the first problem with its step. The note is empty if there was no problem.
+    Along a path, the note states the first problem and the step at which it occurred. It is empty without a problem.
     """
 
     @property
@@ -169,8 +169,8 @@ def drive_to(
 ) -> Run:
     """Drive the end effector from joint angles q0 (n,), rad, to a target (dim,), metres.
 
-    The run starts where G = 0 with the extended Jacobian, and otherwise at q0 within the limits. If the target is not
-    reached, the run's note gives the reason.
+    The run starts at q0, moved to within the limits. The extended Jacobian first moves from there to G = 0 with the end
+    effector fixed. If the target is not reached, the run's note gives the reason.
     """
     q, target = chain.inside_limits(np.asarray(q0, float)), np.asarray(target_m, float)
     note = unreachable(chain, target, tolerance_m)

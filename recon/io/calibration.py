@@ -1,8 +1,8 @@
 """Read cameras from calibration files of any known format, and from recon's own camera files.
 
-Every value is checked. A reader returns a `CameraRecord` for each camera, a table of unchecked values. Recon's own
-files are TOML with a table `[camera]` that has `format = "recon-camera"`, or several in `[[cameras]]`. Files of other
-programs are in `recon.io.camera_files`.
+The reader of a format returns a `CameraRecord` of unchecked values for each camera, and this module checks them.
+Recon's own files are TOML with a table `[camera]` that has `format = "recon-camera"`, or several in `[[cameras]]`.
+Files of other programs are in `recon.io.camera_files`.
 """
 
 from __future__ import annotations
@@ -174,8 +174,8 @@ def read_camera(
 ) -> Camera:
     """Return one camera of a calibration file.
 
-    `name` is the camera's name, or a whole number N for camN or cam_0N, which is the Nth camera in a file without
-    names.
+    `name` is the camera's name. A whole number N selects camN, cam_N or cam0N, which is the Nth camera in a file
+    without names.
 
     Raises
     ------

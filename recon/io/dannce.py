@@ -104,8 +104,8 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
 def _variables(path: Path) -> dict[str, Any]:
     """Return the variables of a MATLAB file by name.
 
-    Values are arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (or lists of several), lists of
-    cells, and None for anything else.
+    An array of numbers keeps MATLAB's shape. A struct becomes a dictionary, an array of structs a list of dictionaries,
+    and a cell array a list. Anything else but text becomes None.
 
     Raises
     ------

@@ -73,10 +73,7 @@ def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _pose_of(path: Path, points: int) -> np.ndarray:
-    """Return the pose of one picture, (1, points, 3).
-
-    Its size is checked before the next file is read.
-    """
+    """Return the pose of one picture, shape (1, points, 3), in the network's own unit."""
     expected = f"the {points} points of one animal as pose3d"
     with damage_as_input_error(path, expected):
         pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]

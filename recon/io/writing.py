@@ -135,8 +135,7 @@ def write_rows(
 ) -> None:
     """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell.
 
-    If `guard` is true, texts are escaped so that a spreadsheet does not run them. If not, other programs read them
-    unchanged.
+    If `guard` is true, texts are escaped so that a spreadsheet does not run them. Otherwise they are written unchanged.
     """
     text = cache(guarded if guard else encodable)  # a column repeats a few texts in thousands of rows
     with path.open("w", encoding="utf-8", newline="") as file:

@@ -1,4 +1,4 @@
-"""Turn an animal's motion into a reference for legged robots, and put the reference on a quadruped.
+"""Turn an animal's motion into a reference for legged robots, and transfer the reference to a quadruped.
 
 The reference has the animal's size and timing. In its world, z is up, the ground is at 0, and x is the direction of
 travel. The base is the middle of the trunk. Height, pitch and roll of the base are deviations from their means, because
@@ -480,7 +480,7 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """Put a clip and one of its strides on a robot, and return both motions and the spread of the hind feet, metres."""
+    """Transfer a clip and one of its strides to a robot, and return both motions and the hind feet's spread, metres."""
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for share in SPREADS:

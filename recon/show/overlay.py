@@ -155,8 +155,8 @@ class Overlay:
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
     """Return horizontal unit vectors (T, 2) along `forward_m`, shape (T, 3), averaged over `HEADING_S`.
 
-    A frame without a direction gets that of the last earlier frame that has one, otherwise that of the first later
-    frame. If no frame has a direction, all get the x axis.
+    A frame without a direction gets the direction of the last earlier frame that has one, or else of the first later
+    frame. If no frame has a direction, all frames get the x axis.
     """
     import pandas as pd  # slow to import
 

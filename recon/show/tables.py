@@ -245,8 +245,8 @@ _DECIMALS = {
 }
 """Number of decimals of each unit except metres in tables of an analysis.
 
-For metres, `metre_decimals` returns it. The rounding steps are finer than a hundredth of the standard deviations of
-clips of several cameras.
+For metres, `metre_decimals` returns the number. Rounding is much finer than the standard deviations of clips of several
+cameras.
 """
 WITHOUT_UNIT = 5
 """Number of decimals of fractions, phases, and quantities whose unit is not in the column's name."""

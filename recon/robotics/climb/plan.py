@@ -86,7 +86,7 @@ IN_FILES = (0, 2, 1, 3)
 PLANAR = (0, 1, 2, 4)
 """Degrees of freedom of the torso in the plane: x, y, z and pitch."""
 SPATIAL = (0, 1, 2, 3, 4, 5)
-"""Degrees of freedom of the torso in space: roll and yaw as well."""
+"""Degrees of freedom of the torso in space: x, y, z, roll, pitch and yaw."""
 
 
 Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]

@@ -237,7 +237,7 @@ def limb_strips(
 
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
-    """Return the columns of line strips, of which each frame has any number, of shape (points, 3)."""
+    """Return the columns of the line strips of each frame, each strip with the shape (points, 3)."""
     all_strips = [strip for frame_strips in frames for strip in frame_strips]
     points = np.concatenate([np.zeros((0, 3)), *all_strips])
     return _strips(points, [len(strip) for strip in all_strips]).partition(
