@@ -114,7 +114,7 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
 
 
 def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
-    """Return the theta and phi (T, L), rad, of unit vectors (T, L, 3) that are nearest to the given theta and phi."""
+    """Return the angles of unit vectors (T, L, 3) that are nearest to the given theta and phi (T, L), rad."""
     T = np.arcsin(np.clip(directions[..., 1], -1, 1))
     P = np.arctan2(directions[..., 2], directions[..., 0])
     pairs = [
@@ -222,7 +222,7 @@ def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Ar
 
     All joints are projected onto the vertical plane along the direction of travel. Each link has the median of its
     projected lengths, so the end of the chain is not exactly at the last joint. The misfit is the distance between the
-    end of the chain and the last joint. The angles, rad, do not jump by whole turns. The chain has no limits.
+    end of the chain and the last joint. The angles, in rad, do not jump by whole turns. The chain has no limits.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Ar
 
 
 def _unwrapped(angle: Array) -> Array:
-    """Return angles (T,), rad, shifted by whole turns so that they do not jump between known frames."""
+    """Return angles in rad, shape (T,), shifted by whole turns so that they do not jump between known frames."""
     out, known = angle.copy(), np.isfinite(angle)
     out[known] = np.unwrap(angle[known])
     return out

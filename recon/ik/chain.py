@@ -209,7 +209,7 @@ def mobility(bodies: int, freedoms: Sequence[int], body_freedoms: Literal[3, 6] 
 def planar_chain(
     lengths_m: ArrayLike, limits_rad: Limits = FREE, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
 ) -> SerialChain:
-    """Return a chain of links in a plane, with q (L,): angle 0 is along +x, and positive angles turn towards +y.
+    """Return a chain of links in a plane, with angles q (L,) that are 0 along +x and positive towards +y.
 
     See `summed_chain` for the parameters.
     """

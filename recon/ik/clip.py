@@ -73,7 +73,7 @@ class IkSettings(Settings):
     x,y,z in metres from the chain's base, such as 0.8,0.1,-0.5.
     """
     follow: Literal["stride"] | None = None
-    """Path that the foot follows: stride, a closed stride of the foot in the clip."""
+    """Path that the foot follows, which can only be stride, a closed stride of the foot in the clip."""
     compare: bool = False
     """Compare all methods in one table, for both tasks unless one is chosen."""
     foot: Annotated[str | None, Option(metavar="FOOT")] = None
@@ -202,7 +202,7 @@ class IkRun:
 
     @cached_property
     def animal_closures(self) -> dict[str, Array]:
-        """Return the degrees of closure (n,), %, of the animal's joints over the stride, as `Run.closures` does."""
+        """Return the degrees of closure of the animal's joints over the stride in percent, as `Run.closures` does."""
         kinds = "angle", "plane", "unscaled"
         closures = {kind: np.full(self.limb.chain.n, np.nan) for kind in kinds}
         for joint, portrait in enumerate(self.portraits.values()):
@@ -269,7 +269,7 @@ def run_ik(settings: IkSettings) -> IkRun:
 
 
 def _cost_outcomes(limb: Limb, stride: StridePath) -> dict[str, CostOutcome]:
-    """Study how the extended Jacobian behaves on the stride with each cost of `COSTS`."""
+    """Follow the stride by the extended Jacobian with each cost of `COSTS`."""
     interval_s = SLOWDOWN * stride.interval_s
     return {
         name: cost_outcome(limb.chain, stride.q[0], stride.path_m, cost(limb), interval_s)

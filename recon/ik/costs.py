@@ -1,7 +1,7 @@
 """Define costs on the joint angles of redundant chains, with their gradients and Hessians.
 
 The costs come from C. van der Leek's thesis (2022), except that each link has its own length in the rotational
-energies; the thesis prints r5 for all links.
+energies, where the thesis prints r5 for all links.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Run:
         return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:
-        """Return the degrees of closure (n,), in percent, of each joint from the first configuration to the last.
+        """Return the degree of closure of each joint from the first configuration to the last, shape (n,), in percent.
 
         Three measures are returned, each NaN for a joint that does not move. "angle" is the closure of the angle.
         "plane" is the closure of the path in the plane of angle and rate, with each axis divided by its range.

@@ -1,4 +1,4 @@
-"""Compute joint rates dq (n,), rad/s, for an end-effector velocity dx (dim,), m/s, by several methods.
+"""Compute joint rates dq (n,) in rad/s for an end-effector velocity dx (dim,) in m/s, by several methods.
 
 Each method is a class with `rates(chain, q, dx, free)`. `free` (n,) selects the joints that may move; the other joints
 are taken out of the chain. The rates are finite and within the limits of the chain. If they exceed a limit, the motion

@@ -130,7 +130,7 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
 
 
 def rates_of(method: Method, frames: Frames) -> Array:
-    """Return the rates (T, n), rad/s, that the formula of a method gives."""
+    """Return the joint rates given by the formula of a method, shape (T, n), rad/s."""
     rows = zip(frames.jacobian, frames.dx, frames.q, strict=True)
     return np.array([method.formula(J, dx, q) for J, dx, q in rows])
 

@@ -129,7 +129,7 @@ class Leg:
         return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
-        """Return the angles (..., 3), rad, for feet (..., 3), ignoring joint limits; NaN if a foot is out of reach."""
+        """Return joint angles in rad, shape (..., 3), for feet (..., 3), without limits; NaN if out of reach."""
         x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
         d, swing_first = self.lateral_m, self.first == "swing"
         z2 = x * x + z * z - d * d

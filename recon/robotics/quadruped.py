@@ -72,7 +72,7 @@ class RobotLeg:
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n), rad, for feet (T, 3) in closed form, ignoring joint limits; NaN if out of reach."""
+        """Return closed-form angles in rad, shape (T, n), for feet (T, 3), without limits; NaN if out of reach."""
         assert self.closed is not None
         assert self.signs is not None
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
@@ -83,7 +83,7 @@ class RobotLeg:
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
     def angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n), rad, for feet (T, 3), each near the previous; NaN if none are within the limits."""
+        """Return joint angles in rad, shape (T, n), for feet (T, 3) in sequence; NaN if none are within the limits."""
         if self.closed is not None:
             solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)

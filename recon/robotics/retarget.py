@@ -574,7 +574,7 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
 
 
 def within_reach(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
-    """Return angles (T, n), rad, for feet (T, 3) in body axes, metres, and a mask (T,) of feet out of reach.
+    """Return joint angles in rad, shape (T, n), for feet (T, 3) in body axes, and a mask (T,) of feet out of reach.
 
     A foot out of reach is moved towards its neutral position as little as possible.
     """

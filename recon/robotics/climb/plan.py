@@ -219,7 +219,7 @@ class Recipe(FileTable):
     """Number of the torso's degrees of freedom."""
     fps: Gain
     stance_m: Annotated[tuple[tuple[Length, Length], ...], Field(min_length=4, max_length=4)]
-    """Initial positions of the feet, (right, forward), metres, in the leg order of recipe files."""
+    """Initial positions (right, forward) of the feet in metres, in the leg order of recipe files."""
     step: Step
     swing: _Swing
     motion: _Pace
@@ -348,9 +348,10 @@ class Climb:
 
 
 def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
-    """Return the distances (..., 8), metres, of the centre of mass (..., 2) from the sides of the support polygon.
+    """Return the distances of the centre of mass from the sides of the support polygon, shape (..., 8), metres.
 
-    `feet_m` has shape (..., 4, 2). A line between two feet that is not a side of the polygon has an infinite distance.
+    `centre_m` has the shape (..., 2), and `feet_m` (..., 4, 2). A line between two feet that is not a side of the
+    polygon has an infinite distance.
     """
     feet = feet_m[..., COUNTERCLOCKWISE, :]
     up = np.asarray(lifted)[..., None] == np.array(COUNTERCLOCKWISE)
