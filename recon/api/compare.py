@@ -396,7 +396,7 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
         raise InputError(Problem(table, "file", " ".join(str(error).split())[:200], "a CSV table")) from None
     columns = ", ".join(map(str, rows.columns))
     raise_problems(
-        Problem(table, "column", f"no {c!r} ({columns})", "the columns 'clip' and that of --by, separated by commas")
+        Problem(table, "column", f"no {c!r} ({columns})", f"the columns 'clip' and {by!r}, separated by commas")
         for c in ("clip", by)
         if c not in rows
     )

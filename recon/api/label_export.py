@@ -196,7 +196,9 @@ def write_labels(labels: LabelledFrames, video: Path, number_of_first: int, outp
         missing = [frame for frame in labels.frames.tolist() if frame not in written]
         if missing:
             actual = f"no frame {', '.join(map(str, missing[:5]))}, of {probe(video).stated_frames or 'its'} frames"
-            raise InputError(Problem(video, "video", actual, "the video of the labels (--first-frame, if it was cut)"))
+            raise InputError(
+                Problem(video, "video", actual, "the video of the labels (--first-frame, if the video was cut)")
+            )
         write_label_files(labels, staged)
 
 

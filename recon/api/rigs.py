@@ -44,7 +44,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
             from recon.io.camera_track import track_label
 
             actual = f"{track_label(track)}, with the name of {' and of '.join(matches) or 'no camera'}"
-            yield Problem(track, "name", actual, f"the name of one of {', '.join(names)} in it")
+            yield Problem(track, "name", actual, f"a file name that contains one of {', '.join(names)}")
     moving = [matches[0] for matches in owners.values() if len(matches) == 1]
     for name in sorted({name for name in moving if moving.count(name) > 1}):
         yield Problem("--camera-track", name, f"{moving.count(name)} tracks of this camera", "one track")

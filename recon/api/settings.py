@@ -64,7 +64,7 @@ StrideTimes = Annotated[
     tuple[Number, Number], BeforeValidator(lambda value: value.split(":") if isinstance(value, str) else value)
 ]
 """(start, end) in seconds since frame 0, or text such as "0.31:0.62"."""
-FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
+FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if the video was cut.")
 ANYWAY = Option('Also use clips whose verdict is "do not use".')
 STRIDE = Option(
     "A stride, in seconds since frame 0, such as 0.31:0.62; its start moves to the nearest frame. "

@@ -87,7 +87,7 @@ class SubjectFitSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield problems if there is nothing to measure, or if poses are not given for every clip."""
         if not self.lengths and not self.offsets:
-            yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets as well, or no --no-lengths")
+            yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets as well, or no option --no-lengths")
         if self.poses and (self.lengths or not self.offsets):
             yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets as well")
         if self.poses and len(self.poses) != len(self.clips):

@@ -132,7 +132,7 @@ class IkSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield a problem for a missing task, and for each pair of settings that exclude each other."""
         if self.has_no_task and not (self.compare or self.costs):
-            yield Problem("options", "job", "none", "--target, --follow stride, --compare or --costs")
+            yield Problem("options", "task", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:
             yield Problem("settings", "method", repr(EXTENDED), self.infos()["method"].expected())
         if self.alpha == 0:

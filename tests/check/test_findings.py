@@ -151,7 +151,8 @@ SENTENCES = {
         {"prior": "cats", "misfit": 3.1, "share": 0.17},
     ),
     "motion_unlike_prior": (
-        "prior cats was learned from (misfit 2.5, where 1 is usual and 2 the limit). The prior has 16 % of its weight",
+        "prior cats was learned from (misfit 2.5, where 1 is usual and 2 the limit). "
+        "The prior has 16 % of its usual weight",
         {"prior": "cats", "misfit": 2.5, "limit": 2.0, "weight": 0.16},
     ),
     "ground_above_camera": ("0.52 ± 0.03 m above cam1", {"height_m": 0.52, "sigma_m": 0.03}),

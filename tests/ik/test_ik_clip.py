@@ -437,7 +437,7 @@ def test_a_clip_without_a_stride_is_reported(frame_results, tmp_path):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ((), ("options", "job", "none", "--target, --follow stride, --compare or --costs")),
+        ((), ("options", "task", "none", "--target, --follow stride, --compare or --costs")),
         (("--follow", "circle"), ("--follow", "follow", "'circle'", "stride")),
         (("--method", "magic", "--target", "stride-max"), ("--method", "method", "'magic'", "least-norm, transpose")),
         (("--target", "1,2"), ("--target", "target", "'1,2'", ["stride-max", "3 coordinates"])),
