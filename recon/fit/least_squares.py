@@ -448,14 +448,20 @@ def _add_detections(
     by_point = np.concatenate([points.by_point for points in every_camera], axis=2)  # (N, J, 2V, 3)
     B_T = by_point.swapaxes(2, 3)
     W = B_T @ by_point
-    pull = (B_T @ np.concatenate([points.residual for points in every_camera], axis=2)[..., None])[..., 0]
-    own_columns, across = _add_own_unknowns(corner, gradient, columns, every_camera)
+    residual = np.concatenate([points.residual for points in every_camera], axis=2)  # (N, J, 2V)
+    pull = (B_T @ residual[..., None])[..., 0]
+    own_columns, by_own = _own_unknowns(columns, every_camera)
     if len(own_columns):
-        border[..., own_columns] += by_state @ across.reshape(N, 3 * J, -1)
+        flat = by_own.reshape(-1, len(own_columns))
+        corner[np.ix_(own_columns, own_columns)] += flat.T @ flat
+        gradient[own_columns] += flat.T @ residual.ravel()
+        across = B_T @ by_own
+        _add_to_columns(border, own_columns, by_state @ across.reshape(N, 3 * J, -1))
         if L is not None:
             _add_pair(corner, columns[LENGTHS], own_columns, L.T @ across.reshape(3 * N * J, -1))
         if R is not None:
             _add_pair(corner, columns[COMMON_KEYPOINT_BIAS], own_columns, _by_joint(R, across))
+    _add_keypoint_bias_alone(corner, gradient, columns, every_camera, own_columns, by_own)
     biased = [p for p in every_camera if p.by_bias is not None and keypoint_bias(p.number) in columns]
     if biased:
         _add_keypoint_bias(border, corner, columns, biased, A, L, R)
@@ -478,35 +484,44 @@ def _add_detections(
             _add_pair(corner, bias, np.r_[columns[LENGTHS]], _by_joint(R, W_L.reshape(N, J, 3, -1)))
 
 
-def _add_own_unknowns(
-    corner: Array, gradient: Array, columns: Mapping[str, slice], every_camera: Sequence[PointRows]
-) -> tuple[Integers, Array]:
-    """Add the curvature K'K and the gradient K'r of the cameras' own unknowns in place.
+def _own_unknowns(columns: Mapping[str, slice], every_camera: Sequence[PointRows]) -> tuple[Integers, Array]:
+    """Return the columns (P,) of the cameras' own unknowns without keypoint bias, and the derivatives (N, J, 2V, P).
 
-    Return the columns (P,) of these unknowns except the keypoint bias, and B'K (N, J, 3, P).
+    The derivatives are those of the two coordinates of each detection in each of the V cameras.
     """
-    names = dict.fromkeys(name for points in every_camera for name in points.by_shared if name in columns)
+    names = {name for points in every_camera for name in points.by_shared if name in columns}
     own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))
     N, J = every_camera[0].residual.shape[:2]
-    across = np.zeros((N, J, 3, len(own_columns)))
-    for points in every_camera:
-        by_shared = {name: values for name, values in points.by_shared.items() if name in columns}
-        K, view_columns = np.zeros((N, 2 * J, 0)), np.zeros(0, dtype=int)
-        if by_shared:
-            K = np.concatenate([*by_shared.values()], axis=2)
-            view_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
-            flat = K.reshape(2 * N * J, -1)
-            corner[np.ix_(view_columns, view_columns)] += flat.T @ flat
-            gradient[view_columns] += flat.T @ points.residual.ravel()
-            B_T = points.by_point.swapaxes(2, 3)
-            across[..., np.searchsorted(own_columns, view_columns)] += B_T @ K.reshape(N, J, 2, -1)
+    by_own = np.zeros((N, J, 2 * len(every_camera), len(own_columns)))
+    for i, points in enumerate(every_camera):
+        for name, values in points.by_shared.items():
+            if name in columns:
+                first = int(np.searchsorted(own_columns, columns[name].start))
+                by_own[:, :, 2 * i : 2 * i + 2, first : first + values.shape[2]] = values.reshape(N, J, 2, -1)
+    return own_columns, by_own
+
+
+def _add_keypoint_bias_alone(
+    corner: Array,
+    gradient: Array,
+    columns: Mapping[str, slice],
+    every_camera: Sequence[PointRows],
+    own_columns: Integers,
+    by_own: Array,
+) -> None:
+    """Add the curvature of the cameras' keypoint bias, alone and with their other own unknowns, in place.
+
+    The last two arguments are the results of `_own_unknowns`.
+    """
+    for i, points in enumerate(every_camera):
         bias = columns.get(keypoint_bias(points.number))
-        if points.by_bias is not None and bias is not None:  # the bias has a diagonal K
-            by_bias = np.repeat(points.by_bias, 2, axis=1)
-            corner[bias, bias] += np.diag(np.sum(by_bias**2, axis=0))
-            gradient[bias] += np.sum(by_bias * points.residual.reshape(N, 2 * J), axis=0)
-            _add_pair(corner, bias, view_columns, np.sum(by_bias[..., None] * K, axis=0))
-    return own_columns, across
+        if points.by_bias is None or bias is None:
+            continue
+        by_bias = np.repeat(points.by_bias, 2, axis=1)  # the derivatives with respect to the bias are diagonal
+        corner[bias, bias] += np.diag(np.sum(by_bias**2, axis=0))
+        gradient[bias] += np.sum(by_bias * points.residual.reshape(by_bias.shape), axis=0)
+        of_camera = by_own[:, :, 2 * i : 2 * i + 2].reshape(*by_bias.shape, -1)
+        _add_pair(corner, bias, own_columns, np.einsum("nk,nkp->kp", by_bias, of_camera))
 
 
 def _add_keypoint_bias(
@@ -635,13 +650,16 @@ def _add_shared(
     K = np.concatenate([*by_shared.values()], axis=2)
     is_read = K.any(axis=(0, 1))  # a foot depends on few of the lengths, and on no bias but its own
     K, shared_columns = K[..., is_read], shared_columns[is_read]
-    breaks = [0, *(1 + np.flatnonzero(np.diff(shared_columns) != 1)), len(shared_columns)]
     for slot, offset in enumerate(stencil):
         frames = slice(first + offset, first + offset + len(K))
-        added = rows.jacobian[:, :, slot].swapaxes(1, 2) @ K
-        for begin, end in pairwise(breaks if len(shared_columns) else []):  # slices are many times faster than indices
-            neighbours = slice(int(shared_columns[begin]), int(shared_columns[end - 1]) + 1)
-            border[frames, :, neighbours] += added[..., begin:end]
+        _add_to_columns(border[frames], shared_columns, rows.jacobian[:, :, slot].swapaxes(1, 2) @ K)
     flat = K.reshape(-1, len(shared_columns))
     corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
     shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()
+
+
+def _add_to_columns(border: Array, columns: Integers, values: Array) -> None:
+    """Add values (n, D, C) to some columns (C,) of a border (n, D, P), in place."""
+    breaks = [0, *(1 + np.flatnonzero(np.diff(columns) != 1)), len(columns)]
+    for begin, end in pairwise(breaks if len(columns) else []):  # slices are many times faster than indices
+        border[..., int(columns[begin]) : int(columns[end - 1]) + 1] += values[..., begin:end]
