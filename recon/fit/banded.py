@@ -40,7 +40,7 @@ from scipy.linalg import cholesky_banded
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dtbtrs, dtrtri
 
-from recon.base.arrays import Array, Integers
+from recon.base.arrays import Array, Bools
 
 _REGULARISATION = 1e-9
 """Relative increase of the diagonal of H if H is not positive definite to rounding (`factored` with `bounded`)."""
@@ -72,8 +72,11 @@ class Normal:
 
     def without_shared(self) -> Normal:
         """Return the normal equations of the frames alone, with the shared unknowns fixed."""
-        nothing = np.zeros(0)
-        return Normal(self.blocks, self.gradient, self.border[..., :0], np.zeros((0, 0)), nothing)
+        return replace(self.without_border(), corner=np.zeros((0, 0)), shared_gradient=np.zeros(0))
+
+    def without_border(self) -> Normal:
+        """Return the normal equations without the border, most of their memory."""
+        return replace(self, border=np.zeros((*self.gradient.shape, 0)))
 
 
 _NO_PIECE = Normal(*5 * (np.zeros(0),))
@@ -85,6 +88,7 @@ class Window:
 
     rows: slice
     piece: Normal
+    """Normal equations of the n frames, without the border."""
     factor: _Factor
     """Columns of L for the n frames, including the rows of the W frames that follow."""
     whitened: Array
@@ -208,6 +212,7 @@ def eliminated(
         next_piece, n = next(remaining, None), len(piece.gradient)
         W = 0 if next_piece is None else piece.blocks.shape[1] - 1
         right_side = np.concatenate([piece.gradient[..., None], piece.border], axis=2)
+        piece = piece.without_border()
         blocks = [piece.blocks] if next_piece is None else [piece.blocks, next_piece.blocks[:W]]
         if carry is not None:
             on_blocks, on_right = carry
@@ -288,49 +293,50 @@ class _Factor:
     def _solved(self, right: Array, transposed: Literal["N", "T"], overwrite: bool) -> Array:
         flat = np.reshape(right, (self.band.shape[1], -1))
         if flat.shape[1] >= _MIN_BLOCK_COLUMNS:
-            solution = flat if overwrite else np.array(flat, dtype=float, order="C")
+            solution = np.ascontiguousarray(flat) if overwrite else np.array(flat, dtype=float, order="C")
             self._solve_in_blocks(solution, transposed)
             return solution.reshape(right.shape)
         return dtbtrs(self.band, flat, uplo="L", trans=transposed)[0].reshape(right.shape)
 
     def _solve_in_blocks(self, solution: Array, transposed: Literal["N", "T"]) -> None:
-        """Solve for right-hand sides (TD, K) in place, in block rows that are as wide as the band.
-
-        Entry (i, j) of L is `band[i - j, j]`, so a triangle of L is a view of the band with a shorter column stride.
-        """
+        """Solve for right-hand sides (TD, K) in place, in block rows that are as wide as the band."""
         size, count = self.band.shape
         starts = [*range(0, count, size)]
-        row_stride, column_stride = self.band.strides
-        strides = row_stride, column_stride - row_stride
         for first in starts if transposed == "N" else reversed(starts):
             stop = min(first + size, count)
-            triangle = np.lib.stride_tricks.as_strided(self.band[:, first:], (stop - first, stop - first), strides)
+            factor = np.asfortranarray(self._entries(first, first, stop - first))
             block, rest = solution[first:stop], solution[stop : stop + self.width]
-            factor = np.asfortranarray(triangle)
             if transposed == "N":
-                block[:] = dtrsm(1.0, factor, block.T, side=1, lower=1, trans_a=1).T
+                dtrsm(1.0, factor, block.T, side=1, lower=1, trans_a=1, overwrite_b=1)
                 if len(rest):
                     rest -= self.below(stop - self.width)[: len(rest)] @ block[-self.width :]
             else:
                 if len(rest):
                     block[-self.width :] -= self.below(stop - self.width)[: len(rest)].T @ rest
-                block[:] = dtrsm(1.0, factor, block.T, side=1, lower=1).T
+                dtrsm(1.0, factor, block.T, side=1, lower=1, overwrite_b=1)
+
+    def _entries(self, row: int, column: int, count: int) -> Array:
+        """Return a view of the rows and columns of L that begin at a row and a column, (count, count).
+
+        Entry (i, j) of L is `band[i - j, j]`, so these entries are a view of the band with a shorter column stride.
+        Entries outside the band have arbitrary values.
+        """
+        row_stride, column_stride = self.band.strides
+        strides = row_stride, column_stride - row_stride
+        return np.lib.stride_tricks.as_strided(self.band[row - column :, column:], (count, count), strides)
 
     def below(self, column: int) -> Array:
         """Return the block (width, width) of L below the diagonal block whose first column is given."""
-        down = self._rows_below
-        is_in_band = down < len(self.band)
-        columns = column + np.arange(self.width)
-        return np.where(is_in_band, self.band[np.minimum(down, len(self.band) - 1), columns], 0.0)
+        return np.where(self._is_below_in_band, self._entries(column + self.width, column, self.width), 0.0)
 
     def below_end(self) -> Array:
         """Return the block of L between the last W frames and the W frames after them, (width, width)."""
         return self.below(self.band.shape[1] - self.width)
 
     @cached_property
-    def _rows_below(self) -> Integers:
-        """Return the distance, in rows, of each entry of `below` from the diagonal, (width, width)."""
-        return self.width + np.subtract.outer(np.arange(self.width), np.arange(self.width))
+    def _is_below_in_band(self) -> Bools:
+        """Return a mask of the entries of `below` that lie in the band, (width, width)."""
+        return np.subtract.outer(np.arange(self.width), np.arange(self.width)) < len(self.band) - self.width
 
     def marginal_blocks(self, later: Array | None = None) -> Array:
         """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).

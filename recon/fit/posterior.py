@@ -49,8 +49,9 @@ times a variable that has Fisher's F distribution with k and nu degrees of freed
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import tee
 from typing import NamedTuple
 
 import numpy as np
@@ -146,8 +147,6 @@ class Curvature:
     The size, if it is free, is the first of the 1 + P shared unknowns.
     """
 
-    normals: Callable[[], Iterable[Normal]]
-    """Function that returns the normal equations, in pieces."""
     eliminated: Callable[[], Iterable[Window]]
     """Function that returns the windows of the normal equations (`recon.fit.banded.Window`)."""
     shared_precision: Array
@@ -187,7 +186,6 @@ class Curvature:
 class _SharedCurvature(NamedTuple):
     """Curvature of the P shared unknowns, including the nuisance unknowns, with the states eliminated."""
 
-    normals: Callable[[], Iterable[Normal]]
     windows: Callable[[], Iterable[Window]]
     precision: Array
     """Precision of the unknowns, shape (P, P), for the estimated variance of the common keypoint bias."""
@@ -221,7 +219,6 @@ def curvature(
         size_precision = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     columns = problem.columns.get(LENGTHS)
     return Curvature(
-        normals=shared_curvature.normals,
         eliminated=shared_curvature.windows,
         shared_precision=S,
         shared_gradient=shared_curvature.gradient,
@@ -253,7 +250,7 @@ def _shared_curvature(
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, expected_precision, excess_bias_m2 = _with_likely_bias(problem, estimate, reduced, variance_factor)
-    return _SharedCurvature(normals, windows, S, reduced[:, -1], expected_precision, excess_bias_m2)
+    return _SharedCurvature(windows, S, reduced[:, -1], expected_precision, excess_bias_m2)
 
 
 def _with_likely_bias(
@@ -429,23 +426,28 @@ def posterior(
     at_minimum = curvature(problem, estimate, variance_factor, normal)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, by_size_alone, angle_variance = np.empty((T, D)), np.empty((T, D)), np.empty((2, T, D - YAW))
-    for window, by_others, window_by_size in at_minimum.windows():  # one after the other, because a window is large
-        rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
-        if at_minimum.lengths is None:
-            _add_shared(state_covariance, by_others, at_minimum.covariance_root)
-            joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
-        else:
-            joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
-            _add_shape(joints, state_covariance, at_minimum, body, states[rows], by_others, size)
-        absolute[rows], relative[rows], by_size[rows] = joints
-        angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
-        state_by_size[rows] = window_by_size
-        by_size_alone[rows] = window_by_size + by_others @ at_minimum.others_by_size
+
+    def filled() -> Iterator[Normal]:
+        """Fill the arrays window by window, and yield each window's normal equations without shared unknowns."""
+        for window, by_others, window_by_size in at_minimum.windows():  # one after the other, because a window is large
+            rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
+            if at_minimum.lengths is None:
+                _add_shared(state_covariance, by_others, at_minimum.covariance_root)
+                joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
+            else:
+                joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
+                _add_shape(joints, state_covariance, at_minimum, body, states[rows], by_others, size)
+            absolute[rows], relative[rows], by_size[rows] = joints
+            angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
+            state_by_size[rows] = window_by_size
+            by_size_alone[rows] = window_by_size + by_others @ at_minimum.others_by_size
+            yield window.piece.without_shared()
+
+    data_share, angle_variance[1] = _without_pixels(problem, body, estimate, filled())
     for covariance in (absolute, relative):  # in place, because the covariances of a long clip are large
         covariance += np.multiply.outer(at_minimum.excess_bias_m2, np.eye(3))
         covariance *= variance_factor
         covariance += body.marker_sigma_m**2 * np.eye(3)
-    data_share, angle_variance[1] = _without_pixels(problem, body, estimate, at_minimum.normals)
     return Posterior(
         covariance_m2=absolute,
         relative_covariance_m2=relative,
@@ -490,8 +492,11 @@ def _add_shape(
         pose, by_length = body.tree.pose_with_jacobian(states[rows]), shape.jacobian(body, states[rows])
         n, J, _, D = pose.jacobian.shape
         root_of_states = -_times_root(by_others[rows], at_minimum.covariance_root)
-        roots = np.concatenate([root_of_states, np.repeat(root_of_lengths[None], n, axis=0)], axis=1)
-        V = roots @ roots.swapaxes(1, 2)
+        V = np.empty((n, D + len(root_of_lengths), D + len(root_of_lengths)))
+        V[:, :D, :D] = root_of_states @ root_of_states.swapaxes(1, 2)
+        V[:, :D, D:] = root_of_states @ root_of_lengths.T
+        V[:, D:, :D] = V[:, :D, D:].swapaxes(1, 2)
+        V[:, D:, D:] = root_of_lengths @ root_of_lengths.T
         state_covariance[rows] += V[:, :D, :D]
         X = np.concatenate([pose.jacobian, by_length], axis=3)
         for covariance, by_both in ((absolute, X), (relative, X - X.mean(axis=1, keepdims=True))):
@@ -501,29 +506,32 @@ def _add_shape(
 
 
 def _without_pixels(
-    problem: LeastSquares, body: Body, estimate: Estimate, normals: Callable[[], Iterable[Normal]]
+    problem: LeastSquares, body: Body, estimate: Estimate, with_pixels: Iterable[Normal]
 ) -> tuple[Array, Array]:
     """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
 
-    `normals` gives the normal equations with the pixels, which are used again if the clip is short. Priors do not
+    `with_pixels` are the pieces of the normal equations with the pixels, without shared unknowns. Priors do not
     determine a frame's position and heading. Position and heading are therefore fixed for the information fraction,
     which compares joints within the body, and nearly free for the angles.
     """
     states, (T, D) = estimate.states, estimate.states.shape
-    frames = replace(problem, shared=(), nuisance=())
-    prior_frames = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
-    without_pixels = prior_frames.normals(states)
-    with_pixels = normals if 2 * problem.piece >= T else frames.normals(states, estimate.shared)
+    terms = [term for term in problem.terms if term.name != "reprojection"]
+    prior = replace(problem, terms=terms, shared=(), nuisance=())
+    without_pixels, same_pieces = tee(prior.normals(states)())
     is_position = np.isin(np.arange(D), [*range(D)[ROOT], YAW])
     fixed, nearly_free = (np.where(is_position, precision, 0.0) for precision in (_FIXED, _NEARLY_FREE))
+    ahead = problem.piece // 2  # frames at fixed positions hardly inform each other
+    windows = zip(
+        eliminated(with_pixels, fixed, bounded=True, ahead=ahead),
+        eliminated(without_pixels, fixed, bounded=True, ahead=ahead),
+        eliminated(same_pieces, nearly_free, bounded=True),
+        strict=True,
+    )
     variances, angle_variance = np.empty((2, T, len(body.markers))), np.empty((T, D - YAW))
-    ahead_of_fixed = problem.piece // 2  # frames at fixed positions hardly inform each other
-    for variance, normals_of_frames in zip(variances, (with_pixels, without_pixels), strict=True):
-        pieces = (piece.without_shared() for piece in normals_of_frames())
-        for window in eliminated(pieces, fixed, bounded=True, ahead=ahead_of_fixed):
-            variance[window.rows] = _relative_variances(body, states[window.rows], window.marginal_blocks()[:, 0])
-    for window in eliminated(without_pixels(), nearly_free, bounded=True):
-        angle_variance[window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
+    for *of_fixed, free in windows:
+        rows, covariances = free.rows, [window.marginal_blocks()[:, 0] for window in of_fixed]
+        variances[:, rows] = _relative_variances(body, states[rows], covariances)
+        angle_variance[rows] = np.diagonal(free.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
     return _data_share(*variances), angle_variance
 
 
@@ -599,14 +607,18 @@ def _joint_covariances(
     return absolute, relative, by_size
 
 
-def _relative_variances(body: Body, states: Array, state_covariance: Array) -> Array:
-    """Return the traces (T, J), m^2, of the joints' covariances relative to the mean of the joints."""
-    variances = np.empty((len(states), len(body.markers)))
+def _relative_variances(body: Body, states: Array, state_covariances: Sequence[Array]) -> Array:
+    """Return the traces (C, T, J), m^2, of the joints' covariances relative to the mean of the joints.
+
+    `state_covariances` are C covariances (T, D, D) of the states.
+    """
+    variances = np.empty((len(state_covariances), len(states), len(body.markers)))
     for first in range(0, len(states), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         by_states = body.tree.pose_with_jacobian(states[rows]).jacobian
         by_states = by_states - by_states.mean(axis=1, keepdims=True)
-        variances[rows] = np.einsum("tjad,tjad->tj", _times(by_states, state_covariance[rows]), by_states)
+        for variance, covariance in zip(variances, state_covariances, strict=True):
+            variance[rows] = np.einsum("tjad,tjad->tj", _times(by_states, covariance[rows]), by_states)
     return variances
 
 
