@@ -55,7 +55,7 @@ MAX_NOISE_FACTOR_OF_TWO = 1.1
 The factor is smaller than `MAX_NOISE_FACTOR`, because no third camera shows that the errors are noise.
 """
 MAX_REMAINING_FRACTION = 0.25
-"""Fraction of a camera's error ratio that may remain, at most, after correcting a cause that explains the error."""
+"""Largest fraction of a camera's error ratio that may remain after correcting a cause that explains the error."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
 """Minimum rotation for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0

@@ -314,8 +314,8 @@ ISOLATED_STEP_FRACTION = 0.4
 
 The fraction is 0.33 to 1.0 (median 0.83) in 26 real views without a quarter of their frames. At half the value, all of
 them would be reported, and at twice the value only those above 0.8. The fraction is 0.67 in 2 of 28 views of lower legs
-alone, seen by a camera that follows them: this limit does not exclude them (`python benchmarks/wrong_inputs.py --only
-input-limits`).
+alone, seen by a camera that follows them, so this limit does not exclude them (`python benchmarks/wrong_inputs.py
+--only input-limits`).
 """
 MEDIAN_STEPS = 7
 """Number of successive steps of a keypoint over which the median gives the usual step."""
@@ -626,7 +626,7 @@ def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
 def _along(motion: Motion) -> tuple[Array, Array]:
     """Return the velocities of the body (T,) and of the feet (T, F) over the ground, along the trunk, m/s.
 
-    They are NaN in frames without a pose.
+    The velocities are NaN in frames without a pose.
     """
     rear, front = motion.forward
     joints_m = motion.solution.joints_m
@@ -646,7 +646,7 @@ MAX_OUTLIER_FRACTION = 0.5
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
-    """Return the log-likelihood gain, in each frame, of keypoints anywhere in the picture over the fitted pose, (T,).
+    """Return each frame's log-likelihood gain of keypoints anywhere in the picture over the fitted pose, shape (T,).
 
     `markers_m` are the fitted markers, shape (T, J, 3), and `noise_px` the standard deviations of the detections, shape
     (T, J). The gain is NaN in frames without keypoints or without a pose.

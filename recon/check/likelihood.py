@@ -204,7 +204,7 @@ class Baseline:
         return self._settled[key]
 
     def points_elsewhere_m(self, rows: slice) -> Array | None:
-        """Return the markers in the world, triangulated from the other views, metres, shape (T, J, 3).
+        """Return the markers triangulated from the other views, in the world frame, metres, shape (T, J, 3).
 
         Return None if there are fewer than two other views. Only the parts of about `TRIANGULATED_S` that contain some
         of the given frames are triangulated, because triangulating a whole long clip would take longer than the search
@@ -528,7 +528,7 @@ def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution
 
 
 def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
-    """Yield a finding if the keypoints were already undistorted, or if the picture zooms; at most one of them.
+    """Yield at most one finding, on keypoints that were already undistorted or on a picture that zooms.
 
     The second with the most detections is tested. `noise_px` is the fit's standard deviation of each detection, pixels,
     shape (T, J).

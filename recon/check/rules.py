@@ -1,8 +1,8 @@
 """Check the result of a fit by rules that do not need another fit.
 
 A rule is a function that takes a motion and yields findings. `RULES` apply to both methods, `TRAJECTORY_RULES` only to
-the trajectory method. They need a pose in some frame; `no_pose` applies to motions without any pose. Checks that fit
-the clip again are in `recon.check.inputs`, and checks that compare cameras in `recon.check.agreement`.
+the trajectory method. Only `no_pose` applies to motions without any pose. Checks that fit the clip again are in
+`recon.check.inputs`, and checks that compare cameras in `recon.check.agreement`.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ SIZE_SIGMAS = 2.5
 SIZE_SIGMAS_MOST = 4.0
 """Largest possible deviation of a grown animal's size from the expected size, in standard deviations."""
 LOG_SIZE_MOST = math.log(2.0)
-"""Largest possible deviation of the logarithm of a grown animal's size, whatever the standard deviation is."""
+"""Largest possible deviation of the logarithm of a grown animal's size, for any standard deviation."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Largest factor between the camera's apparent scale and a unit's number per metre at which the unit is suggested.
@@ -179,7 +179,7 @@ def missing_as_constant(motion: Motion) -> Iterator[Finding]:
 
 
 def likelihoods_low(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on each camera if more than a third of its points have low likelihoods."""
+    """Yield a finding on each camera more than a third of whose points have low likelihoods."""
     for source in motion.sources:
         unlikely, total = _unlikely(source), source.cleaning.total("used") + source.cleaning.total("rejected")
         if unlikely > MANY_FRAMES * total:

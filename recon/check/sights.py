@@ -25,7 +25,7 @@ MIN_POINTS = 30
 WIDE_OFFSET_S = 0.5
 """Largest time offset that is tried for a camera that does not agree, seconds."""
 NARROW_OFFSET = 3
-"""Largest time offset that is tried for a camera that agrees, frames, unless the best offset is this one."""
+"""Largest time offset in frames that is tried for a camera that agrees, unless the best offset is at this limit."""
 _ROBUST = 3.0
 """Residual, in standard deviations, that has a robust weight of 0.5."""
 _POINT_ROUNDS = 3
@@ -103,7 +103,7 @@ def triangulated_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: flo
 
 
 def _with_keypoint_noise(sight: Sight, position_m: Array, keypoint_sigma_m: float) -> Sight:
-    """Return the directions with the noise of the keypoints' positions on the body added, at their median distance."""
+    """Return the directions with the keypoints' noise on the body added, as an angle at their median distance."""
     distance = np.linalg.norm(position_m - sight.centre_m[:, None], axis=-1)
     if np.isnan(distance).all():
         return sight
@@ -210,7 +210,7 @@ def error_ratios(sights: Sequence[Sight], agreeing: Sequence[int], points_of: Po
 
 
 def best_turned(sight: Sight, points: Points) -> tuple[Sight, float]:
-    """Return the directions after the rotation of the camera that fits the points best, and its angle, rad."""
+    """Return the directions after the camera's rotation that fits the points best, and the rotation's angle, rad."""
     towards, _ = squared_errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     is_known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])

@@ -61,9 +61,9 @@ SIDE_STEP = 0.02
 LEAST_PAIRS = 2
 """Minimum number of pairs of points that must show a swap at the same time."""
 PX_OF_EXTENT = 1000.0
-"""Size, pixels, to which an animal in 3D is scaled so that limits in pixels can be applied."""
+"""Size in pixels to which an animal in 3D is scaled, so that limits in pixels can be applied."""
 STEP_PX = 2.0
-"""Minimum length of a step between frames, pixels, whose change of speed is measured."""
+"""Minimum length of a step between frames whose change of speed is measured, pixels."""
 MIN_STEP_COSINE = 0.5
 """Minimum cosine of the angle between two successive steps that count as in the same direction."""
 LEAST_CHANGES = 8

@@ -5,7 +5,7 @@ splines through them are mostly noise. The paths and angles of such a fit are th
 jitter, and all further results are computed from the smoothed paths and angles.
 
 The errors of a fit with uncertainty have three components with different correlation times. The error of the animal's
-size is constant: it changes the distance from a single camera by the same factor in every frame. The errors of the
+size is constant, and changes the distance from a single camera by the same factor in every frame. The errors of the
 whole animal's position and of its pose change as fast as the errors of the detections and the animal's motion. Their
 correlation time is the geometric mean of these two times (`error_time_s`), multiplied by a factor. The factor was
 chosen so that the stated standard deviations of velocities agree on average with the errors in real runs (`python
@@ -48,8 +48,7 @@ if TYPE_CHECKING:
 POSITION_ERROR_TIME = 2.0
 """Correlation time of the errors of the animal's position, in units of `error_time_s`.
 
-The value was measured on running cheetahs (`python benchmarks/gait.py --only rates`), and is accurate to 5 % for the
-walk of a dog, which is three times slower.
+The value was measured on running cheetahs (`python benchmarks/gait.py --only rates`).
 """
 POSE_ERROR_TIME = 0.6
 """Correlation time of the errors of the joints relative to their mean, in units of `error_time_s`.
@@ -57,14 +56,14 @@ POSE_ERROR_TIME = 0.6
 The value was measured on running cheetahs, as was `POSITION_ERROR_TIME`.
 """
 RUNNING_S = 0.1
-"""Value of `error_time_s` for a running animal, s, with which the stances of every animal are found.
+"""Value of `error_time_s` for a running animal, s.
 
-With the `error_time_s` of a walking dog, the dog's stances would be too short.
+The stances of all animals are found with this value, because the value for a walk would make stances too short.
 """
 SPEED_KNOWN = 0.2
 """Largest standard deviation of a peak speed, relative to that speed, at which speeds are reported."""
 UNSEEN_S = 0.2
-"""Longest time without a detection of a foot, s, for which the foot's position is used to find stances.
+"""Longest time in seconds without a detection of a foot for which the foot's position is used to find stances.
 
 In longer times without a detection, the position comes from the prior only.
 """
@@ -110,7 +109,7 @@ class ClipAnalysis(Brief):
     def tracked(self) -> Pose3D:
         """Return the upright pose, moved onto the path of the reference joint if the solution has such a path.
 
-        A method that solves every frame on its own gives poses that jitter along the line of sight. The path does not.
+        Poses that were solved frame by frame jitter along the line of sight, but the path does not.
         """
         pose, path = self.motion.upright, self.motion.solution.reference_path
         if path is None:
@@ -548,7 +547,7 @@ def error_time_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation times of the detections' errors and of the pose, s.
 
     The correlation time of the pose is computed from the joints (T, J, 3) relative to their mean, as the root mean
-    square distance from their average position divided by the root mean square speed. It is limited to at most the
+    square distance from their average position divided by the root mean square speed. This time is at most the
     correlation time of the detections' errors.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)

@@ -50,7 +50,7 @@ G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
 """Names of the components of the kinetic energy of the centre of mass."""
 FORCE_SKEW = 0.8
-"""Exponent of time in the force over a stance, chosen so that the force rises faster than it falls."""
+"""Exponent of time in the force over a stance, below 1 because the force rises faster than it falls."""
 GALLOP_FORE = (0.44, 0.11)
 """Fraction of a gallop's impulse on the fore feet, and its standard deviation.
 
@@ -88,7 +88,7 @@ NET_FRAMES = 500
 frames.
 """
 MASS_LASTS_S = 10.0
-"""Correlation time of the errors of masses, s, longer than a clip because masses are constant."""
+"""Correlation time of the errors of masses, s. The time is longer than a clip, because masses are constant."""
 
 
 class StanceForce(NamedTuple):
@@ -381,7 +381,7 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
     """Return the forces of complete stances, and a dictionary of each foot's force over time, shape (N, 3).
 
     The columns are the expected force and the ends of its 90 % interval, body weights. The force is NaN in stances that
-    the clip cuts, and in those that are too short to be stances.
+    the clip cuts, and in stances that are too short to be real.
     """
     starts, ends, impulses = _drawn(gait)
     time_s, rows = gait.tracks.time_s, []

@@ -1,7 +1,7 @@
 """Find the boundaries of strides from the end effector, the foot of a chain, as published (see References).
 
 The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
-strides, the foot is rearmost and begins to swing: its horizontal position has a local minimum near an extremum of its
+strides, the foot is rearmost and begins to swing. Its horizontal position has a local minimum near an extremum of its
 height. A minimum counts if it is in the rear `REAR_FRACTION` of the range of the horizontal position, and if the foot
 has been ahead of `SWING_FRACTION` of this range since the last boundary. If the foot has not been as far ahead between
 two minima, the rearmost of the two is the boundary. A stride lasts from one boundary to the next.

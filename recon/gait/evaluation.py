@@ -93,7 +93,8 @@ class Evaluation(Brief):
     inside: dict[str, tuple[float, ...]]
     """Fraction of the true coordinates within the stated intervals of each probability in `LEVELS`.
 
-    The keys are "place" for positions, and "pose" for positions after centring. Empty if no intervals are stated.
+    The keys are "place" for positions, and "pose" for positions after centring. The dictionary is empty if no intervals
+    are stated.
     """
     frames_not_scored: int
     frames_without_pa: int
@@ -239,7 +240,7 @@ def _renamed(pose: Pose3D, rename: str) -> Pose3D:
 
 
 def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if the two files have more joints in common after one of the package's name maps."""
+    """Yield a note if the two files have more joints in common after applying one of the built-in name maps."""
     for name in fitting_maps(pose.names, truth.names)[:1]:
         count = len({*_renamed(pose, name).names} & {*truth.names})
         yield f"--rename {name} would give {count} joints in common instead of {len(result.names)}."
@@ -429,14 +430,14 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 
 
 MAX_REMAINING_FRACTION = 1 / 3
-"""Fraction of the error that may remain, at most, if a transform is to be reported as the cause of the error."""
+"""Largest fraction of the error that may remain if a transform is reported as the cause of the error."""
 SMALL_ERROR = 0.05
 """Error relative to the animal's size below which no explanation is reported.
 
 The animal's size is the root mean square distance of the joints from their mean.
 """
 MAX_SIZE_RATIO = 2.0
-"""Largest ratio of the animal's sizes in the two files for which different units are not reported as the cause.
+"""Ratio of the animal's sizes in the two files above which different units are reported as the cause.
 
 A single camera hardly determines the size, so smaller ratios can have other causes.
 """
@@ -452,7 +453,7 @@ OTHER_ORIGIN_DISTANCE = 4.0
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return a finding if the axes, units, names or clips of a motion and its truth probably differ.
 
-    Both are positions (T, J, 3), metres, NaN where missing.
+    `pose_m` and `truth_m` are positions (T, J, 3), metres, NaN where missing.
     """
     rows = np.isfinite(pose_m + truth_m).all(axis=2).sum(axis=1) >= 3
     pose_m, truth_m = pose_m[rows], truth_m[rows]

@@ -38,12 +38,13 @@ ten frames.
 """
 
 MAX_TOGETHER_PHASE = 0.05
-"""Largest phase difference between the left and the right foot that land together, as in a bound, strides."""
+"""Largest phase difference, in strides, between a left and a right foot that land together, as in a bound."""
 MIN_ALTERNATE_PHASE = 0.4
-"""Smallest phase difference between the left and the right foot in a symmetrical gait, strides (0.5 is exact)."""
+"""Smallest phase difference, in strides, between a left and a right foot in a symmetrical gait (0.5 is exact)."""
 IN_PHASE = 0.125
-"""Largest phase difference between two feet that move together, the diagonal feet in a trot or the feet of one side in
-a pace, strides. The value is an eighth of a stride as in Hildebrand (1965).
+"""Largest phase difference, in strides, between two feet that move together.
+
+These are the diagonal feet in a trot, and the feet of one side in a pace. The value is from Hildebrand (1965).
 """
 MIN_RESULTANT = 0.5
 """Minimum mean resultant length (1 if equal in all strides, 0 if random) for a phase between two feet to be used."""
@@ -280,7 +281,7 @@ def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
 
 
 def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Split strides, which are sorted by start time, into those with a plausible duration and rejected ones.
+    """Split strides, sorted by start time, into strides with a plausible duration and rejected strides.
 
     The only stride of a clip is compared with the period of the motion, `period_s`, unless the period is NaN.
     """
@@ -410,11 +411,11 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
 def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     """Return the name of a gait and the criterion that decided it.
 
-    In symmetrical gaits both pairs are at least 0.4 apart. The gait is a walk if the duty factor is over 0.5; otherwise
-    a trot or a pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot. In asymmetrical
-    gaits both pairs are less than 0.4 apart. The gait is a bound if both pairs land within 0.05, and a half-bound if
-    only the hind pair does. Otherwise it is a gallop, unless the duty factor is over 0.5: transverse if the same side
-    leads (lands second) in both pairs, else rotary.
+    In symmetrical gaits both pairs are at least 0.4 apart. The gait is a walk if the duty factor is over 0.5. Otherwise
+    it is a trot or a pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot. In
+    asymmetrical gaits both pairs are less than 0.4 apart. The gait is a bound if both pairs land within 0.05, and a
+    half-bound if only the hind pair does. Otherwise it is a gallop, unless the duty factor is over 0.5. A gallop is
+    transverse if the same side leads (lands second) in both pairs, otherwise rotary.
 
     Parameters
     ----------

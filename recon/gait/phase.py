@@ -289,7 +289,7 @@ def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
     if not sums[1] > 0:  # `not >` also catches NaN
         return np.nan, np.nan
     correlation_s = sums[0] / sums[1]
-    # The angular frequencies are those of smooth noise with a correlation time of 1.
+    # The angular frequencies give smooth noise with a correlation time of 1.
     turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])
     phase = np.outer(turn_rates, portrait.time_s / correlation_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, RANDOM_PATHS, _WAVES))

@@ -69,7 +69,7 @@ class AnalysedClip:
     reference_motion: JointKinematics
     """Motion of the reference joint, with standard deviations from all errors."""
     unsized_motion: JointKinematics
-    """Motion of the reference joint, with standard deviations from all errors except that of the animal's size."""
+    """Motion of the reference joint, with standard deviations from all errors except the error of the animal's size."""
     why_no_speed: str | None
 
 
@@ -84,7 +84,7 @@ class GaitQuantity:
     sigma: float
     """Standard deviation of the value from all errors; NaN if unknown."""
     own_sigma: float
-    """Standard deviation from errors that differ between clips, without those of the size and the focal length."""
+    """Standard deviation from errors that differ between clips, without errors of the size and the focal length."""
     between_sigma: float
     """Standard deviation of the quantity between strides; NaN for fewer than two strides."""
     count: int
@@ -130,8 +130,9 @@ def shared_sigma(motion: Motion) -> float:
 def shared_sigma_columns(motion: Motion) -> dict[str, float]:
     """Return a dictionary of the relative standard deviations that `recon compare` needs to combine cameras.
 
-    `size_sigma` is the standard deviation that lengths share (`shared_sigma`), `size_prior_sigma` that of the animal's
-    size before the fit, and `focal_sigma` that of the speed due to the focal length alone.
+    `size_sigma` is the standard deviation that lengths share (`shared_sigma`). `size_prior_sigma` is the standard
+    deviation of the animal's size before the fit. `focal_sigma` is the standard deviation of the speed due to the focal
+    length alone.
     """
     size_sigma, prior_sigma = _size_sigma(motion), getattr(motion.solution, "size_prior_sigma", None) or 0.0
     return {

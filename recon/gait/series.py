@@ -348,7 +348,7 @@ def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
 def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
     """Return the acceleration of a parabola in time that fits values (T,) best, and its standard deviation.
 
-    Both are in the unit of the values per second^2. The standard deviation is NaN without errors.
+    Both values are in the unit of the series per second^2. The standard deviation is NaN without errors.
     """
     t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]

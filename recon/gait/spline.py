@@ -1,7 +1,7 @@
 """Compute the cubic spline through values.
 
-The result is identical, to the last bit, to that of scipy's `CubicSpline`. The import of `CubicSpline` would take a
-tenth of the time of a short fit, because it also imports all optimisers of scipy.
+The result is identical, to the last bit, to the result of scipy's `CubicSpline`. The import of `CubicSpline` would slow
+down short fits, because it also imports all optimisers of scipy.
 """
 
 from __future__ import annotations

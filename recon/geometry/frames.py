@@ -83,7 +83,7 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
 def quaternions(rotations: Array) -> Array:
     """Return the unit quaternions (N, 4), in the order x, y, z, w, of rotations (N, 3, 3).
 
-    The largest component of each quaternion is positive. scipy's `Rotation` gives the same values, but takes 60 ms to
+    The largest component of each quaternion is positive. scipy's `Rotation` gives the same values, but takes longer to
     import.
     """
     R, trace, i, j, k = rotations, np.trace(rotations, axis1=1, axis2=2), [0, 1, 2], [1, 2, 0], [2, 0, 1]
