@@ -29,7 +29,7 @@ from recon.geometry.kinematics import AXES, Marker, Moved, Segment, Tree, deriva
 
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
-"""Lower and upper limits of a chain's joints, rad or m; each is one number, or one number for each joint."""
+"""Lower and upper limits of a chain's joints, rad or m, each as one number or as one number for each joint."""
 FREE: Limits = (-np.inf, np.inf)
 MAX_RATE_RAD_S = 50.0
 """Default maximum rate of a chain's joints, rad/s."""
@@ -166,7 +166,7 @@ class SerialChain:
     def joint_lengths_m(self) -> Array:
         """Return the length (n,) of the link that each joint turns, metres.
 
-        The link ends at the next position along the chain that differs from the joint's; the length is 0 if no position
+        The link ends at the next position along the chain that differs from the joint's. Its length is 0 if no position
         differs.
         """
         lengths = self.lengths_m.copy()

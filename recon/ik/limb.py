@@ -85,7 +85,7 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
     """Return the chain to a foot, given by its label (LF) or joint; by default the first fore foot.
 
     The chain of the 8U skeleton has the spine and the front leg. The chain of a whole animal has all joints from the
-    root to the foot in space; in the plane it has the joints' projections onto the vertical plane of the direction of
+    root to the foot in space. In the plane, it has the joints' projections onto the vertical plane of the direction of
     travel.
 
     Raises

@@ -1,6 +1,6 @@
 """Compute joint rates dq (n,) in rad/s for an end-effector velocity dx (dim,) in m/s, by several methods.
 
-Each method is a class with `rates(chain, q, dx, free)`. `free` (n,) selects the joints that may move; the other joints
+Each method is a class with `rates(chain, q, dx, free)`. `free` (n,) selects the joints that may move. The other joints
 are taken out of the chain. The rates are finite and within the limits of the chain. If they exceed a limit, the motion
 along the null space is scaled down first, and then all rates together. J is the Jacobian, J' its transpose. Near a
 singular configuration (small det J J') the inverse of J J' is damped, and the note of the step says so.
@@ -209,8 +209,8 @@ class ExtendedJacobian(Method):
     """A method that keeps G = N' grad g = 0 by solving [J; dG/dq] dq = [dx; -gain G].
 
     N is an orthonormal basis of the null space of J. If `full` is true, dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with
-    J' mu = grad g and the forward kinematics f; otherwise N is treated as constant, and dG/dq = N' Hess g. A
-    `gain_per_s` of 0 keeps G as it is; 1 / interval removes the G left by an integration step.
+    J' mu = grad g and the forward kinematics f. Otherwise N is treated as constant, and dG/dq = N' Hess g. A
+    `gain_per_s` of 0 keeps G as it is, and 1 / interval removes the G left by an integration step.
 
     The rates do not depend on the choice of N, because another basis multiplies the lower rows and G by an orthogonal
     matrix. A continuous basis therefore need not be tracked. With the bracket above called M, and
@@ -324,7 +324,7 @@ def _clamped(values: Array, limit: Array) -> Array:
 
 
 def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:
-    """Return the rates of all joints within their limits; joints that are not free have the rate 0.
+    """Return the rates of all joints within their limits, with rate 0 for joints that are not free.
 
     The motion along the null space is reduced as far as the limits require, and the note says so.
     """

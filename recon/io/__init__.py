@@ -1,4 +1,6 @@
-"""Read and write files of 2D keypoints, 3D positions, bones and cameras; `FORMATS` lists all formats.
+"""Read and write files of 2D keypoints, 3D positions, bones and cameras.
+
+`recon.io.formats.FORMATS` lists all formats.
 
 `recon.io.video` imports OpenCV, which is slow to import, so import it inside the function that needs it.
 """

@@ -1,6 +1,6 @@
 """Read DANNCE's files: Label3D's `*_dannce.mat`, a camera's own file, and predictions.
 
-Label3D's file has cameras (`params`) and labels (`labelData`); predictions are `save_data_AVG.mat` (`pred`,
+Label3D's file has cameras (`params`) and labels (`labelData`). Predictions are in `save_data_AVG.mat` (`pred`,
 `sampleID`). Poses and matrices are MATLAB's: rows are points, X_camera = X_world r + t and pixels X_camera K, and the
 first pixel is (1, 1). Lengths are in the unit of the calibration, which is usually millimetres. Points have no names
 unless the file has a `skeleton`. Frames are numbered as in the first camera's video, in `data_frame` for labels and in

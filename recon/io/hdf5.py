@@ -28,7 +28,7 @@ FREE_BYTES = 1 << 26
 A larger dataset may take the size that it has in the file, or `MAX_RATIO` times that size up to `MAX_UNPACKED`.
 """
 MAX_RATIO = 1100
-"""Largest ratio of a dataset's size in memory to its size in the file; gzip reaches 1032."""
+"""Largest ratio of a dataset's size in memory to its size in the file, slightly above the limit of gzip."""
 USUAL_RATIO = 100
 """Largest ratio of the sizes in memory and in the file of a dataset that may take up to four times `MAX_UNPACKED`.
 

@@ -2,9 +2,9 @@
 
 - DeepLabCut's H5: the table of `recon.io.deeplabcut`, as pandas stores it. pandas and PyTables would unpickle any
   object in a file, so this module reads pandas' fixed and table layouts without them. Cells are numbers or texts.
-  Column labels, which are pickled in the table layout, are lists and tuples of texts; anything else is refused.
+  Column labels, which are pickled in the table layout, are lists and tuples of texts. Anything else is refused.
 - SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The attribute `dims` of
-  each dataset has the order of its axes; files without it have the order of SLEAP's first version. The frame axis
+  each dataset has the order of its axes. Files without it have the order of SLEAP's first version. The frame axis
   counts from frame 0 of the video. Frames in which a track is not occupied are left out.
 - sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, with the first frame number and
   the one after the last. Files of other programs also have names, and the frame rate as `recording_frame_rate`.
@@ -130,7 +130,6 @@ def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
 
 
 def _labels(group: h5py.Group, dataset: h5py.Dataset) -> list[str]:
-    """Return the labels of one index level of a pandas table as texts."""
     return [] if _is_empty(dataset) else _texts_of(group, read_values(dataset).ravel())
 
 

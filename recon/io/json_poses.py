@@ -7,7 +7,7 @@
   them (`--save-predictions`), and count a video's frames from 1.
 - OpenPose: a file for each frame. Any of them stands for all files in its folder whose names differ only in the frame
   number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same format. Points
-  have no names; the number of points determines the list of names. Persons are numbered from 1 within each frame,
+  have no names, so the number of points determines the list of names. Persons are numbered from 1 within each frame,
   independently of the previous frame, so files with several persons have to be tracked first.
 - AlphaPose: a list with `image_id`, `keypoints` and perhaps the track `idx` of each detection, as in COCO's results.
   The points have no names, as in OpenPose's files.

@@ -4,7 +4,7 @@ TRC is text, separated by tabs or commas, with the unit in the header and y up b
 
 C3D (c3d.org, user guide) has blocks of 512 bytes: a header, a section of parameters in groups, and for each frame four
 numbers of every point, x, y, z and a word with the residual, -1 for a missing point, followed by the analog samples.
-The unit and the screen's axes are in the header. Numbers are stored as on Intel's or MIPS' processors; files with DEC's
+The unit and the screen's axes are in the header. Numbers are stored as on Intel's or MIPS' processors. Files with DEC's
 floats are not read. C3D counts frames from 1, which is frame 0 in recon. Recon's own files list their frame numbers,
 and have no points in the gaps between these. Files are read without ezc3d, which crashes on damaged ones.
 """
@@ -69,7 +69,7 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def write_trc(pose: Pose3D, path: Path) -> None:
-    """Write a TRC file in metres with x forwards, y up and z to the right, as OpenSim reads it; gaps are empty cells.
+    """Write a TRC file in metres with x forwards, y up and z right, as OpenSim reads it, and empty cells in gaps.
 
     Raises
     ------

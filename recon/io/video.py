@@ -38,7 +38,7 @@ MAX_UNEVENNESS = 0.3
 STAMP_S = 1e-3
 """Tolerance of time stamps in seconds, in addition to `MAX_UNEVENNESS`, because Matroska's are whole milliseconds."""
 DRIFT = 0.05
-"""Largest relative deviation from a video's usual frame rate; phones film more slowly in the dark."""
+"""Largest relative deviation from a video's usual frame rate, which phones lower in the dark."""
 DRIFT_FRAMES = 30
 """Number of frames over which the frame rate is compared with the video's usual frame rate."""
 MOST_GAPS = 5

@@ -109,7 +109,7 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
 def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
     """Return the base transform, the rows (modified convention) and the tool transform of any chain.
 
-    The chain is base * rows * tool. a_m and alpha_rad of the first row are 0; base and tool hold the part that
+    The chain is base * rows * tool. a_m and alpha_rad of the first row are 0. Base and tool hold the part that
     Denavit-Hartenberg parameters cannot express. The z axis of a joint's frame is the axis of the joint. The x axis is
     the common normal to the next joint's axis. If the two axes are parallel, the normal through the previous origin is
     used.
@@ -166,7 +166,7 @@ def _across(z: Array) -> Array:
 
 
 def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:
-    """Return a screw motion: a translation along an axis and a rotation about the same axis."""
+    """Return a screw motion, which is a translation along an axis and a rotation about the same axis."""
     shift = distance_m * np.eye(3)["xyz".index(axis)]
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
@@ -338,7 +338,7 @@ def all_solutions(
     Returns
     -------
     solutions : (m, n)
-        Joint coordinates, rad or m. Limits are ignored; angles are in [-pi, pi).
+        Joint coordinates, rad or m, with angles in [-pi, pi). Limits are ignored.
     isolated : bool
         False if the joints can keep moving without moving the end effector. Then `solutions` holds one of infinitely
         many.

@@ -1,6 +1,6 @@
 """Compute the joint angles of a robot's three-joint leg in closed form.
 
-The joints are swing, flap and knee, with offsets at the knee and the foot. Leg axes have their origin at the hip; at
+The joints are swing, flap and knee, with offsets at the knee and the foot. Leg axes have their origin at the hip. At
 the right front leg, x is lateral (outwards), y forward and z up. For the other legs x, y or both are mirrored, and the
 angles have the same meaning. In the formulas, a, b and s are the angles of swing, flap and knee. l1 and l2 are the
 lengths of thigh and shin, and uo and lo the offsets at the knee and the foot. In the plane of the leg, the foot is P

@@ -22,15 +22,15 @@ from recon.base.package import install_command
 from recon.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 
 MjModel: TypeAlias = Any
-"""Type of MuJoCo's model; the package mujoco has no type hints."""
+"""Type of MuJoCo's model, which is `Any` because the package mujoco has no type hints."""
 MjSpec: TypeAlias = Any
 """Type of MuJoCo's editable description of a model."""
 LARGEST = 1e6
-"""Largest plausible length, m, or angle, rad; larger numbers indicate a damaged file."""
+"""Largest plausible length (m) or angle (rad), above which a file counts as damaged."""
 LEAST_MASS_KG = 1e-6
-"""Mass given to links that have none in the file; kinematics does not depend on masses."""
+"""Mass given to links that have none in the file, since kinematics does not depend on masses."""
 LEAST_INERTIA_KG_M2 = 1e-9
-"""Moment of inertia given to links that have none in the file; kinematics does not depend on inertia."""
+"""Moment of inertia given to links that have none in the file, since kinematics does not depend on inertia."""
 
 
 def require_mujoco(source: str | Path) -> ModuleType:
@@ -115,7 +115,7 @@ def rates_of(path: Path) -> dict[str, float]:
 
 
 def body_names(model: MjModel) -> list[str]:
-    """Return the names of all bodies except the world; a body without a name is named after its number, "body 3"."""
+    """Return the names of all bodies except the world, such as "body 3" for a body without a name."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 
@@ -158,7 +158,7 @@ def moving(model: MjModel, bodies: list[int]) -> list[int]:
 
 
 def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 0.0)) -> SerialChain:
-    """Return the chain from the root to a body, with its limits; fixed joints become part of the links.
+    """Return the chain from the root to a body, with its limits, and with fixed joints as parts of the links.
 
     The chain is in the root's axes, and its end effector is at `end_m` (3,) in the axes of the tip. A hinge without
     limits turns freely. A joint without a maximum rate gets `MAX_RATE_RAD_S`.

@@ -1,4 +1,4 @@
-"""Check with MuJoCo's inverse dynamics whether a robot can perform a motion: limits, torques and ground forces.
+"""Check with MuJoCo's inverse dynamics whether a robot's limits, torques and ground forces allow a motion.
 
 A robot from a URDF or MJCF file is used without its meshes. A robot that is described by dimensions and masses is
 modelled as a body with inertia, links that are capsules with the thickness `LEGS_APART`, and point feet.
@@ -6,7 +6,7 @@ modelled as a body with inertia, links that are capsules with the thickness `LEG
 In every frame, the forces of the standing feet are chosen within the friction cone so that they meet the forces that
 the body's motion requires as well as possible. The unmet part, as a fraction of the weight, is the margin `forces`. It
 covers friction, the centre of pressure (feet push only where they stand) and flight phases that are not free fall.
-`carried` moves the base until every rule is kept; `followed` simulates a robot that follows the resulting motion.
+`carried` moves the base until every rule is kept, and `followed` simulates a robot that follows the resulting motion.
 """
 
 from __future__ import annotations
@@ -272,7 +272,7 @@ def check(motion: RobotMotion, model: MjModel) -> tuple[Array, dict[str, Array]]
     time_s : (K,)
         Times of the checked frames, `RATE_HZ` per second.
     margins : dict
-        Margins (K,) of each rule; a rule is broken below its `Rule.least`.
+        Margins (K,) of each rule, which is broken at margins below its `Rule.least`.
     """
     duration = float(motion.time_s[-1] - motion.time_s[0])
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
@@ -348,8 +348,8 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
 def carried(motion: RobotMotion, model: MjModel, hopeless: float = MAX_EXCESS) -> tuple[RobotMotion, Array]:
     """Move a motion's base as little as possible so that the robot can perform the motion.
 
-    The base's path is a cubic spline with one knot per frame. The forces of each stance are within the friction cone;
-    they rise from 0 and fall to 0 as sums of Bernstein polynomials. Path and forces are found together by least squares
+    The base's path is a cubic spline with one knot per frame. The forces of each stance are within the friction cone,
+    and rise from 0 and fall to 0 as sums of Bernstein polynomials. Path and forces are found together by least squares
     over three terms: the required forces that the feet do not provide, the excess of torques, rates and angles over
     their limits, and the deviation of the base. The solver is Levenberg-Marquardt with derivatives of the whole robot's
     dynamics.
@@ -617,7 +617,7 @@ def least_share(motion: RobotMotion, model: MjModel) -> float:
 def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:
     """Draw the margins (K,) of each rule over time, with a dot at the smallest margin.
 
-    A margin is infinite where the rule does not apply; such frames are left out.
+    Frames in which a rule does not apply have an infinite margin, and are left out.
     """
     with drawing(40.0 * -(-len(margins) // 2), title=title) as figure:
         panels = np.ravel(figure.subplots(-(-len(margins) // 2), 2, sharex=True))

@@ -109,7 +109,7 @@ def write_robot(
 
 
 def _write_ground(log: scene.Log, low: Array, high: Array, size: float) -> None:
-    """Write the grid of the ground between two corners, (2,) each; `size` is the robot's height, m."""
+    """Write the grid of the ground between two corners (2,), for a robot of height `size`, m."""
     spacing = 0.1
     while np.max(high - low) / spacing > GRID_LINES:
         spacing *= 2

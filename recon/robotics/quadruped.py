@@ -3,9 +3,9 @@
 Robots are read from files: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. The built-in robots are the
 files in `robots`.
 
-In body axes, x is forward, y left and z up; in the world, z is up. Legs are LF, RF, LH, RH (left or right, fore or
+In body axes, x is forward, y left and z up. In the world, z is up. Legs are LF, RF, LH, RH (left or right, fore or
 hind). Joint angles follow the robot's own convention. Robots described by their dimensions, such as the built-in ones,
-have the angles of the closed form with signs; robots from URDF and MJCF have the angles of the file. Yaw, pitch and
+have the angles of the closed form with signs. Robots from URDF and MJCF have the angles of the file. Yaw, pitch and
 roll turn about z, y and x in this order, so that a positive pitch puts the nose down.
 """
 
@@ -213,7 +213,7 @@ def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, 
 def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> Array:
     """Return the feet relative to their hips, in body axes (..., L, 3).
 
-    `pose` is T_world_body (...). Hips are (L, 3) in body axes; feet are (L, 3) or (..., L, 3) in the world.
+    `pose` is T_world_body (...). Hips are (L, 3) in body axes, and feet are (L, 3) or (..., L, 3) in the world.
     """
     hips, feet = np.asarray(hips_m, float), np.asarray(feet_m, float)
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
@@ -221,7 +221,7 @@ def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> A
 
 
 def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike) -> Array:
-    """Return the feet (..., L, 3) in the world from their positions relative to the hips; see `leg_targets`."""
+    """Return the feet (..., L, 3) in the world from their positions relative to the hips (`leg_targets`)."""
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
     return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]
 
@@ -368,7 +368,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     neutral = hips - [0.0, 0.0, stand]
     legs = {}
     for label, chain, foot in zip(labels, chains, neutral, strict=True):
-        # The search takes a second, and if one leg fails, the others usually fail too, so stop at the first failure.
+        # The search is slow, and if one leg fails, the others usually fail too, so stop at the first failure.
         if (home := standing(chain, foot)) is None:
             raise InputError(_cannot_stand(str(path), label))
         legs[label] = RobotLeg(chain, foot, home)

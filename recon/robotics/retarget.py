@@ -54,7 +54,7 @@ from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_
 SMOOTH_S = 0.02
 """Standard deviation of the Gaussian that smooths the animal's height, angles and heading, seconds."""
 MIN_SAMPLES = 40
-"""Minimum number of samples of a reference: four frames of ten samples each."""
+"""Minimum number of samples of a reference, which is four frames of ten samples each."""
 HARMONICS = 8
 """Number of Fourier harmonics kept in a repeating stride, few enough to smooth the seam where its ends meet."""
 
@@ -91,11 +91,11 @@ class StrideWindow:
     source: str
     """Origin of the stride: "given" by the user, "stride" or "return".
 
-    "stride" is a complete stride of one foot; "return" is the part of the clip after which all feet come closest to
+    "stride" is a complete stride of one foot. "return" is the part of the clip after which all feet come closest to
     where they started.
     """
     gap_percent: float
-    """Distance between a foot's first and last position, in percent of its path's extent; mean of the four feet."""
+    """Distance between a foot's first and last position, in percent of its path's extent, as the mean of four feet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -676,7 +676,7 @@ def swinging(motion: RobotMotion) -> Array:
 
 
 def moved_by(motion: RobotMotion, shifts: Array, robot: Quadruped | None = None) -> RobotMotion:
-    """Return a motion with its base moved by `shifts` (N, 6): position, m, and yaw, pitch and roll, rad.
+    """Return a motion with its base moved by `shifts` (N, 6) of the position (m) and of yaw, pitch and roll (rad).
 
     Standing feet stay in place, and swinging feet move with the base. `robot` may be the same robot with other limits.
     """

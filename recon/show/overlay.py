@@ -348,7 +348,6 @@ def _draw_caption(
 
 
 def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:
-    """Draw the three views and the key below the picture."""
     height = round(STRIP_SHARE * width * 9 / 16)
     unit = width / 1920
     pad, foot = round(18 * unit), round(44 * unit)

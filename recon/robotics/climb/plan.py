@@ -1,10 +1,11 @@
-"""Plan a climb frame by frame: feet follow given paths, and potential fields move the torso.
+"""Plan a climb frame by frame.
 
-Before each footfall, all four feet are planted, and the torso shifts over the three feet that will stay down, as fast
-as the caps on its speed allow. Then the foot rises, crosses and sinks at the speeds of these phases, while the torso
-stays in the equilibrium of its fields. Whenever the caps delay the torso, the foot waits.
+Feet follow given paths, and potential fields move the torso. Before each footfall, all four feet are planted, and the
+torso shifts over the three feet that will stay down, as fast as the caps on its speed allow. Then the foot rises,
+crosses and sinks at the speeds of these phases, while the torso stays in the equilibrium of its fields. Whenever the
+caps delay the torso, the foot waits.
 
-r is a leg's vector from hip to foot in body axes; X and Y are the lateral and the forward axis. Every leg has three
+r is a leg's vector from hip to foot in body axes. X and Y are the lateral and the forward axis. Every leg has three
 fields of the same form. Each is the slope of a potential well of a coordinate q:
 
     radial  q = |r|                        the hip is pushed along r
@@ -19,7 +20,7 @@ each field is the gradient of an energy in all degrees of freedom of the torso, 
 an angle is slope (X x r) / |X x r|^2, and its moment is the moment of the same force at the foot.
 
 Recipe files number the legs as the published footfalls do: left front, left rear, right front, right rear. Positions in
-these files are (right, forward). In Python, legs are in the order of `LEGS`; x is forward, y left and z up.
+these files are (right, forward). In Python, legs are in the order of `LEGS`, and x is forward, y left and z up.
 
 References
 ----------
@@ -59,7 +60,7 @@ from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawi
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
 
 NONE = -1
-"""Index that stands for "no leg": all four feet are planted."""
+"""Index that stands for "no leg" while all four feet are planted."""
 COUNTERCLOCKWISE = (0, 2, 3, 1)
 """Indices into `LEGS`, counterclockwise as seen from above."""
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
@@ -168,7 +169,7 @@ class Step(FileTable):
 
 
 class _Footfall(FileTable):
-    """One footfall: the leg and the displacement of its foot."""
+    """The leg of one footfall, and the displacement of its foot."""
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Leg that moves, as an index into `LEGS`."""
@@ -290,7 +291,7 @@ class Climb:
     lifted: Integers
     """Index of the lifted leg in each frame, or `NONE`, shape (T,)."""
     footfall: Integers
-    """Index of each frame's footfall in the recipe, shape (T,); the final shift has the index of the last footfall."""
+    """Index of each frame's footfall in the recipe, shape (T,). The final shift has the index of the last footfall."""
     evaluations: Integers
     """Number of evaluations of the fields in each frame, shape (T,)."""
     settled: Bools
@@ -335,7 +336,7 @@ class Climb:
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
     def problems(self) -> list[str]:
-        """Return one line of text for each broken rule; the list is empty for a valid climb."""
+        """Return one line of text for each broken rule, and so none for a valid climb."""
         step, feet = self.recipe.step, self.motion.feet_m
         least = ((RULES[name], *margin_and_frame) for name, margin_and_frame in self.least.items())
         problems = [f"{rule.title}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
@@ -588,7 +589,6 @@ def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
 
 
 def _lifted(climb: Climb, frame: int) -> str:
-    """Return the label of the lifted leg, or an empty string."""
     leg = int(climb.lifted[frame])
     return "" if leg == NONE else LEGS[leg]
 

@@ -92,8 +92,7 @@ def _data(kind: str, content: bytes) -> str:
 
 
 SECTION_CHARACTERS = 600_000
-"""Largest number of characters of a section's vector graphics, so that three sections and the stills stay below 3 MB.
-"""
+"""Largest number of characters of a section's vector graphics, which keeps the page small."""
 SHOWN = 100
 """Largest number of rows in the table of flagged frames."""
 SPEED_MM = 100.0

@@ -40,7 +40,7 @@ The camera that is shown first is always included.
 SPREADS = 600
 """Largest number of frames whose uncertainty is stored, evenly spaced because uncertainty changes slowly."""
 POSTURE_BYTES = 400_000
-"""Largest size, in bytes, of the curves of the model's own angles, which are shown next to anatomical flexions."""
+"""Size of the model's angle curves in bytes above which a page with anatomical flexions leaves these curves out."""
 MISSING, FITS, OUTLIER = 0, 1, 2
 """States of a detection in the player's data."""
 

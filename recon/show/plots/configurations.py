@@ -394,7 +394,7 @@ def _scale(axes: Axes, points: Array, length_of_animal_m: float) -> None:
 
 def _frame(axes: Axes) -> None:
     axes.set_aspect("equal")
-    axes.set_xticks([])  # ticks of an axis that is off would still be laid out, which takes most of the drawing time
+    axes.set_xticks([])  # ticks of an axis that is off would still be laid out, which is slow
     axes.set_yticks([])
     axes.axis("off")
 

@@ -78,7 +78,6 @@ def _draw_curve(axes: Axes, curve: StrideCurve) -> None:
 
 
 def _draw_stances(axes: Axes, curves: Sequence[StrideCurve]) -> None:
-    """Draw a bar for the stance of each curve's foot below the curves."""
     low, high = axes.get_ylim()
     axes.set_ylim(low - _BARS / (1 - _BARS) * (high - low), high)
     transform, height = axes.get_xaxis_transform(), _BARS / 2.6

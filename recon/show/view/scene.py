@@ -44,7 +44,7 @@ LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200
 BACKGROUND = (18, 21, 27)
 
 CAMERAS, PICTURE = "world/camera", "picture"
-"""Entities of a camera in the world and of its picture; if there are several cameras, each has a child of these."""
+"""Entities of a single camera in the world and of its picture, and the parents of the entities of several cameras."""
 ANIMAL, EDGE_OF_PICTURE, VIDEO = "animal", "frame", "video"
 """Children of a picture, which are the animal's middle (centre of the close view), the picture's edge, and the video.
 """
