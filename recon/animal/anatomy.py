@@ -34,7 +34,7 @@ GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
 
 
 def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:
-    """Return the joints of a table `[anatomy]`, which lists left and midline joints only, completed by the right side.
+    """Return the joints of a table `[anatomy]`, which lists only left and midline joints, with right joints added.
 
     The names in the result include the side, such as left_elbow. The values are the joints' three markers.
     """

@@ -11,8 +11,7 @@ to the position, so that the link keeps its length for any angles. `Chain.body` 
 as for other animals. The published unknowns of a frame are in `recon.thesis.chain`.
 
 Source: C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of
-Cape Town, 2022, with the link direction corrected (printed sin T cos P for the first component does not keep the
-length).
+Cape Town, 2022, with the link direction corrected. The printed first component, sin T cos P, does not keep the length.
 """
 
 from __future__ import annotations
@@ -147,7 +146,7 @@ class Chain(Skeleton):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Return the names of the joints: the root, then the ends of the links in order."""
+        """Return the names of the joints, first the root, then the ends of the links in order."""
         return self.file.root, *(link.end for link in self.links)
 
     @cached_property
@@ -266,7 +265,7 @@ def _read(name: str | Path, suggested: Iterable[str] | None = None) -> tuple[dic
 
 
 def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
-    """Return the tables of a skeleton file, merged with those of the skeleton that its key `extends` names."""
+    """Return the tables of a skeleton file, merged with the tables of the skeleton in its key `extends`."""
     if "extends" not in raw:
         return raw
     if not isinstance(name := raw["extends"], str):

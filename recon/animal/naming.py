@@ -243,7 +243,7 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
 
 
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
-    """Return the problem that a file's keypoint names differ from those of the skeleton, with a remedy.
+    """Return a problem which states that a file's keypoint names differ from the skeleton's, with a remedy.
 
     The remedy is another skeleton, a built-in name map or, if no built-in map has every name, the lines of a new map.
     """

@@ -1,4 +1,4 @@
-"""Describe by a motion prior which poses occur in a kind of motion, how likely they are, and how they change.
+"""Define motion priors, which state how likely poses are in a kind of motion, and how poses change.
 
 A prior describes the angles z = state[4:] of a body: the root's pitch and roll, and the joints' angles. Built-in priors
 are the files in `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` creates priors.

@@ -23,7 +23,7 @@ FRAMES_PER_COMPONENT = 20
 A component with fewer frames could describe a short part of a single segment.
 """
 POSE_FLOOR_RAD = 0.1
-"""Standard deviation that is added in quadrature to that of every angle, because no reconstruction is exact.
+"""Standard deviation that is added in quadrature to every angle's own, because no reconstruction is exact.
 
 The value maximises the likelihood of held-out segments (docs/priors.md).
 """
@@ -41,7 +41,7 @@ RIDGE_PER_ROW = 0.1
 The value maximises the likelihood of held-out accelerations (docs/priors.md).
 """
 ACCELERATION_FLOOR_RAD_S2 = 10.0
-"""Standard deviation that is added in quadrature to that of every angle's acceleration."""
+"""Standard deviation that is added in quadrature to the standard deviation of every angle's acceleration."""
 
 
 def fit_prior(

@@ -257,7 +257,7 @@ def _mass_problems(shares: Mapping[str, Any], segments: Sequence[str], source: s
 
 
 def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source: str) -> Iterator[Problem]:
-    """Yield problems with the name of a segment or marker, and add it to `used`, the names of all items before."""
+    """Yield problems with the name of a segment or marker, and add it to `used`, the names of the preceding items."""
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":

@@ -38,8 +38,8 @@ MIN_APPEARANCE_GAIN = -10.0
 """Log-likelihood gain from appearance above which a swap of the whole clip is tried by a fit.
 
 The user is asked to look at the video in two cases, because nothing else shows a mirrored video. In one, the clip is
-more likely with the sides exchanged, but by less than the margin. In the other, only the gain from appearance suggests
-a swap (`MIN_TRIED_GAIN`).
+more likely with the sides exchanged, but the gain is too small to report a swap. In the other, only the gain from
+appearance suggests a swap (`MIN_TRIED_GAIN`).
 """
 LEAST_S = 0.25
 """Minimum duration of a clip in which a swap of the whole clip is tested, seconds.

@@ -66,8 +66,8 @@ REASON_TEXTS = {
 NO_FAULT, NO_SERIOUS_FAULT, SOME_UNCHECKED = "no_fault", "no_serious_fault", "not_all_checked"
 """Codes of the reason for the verdict "use" (`Verdict.reason_code`).
 
-They mean that there are no notes, that there are notes, and that some checks were not made because the prior was not
-learned from motions.
+The first is for clips without notes, the second for clips with notes, and the third for clips in which some checks were
+not made because the prior was not learned from motions.
 """
 NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason for the verdict "use" if there are no notes."""

@@ -76,7 +76,10 @@ LOW_HEIGHTS = (0.15, 0.3)
 INTERVAL = 0.9
 """Probability that the stated interval of a time or a duty factor contains the true value."""
 MIN_STANCE_S = 0.02
-"""Shortest duration of a stance, s, far below the 0.06 s of a galloping cheetah."""
+"""Shortest duration of a stance, s.
+
+The stances of galloping cheetahs last 0.06 s or more (`python benchmarks/gait.py --only stances`).
+"""
 SLOPE_SIGMA = 0.1
 """Standard deviation of the prior on the slopes of the ground, in height per distance."""
 HEIGHT_SIGMA_M = 0.03

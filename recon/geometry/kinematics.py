@@ -11,15 +11,15 @@ and the angles of the other segments, rad.
 
 The kinds of joints differ in their axes: y for a hinge, z and y for a universal joint, z, y and x for a ball joint and
 for the free root. Joints of machines turn about z ("turn") or slide along z ("slide", with a distance in metres instead
-of an angle). Their frame has a fixed rotation relative to the parent's. A "summed" universal joint belongs to the 8U
-chain (`recon.animal.chain`). It adds the angles of all its summed ancestors to its own, and turns relative to the root:
-O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
+of an angle). Their frame has a fixed rotation relative to the parent's frame. A "summed" universal joint belongs to the
+8U chain (`recon.animal.chain`). It adds the angles of all its summed ancestors to its own, and turns relative to the
+root: O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
 
 A marker's position is the root's origin plus a vector in each frame between the root and the marker. Its derivative
 with respect to an angle is the cross product of the angle's axis and the sum of the vectors in the frames that the
-angle turns. An angle turns all frames further from the root, but the angle of a summed joint only turns those before
-the next summed joint. The second derivative with respect to two angles is the cross product of the axis of the angle
-nearer to the root and the derivative with respect to the other angle.
+angle turns. An angle turns all frames further from the root, but the angle of a summed joint only turns the frames
+before the next summed joint. The second derivative with respect to two angles is the cross product of the axis of the
+angle nearer to the root and the derivative with respect to the other angle.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class _Plan:
     """Index arrays and masks that are computed once for a tree, and used for the kinematics of every state.
 
     The tree has S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
-    marker and an angle of the state that moves it. There is one frame for each segment, and the world's.
+    marker and an angle of the state that moves it. There is one frame for each segment, and one for the world.
     """
 
     def __init__(self, tree: Tree) -> None:
