@@ -10,11 +10,11 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.fit.motion import Motion
 
-NEAREST = 0.1
+NEAREST_RATIO = 0.1
 """Distance from the camera at which a ray begins, relative to the animal's distance."""
-FARTHEST = 10.0
+FARTHEST_RATIO = 10.0
 """Distance from the camera at which a ray ends, relative to the animal's distance."""
-COUNT = 97
+POINTS_PER_RAY = 97
 """Number of points on a ray, evenly spaced in the logarithm of the distance."""
 
 
@@ -55,7 +55,8 @@ def epipolar_lines_px(
         distance_m = np.linalg.norm(motion.solution.markers_m[row, joint] - centre_m)
         if not np.isfinite(distance_m) or not np.isfinite(direction).all():
             continue
-        points_m = centre_m + distance_m * np.geomspace(NEAREST, FARTHEST, COUNT)[:, None] * direction
+        ratios = np.geomspace(NEAREST_RATIO, FARTHEST_RATIO, POINTS_PER_RAY)
+        points_m = centre_m + distance_m * ratios[:, None] * direction
         pixels, is_valid = views[camera].project(points_m[None])
         margin_px = max(width, height)
         low, high = np.array([-margin_px, -margin_px]), np.array([width + margin_px, height + margin_px])

@@ -26,7 +26,7 @@ from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
 
-DISAGREEMENT = 16.0
+MAX_CHI_SQUARED = 16.0
 """Squared deviation of a camera's 6 pose parameters, over their variances, above which the camera probably moved.
 
 By chance, 1 camera in 70 exceeds this limit (chi-squared with 6 degrees of freedom).

@@ -12,9 +12,9 @@ from recon.base.numbers import quantity
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 
-PADDED = 0.05
+PADDING_FRACTION = 0.05
 """Fraction of the picture's size by which keypoints may lie outside, because detectors pad the picture."""
-INSIDE = 0.9
+MIN_INSIDE_FRACTION = 0.9
 """Minimum fraction of a clip's keypoints that have to lie inside. The others may be outliers."""
 
 
@@ -34,7 +34,7 @@ def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) 
 def _contains(size_px: tuple[int, int], points: Array) -> bool:
     """Return whether nearly all points (n, 2) lie in a picture of the given size or only slightly outside."""
     over = np.max([-points, points - size_px], axis=0) / size_px
-    return bool(np.mean(over.max(axis=1) <= PADDED) >= INSIDE)
+    return bool(np.mean(over.max(axis=1) <= PADDING_FRACTION) >= MIN_INSIDE_FRACTION)
 
 
 def _possible_causes(camera: Camera, points: Array, settings: FitSettings) -> str:

@@ -47,19 +47,19 @@ FRONT = ("neck_base", "withers", "l_shoulder", "nose")
 """Markers of the quadruped at which a skeleton's `forward` may end, the preferred one first."""
 FEWEST_FRAMES = 20
 """Minimum number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
-RIGID = 0.01
+RIGID_SIGMA = 0.01
 """Standard deviation of the distance of two keypoints, in lengths of the animal, up to which it counts as constant."""
-NOISE = 2.0
-"""Limit for constant distances as a multiple of the keypoints' noise, used instead of `RIGID` if it is larger."""
+NOISE_FACTOR = 2.0
+"""Limit for constant distances as a multiple of the keypoints' noise, used instead of `RIGID_SIGMA` if it is larger."""
 TOO_MUCH = 0.02
 """Limit for constant distances above which the keypoints are too noisy for a draft, in lengths of the animal."""
-TAIL = 0.05
+TAIL_FRACTION = 0.05
 """Fraction of frames at either end of a distance's range that may be errors.
 
 A median deviation would call every distance constant in an animal that stands for half of the clip.
 """
 TAIL_SIGMAS = 3.29
-"""Width of a normal distribution without `TAIL` at each end, in standard deviations."""
+"""Width of a normal distribution without `TAIL_FRACTION` at each end, in standard deviations."""
 KEYPOINT_SHARE = 0.03
 """`keypoint_sigma_m` of a draft, as a fraction of the animal's length."""
 MARKER_SHARE = 0.025
@@ -75,11 +75,11 @@ SWING_RAD = (0.3, 1.2)
 """Smallest and largest standard deviation of a segment's angles in a draft, rad."""
 SWING_HZ = (0.5, 8.0)
 """Smallest and largest frequency of a segment's swing in a draft, Hz."""
-WIDER = 1.5
+RANGE_FACTOR = 1.5
 """Factor on the observed swing, to allow for other clips."""
-LOW = 0.3
+MIN_TRUNK_HEIGHT = 0.3
 """Fraction of the animal's height below which a rigid body cannot be the trunk."""
-FLAT = 0.12
+MAX_FOOT_HEIGHT = 0.12
 """Height above the lowest keypoint up to which a keypoint without a foot's name can be a foot, in animal lengths."""
 
 
@@ -273,7 +273,7 @@ class _Distances:
     usual_m: Array
     """Median of each distance over the frames, shape (K, K), m."""
     changes_m: Array
-    """Standard deviation of each distance over the frames, (K, K), m, from its range without `TAIL` at each end."""
+    """Standard deviation of each distance over frames, (K, K), m, from its range without `TAIL_FRACTION` at each end."""
     same_m: float
     """Standard deviation below which a distance counts as constant."""
     length_m: float
@@ -371,16 +371,18 @@ def _distances(points_m: Array, source: Path) -> _Distances:
     by_point = [np.linalg.norm(points_m - point[:, None], axis=2) for point in points_m.swapaxes(0, 1)]
     distances_m = np.stack(by_point, axis=1)
     usual_m = np.nanmedian(distances_m, axis=0)
-    shortest_m, longest_m = np.nanquantile(distances_m, (TAIL, 1.0 - TAIL), axis=0)
+    shortest_m, longest_m = np.nanquantile(distances_m, (TAIL_FRACTION, 1.0 - TAIL_FRACTION), axis=0)
     changes_m = (longest_m - shortest_m) / TAIL_SIGMAS
     length_m = float(usual_m.max())
     steadiest_m = np.where(np.eye(len(usual_m), dtype=bool), np.inf, changes_m).min(axis=1)
     # Nearly every point shares a rigid body with another one, so the median variation is the keypoints' noise.
-    same_m = max(NOISE * float(np.median(steadiest_m)), RIGID * length_m)
+    same_m = max(NOISE_FACTOR * float(np.median(steadiest_m)), RIGID_SIGMA * length_m)
     if same_m > TOO_MUCH * length_m:
-        noise_mm = quantity(1000 * same_m / NOISE, 1, "mm")
+        noise_mm = quantity(1000 * same_m / NOISE_FACTOR, 1, "mm")
         actual = f"distances between neighbours change by {noise_mm} in an animal of {rough_length(length_m)}"
-        expected = f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras reduce the noise"
+        expected = (
+            f"by {percent(TOO_MUCH / NOISE_FACTOR)} or less of its length; more or nearer cameras reduce the noise"
+        )
         raise InputError(Problem(source, "keypoints", actual, expected))
     return _Distances(usual_m, changes_m, same_m, length_m)
 
@@ -395,7 +397,7 @@ def _rigid_bodies(distances: _Distances) -> list[list[int]]:
 def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[str], distances: _Distances) -> int:
     """Return the index of the rigid body nearest to all points, preferably with three points and not in a leg."""
     height_m = np.nanmedian(points_m[..., 2], axis=0)
-    low_m = height_m.min() + LOW * (height_m.max() - height_m.min())
+    low_m = height_m.min() + MIN_TRUNK_HEIGHT * (height_m.max() - height_m.min())
 
     def rank(i: int) -> tuple[bool, bool, float]:
         is_leg = all(_LEG_WORDS.search(labels[k]) for k in bodies[i])
@@ -436,7 +438,7 @@ def _feet(
     has_hands = any("hand" in labels[k].lower() for k in named)
     feet: dict[str, str] = {}
     for k in sorted(candidates, key=low_m.__getitem__):
-        if not named and low_m[k] > floor_m + FLAT * length_m:
+        if not named and low_m[k] > floor_m + MAX_FOOT_HEIGHT * length_m:
             continue
         side = side_of(labels[k]) or ("left" if y[k] > 0 else "right")
         is_fore, is_hind = _FORE_WORDS.search(labels[k]), _HIND_WORDS.search(labels[k])
@@ -566,7 +568,7 @@ def _segment(
     swings = (line_m[np.isfinite(line_m[:, 0])] - usual_m) / np.linalg.norm(usual_m).clip(1e-9)
     centred = swings - swings.mean(axis=0)
     main_swing = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-    sigma = np.clip(WIDER * np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
+    sigma = np.clip(RANGE_FACTOR * np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
     hz = np.clip(np.sum(np.diff(np.sign(main_swing)) != 0) * fps / 2 / len(main_swing), *SWING_HZ)
     acceleration = round(float(1.5 * sigma * (2 * np.pi * hz) ** 2))
     expected = {"mean_rad": 0.0, "sigma_rad": round(float(sigma), 2), "acceleration_rad_s2": acceleration}

@@ -20,11 +20,11 @@ Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Indices of elements of another array."""
-LONGEST = 250
+MAX_CHARACTERS = 250
 """Maximum number of characters in the text of an object."""
 LONGEST_PART = 75
 """Maximum number of characters in the text of an object's field."""
-SMALL = 12
+MAX_SHOWN_ELEMENTS = 12
 """Maximum number of elements of an array whose values are shown instead of its shape."""
 
 
@@ -34,13 +34,13 @@ class Brief:
     def __repr__(self) -> str:
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
         text = ", ".join(f"{name}={_brief(getattr(self, name))}" for name in names)
-        return f"{type(self).__name__}({text if len(text) <= LONGEST else text[:LONGEST] + '...'})"
+        return f"{type(self).__name__}({text if len(text) <= MAX_CHARACTERS else text[:MAX_CHARACTERS] + '...'})"
 
 
 def _brief(part: object) -> str:
     """Return the text of an object's field, or its shape, number of items or class if the text is too long."""
     if isinstance(part, np.ndarray):
-        return f"array {part.shape}" if part.size > SMALL else f"array {part.tolist()}"
+        return f"array {part.shape}" if part.size > MAX_SHOWN_ELEMENTS else f"array {part.tolist()}"
     text = f"{part:.6g}" if isinstance(part, float) else " ".join(repr(part).split())
     if len(text) <= LONGEST_PART:
         return text

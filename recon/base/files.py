@@ -24,7 +24,7 @@ from recon.base.locks import is_locked_here, removed_if_empty
 
 MANIFEST = "manifest.json"
 SCHEMA = {"name": "recon.manifest", "version": 1}
-AGAIN = "the unchanged results of one run: run the command again, with --overwrite"
+RUN_AGAIN = "the unchanged results of one run: run the command again, with --overwrite"
 _PREFIX = ".recon-partial-"
 _LOCK, NEW, _OLD = "lock", "new", "old"
 """Names in a staging folder: the file that its process keeps locked, the new files, and the files that they replace."""
@@ -287,7 +287,7 @@ class Manifest:
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
         """Return a problem for each named file, by default for each file, that is missing or was changed."""
         faults = ((name, self._fault(name)) for name in (self.files if names is None else names))
-        return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
+        return [Problem(self.folder / name, *fault, RUN_AGAIN) for name, fault in faults if fault]
 
     def require(self, *names: str) -> None:
         """Raise InputError unless the named files exist and have not changed since the run wrote them."""
@@ -328,9 +328,9 @@ def read_manifest(folder: Path) -> Manifest:
             raise ValueError
     except FileNotFoundError:
         actual = f"no {MANIFEST}: the run was interrupted, or made by an earlier version"
-        raise InputError(Problem(folder, "folder", actual, AGAIN)) from None
+        raise InputError(Problem(folder, "folder", actual, RUN_AGAIN)) from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
-        raise InputError(Problem(path, "content", "another kind of file", AGAIN)) from None
+        raise InputError(Problem(path, "content", "another kind of file", RUN_AGAIN)) from None
     if outside := [name for name in files if not is_plain_name(name)]:
         raise InputError(Problem(path, "files", repr(outside[0]), "names of files in its own folder"))
     return Manifest(folder, files, kind)

@@ -41,7 +41,7 @@ from recon.base.locks import committing, require_usable
 
 RECORD = ".recon.json"
 SCHEMA = {"name": "recon.files", "version": 1}
-NAMED = 3
+MAX_NAMED_FILES = 3
 """Maximum number of files that a message names."""
 
 
@@ -336,12 +336,9 @@ class Output:
     def _refused(self, names: Sequence[str], description: str) -> Iterator[Problem]:
         """Yield one problem for all files that may not be replaced."""
         if names:
-            listed, count = names[1 : 1 + NAMED], len(names) - 1
-            rest = (
-                f"; the same holds for {', '.join(listed)}{f' and {count - NAMED} more' * (count > NAMED)}"
-                if listed
-                else ""
-            )
+            listed, count = names[1 : 1 + MAX_NAMED_FILES], len(names) - 1
+            more = f" and {count - MAX_NAMED_FILES} more" * (count > MAX_NAMED_FILES)
+            rest = f"; the same holds for {', '.join(listed)}{more}" if listed else ""
             way_out = f"another {self.option}, or " if self.option else ""
             expected = f"{way_out}the file moved away: recon would have to replace it"
             yield Problem(self.folder / names[0], "file", description + rest, expected)

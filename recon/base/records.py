@@ -32,7 +32,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.field_problems import problems_of
 
 RECORD = "record"
-SMALL = 64
+MAX_JSON_ELEMENTS = 64
 """Maximum number of elements of an array that is stored in the JSON text, because many tiny files are slow to read."""
 CLASS = "class"
 """Key of a subclass's tag in the JSON text."""
@@ -217,7 +217,7 @@ def _plain_array(
     """Return a small array as JSON types, or the name under which a larger one is added to `arrays`."""
     if value.dtype.kind not in KINDS:
         raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")
-    if value.size <= SMALL:
+    if value.size <= MAX_JSON_ELEMENTS:
         return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
     content = value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).data).digest()
     name = name_of.setdefault(content, field)
@@ -253,7 +253,7 @@ def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes)
     if value.keys() == {"slice"}:
         return slice(*value["slice"])
     if value.keys() == {"dtype", "shape", "values"}:
-        if (dtype := np.dtype(value["dtype"])).kind not in KINDS or len(value["values"]) > SMALL:
+        if (dtype := np.dtype(value["dtype"])).kind not in KINDS or len(value["values"]) > MAX_JSON_ELEMENTS:
             raise ValueError(f"an array of {dtype}")
         return np.array(value["values"], dtype).reshape(value["shape"])
     restored: dict[str, Any] = {name: _restored(item, arrays, classes) for name, item in value.items()}

@@ -43,7 +43,7 @@ LENGTHS_S = 5.0
 AWAY_LENGTHS = 4.0
 """Default distance of the camera in body lengths."""
 PICTURE_PX = (1920, 1080)
-SAME = 1e-6
+EQUAL_DIFFERENCE = 1e-6
 """Relative difference below which two positions' standard deviations count as equal."""
 
 
@@ -69,7 +69,7 @@ class Advice:
 
         If several positions are equally good, such as both sides of an animal, the result is the first of them.
         """
-        row, column = np.argwhere(self.sigma <= (1 + SAME) * self.sigma.min())[0]
+        row, column = np.argwhere(self.sigma <= (1 + EQUAL_DIFFERENCE) * self.sigma.min())[0]
         return int(row), int(column)
 
     @property

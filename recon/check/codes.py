@@ -18,7 +18,7 @@ from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
-NAMED = 5
+MAX_NAMES = 5
 """Maximum number of names that the text of a finding lists."""
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
 """Names of the numbers of findings that are shown as lengths.
@@ -170,9 +170,9 @@ def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
 
 
 def names_text(names: Sequence[str]) -> str:
-    """Return the first `NAMED` names and the number of the remaining names as text."""
-    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + rest
+    """Return the first `MAX_NAMES` names and the number of the remaining names as text."""
+    rest = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return ", ".join(names[:MAX_NAMES]) + rest
 
 
 def _where(frames: tuple[int, int] | None) -> str:

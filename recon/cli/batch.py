@@ -37,12 +37,12 @@ from recon.fit.result import LEVELS
 from recon.show.console import STYLES
 from recon.show.page.own_page import SUMMARY_PAGE
 
-CANNOT = "cannot be fitted"
-SOLVING = 0.5
+CANNOT_FIT = "cannot be fitted"
+SOLVING_FRACTION = 0.5
 """Fraction of a clip's time in which its fit reports progress. Checks and files take the rest."""
-LISTED = 20
+MAX_LISTED = 20
 """Maximum number of clips in the table that is printed at the end."""
-NAMED = 3
+MAX_NAMED = 3
 """Maximum number of clips with the same problem that are listed by name."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
 """Styles of the statuses. A clip that is done has the style of its verdict."""
@@ -146,7 +146,7 @@ def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summar
                 nonlocal ended
                 summaries[:] = [so_far]
                 if event.kind == "progress":
-                    underway[event.name] = SOLVING * event.share
+                    underway[event.name] = SOLVING_FRACTION * event.share
                     done = ended + sum(underway.values())
                     progress(f"{ended}/{left} {event.name}: {event.stage}", done / max(left, 1))
                     return
@@ -179,7 +179,7 @@ def _table(summary: Summary) -> list[Table | str]:
     if len(rows) < 2:
         return []
     cells = []
-    for row in rows[:LISTED]:
+    for row in rows[:MAX_LISTED]:
         state = row["verdict"] if row["status"].startswith("done") and row["verdict"] else row["status"]
         pose = "" if row["pose_mm"] is None else f"{float(row['pose_mm']):.0f}"
         speed = "" if row["mean_speed_m_s"] is None else f"{float(row['mean_speed_m_s']):.1f}"
@@ -187,7 +187,7 @@ def _table(summary: Summary) -> list[Table | str]:
         styled = Text(state, STYLES.get(state, _STYLES.get(state, "")))
         cells.append((row["clip"], styled, frames, pose, speed))
     table = table_of("clip", "verdict", numbers=("frames", "pose error, mm", "mean speed, m/s"), rows=cells)
-    notes = [f"{counted(len(rows) - LISTED, 'more clip')}: see the summary."] if len(rows) > LISTED else []
+    notes = [f"{counted(len(rows) - MAX_LISTED, 'more clip')}: see the summary."] if len(rows) > MAX_LISTED else []
     return [table, *notes]
 
 
@@ -201,7 +201,7 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
             "camera": planned.clip.settings.camera_text,
             "fps": planned.clip.settings.fps,
             "out": str(planned.out),
-            "action": planned.action if planned.action == "done" or not clip_problems else CANNOT,
+            "action": planned.action if planned.action == "done" or not clip_problems else CANNOT_FIT,
             "reason": planned.reason,
             "problems": [str(problem) for problem in clip_problems],
         }
@@ -218,11 +218,11 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
         advice = "If they differ, give a CSV table with columns keypoints, camera and fps instead."
         lines.append(f"All clips have the same --camera and --fps. {advice}")
     for problem, clip_indices in distinct_problems(problems):
-        names = ", ".join(rows[index]["clip"] for index in clip_indices[:NAMED])
-        more_clips = "" if len(clip_indices) <= NAMED else f" and {len(clip_indices) - NAMED} more clips"
+        names = ", ".join(rows[index]["clip"] for index in clip_indices[:MAX_NAMED])
+        more_clips = "" if len(clip_indices) <= MAX_NAMED else f" and {len(clip_indices) - MAX_NAMED} more clips"
         lines.append(Text.assemble((f"{names}{more_clips}: ", "bold red"), str(problem)))
     counts = Counter(row["action"] for row in rows)
-    bad = f", {counts[CANNOT]} that {CANNOT}" if counts[CANNOT] else ""
+    bad = f", {counts[CANNOT_FIT]} that {CANNOT_FIT}" if counts[CANNOT_FIT] else ""
     count_text = f"{counts['new']} new, {counts['refit']} to fit again, {counts['done']} done{bad}"
     lines.append(f"{counted(len(rows), 'clip')}: {count_text}")
     return Answer({"clips": rows}, lines, code=int(strict and any(problems)))

@@ -17,7 +17,7 @@ from rich.text import Text
 from recon.api.calibrate import CalibrationSettings, run_calibration
 from recon.api.camera_advice import CameraAdviceSettings, run_camera_advice
 from recon.api.camera_motion import NOTES, CameraMotionSettings, motion_files, run_camera_motion
-from recon.api.extrinsics import DISAGREEMENT, clips_of, run_extrinsics
+from recon.api.extrinsics import MAX_CHI_SQUARED, clips_of, run_extrinsics
 from recon.api.settings import FitSettings
 from recon.base.numbers import counted, length_text, quantity
 from recon.base.outputs import Output, output_file
@@ -141,7 +141,7 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
             yield f"Began after {names[0]}: {offset_texts}"
     disagreements = [clip["disagreement"] for clip in report["clips"]]
     largest = {camera.name: max(by_camera[camera.name] for by_camera in disagreements) for camera in cameras}
-    if len(disagreements) > 1 and max(largest.values()) > DISAGREEMENT:
+    if len(disagreements) > 1 and max(largest.values()) > MAX_CHI_SQUARED:
         name = max(largest, key=largest.__getitem__)
         yield (
             f"The clips disagree on the cameras' positions, most of all on {name}: was a camera moved between the "

@@ -48,7 +48,7 @@ RATE_SAME = 0.01
 """Relative difference below which frame rates count as equal, such as 29.97 and 30."""
 MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
-STILLS = 9
+MAX_STILLS = 9
 """Maximum number of stills on a page."""
 LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to the files of the fit, if they exist when the page is made."""
@@ -260,7 +260,7 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     output = Output(folder, "report", True, made_from=ReadResults.read(folder), option="")
     motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
     progress("pictures", 0.1)
-    drawn, rows, strip, pictures = page_pictures(motion, number, settings, STILLS)
+    drawn, rows, strip, pictures = page_pictures(motion, number, settings, MAX_STILLS)
     tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
     shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
     progress("figures", 0.4)

@@ -77,9 +77,9 @@ The variances of the two poses add up, so each is half.
 WELL_CALIBRATED = 0.2
 """Factor on the usual standard deviations of two cameras' poses if both cameras are well calibrated.
 
-Together with the larger errors `MISPLACED_RAD` and `MOVED`, 97 % instead of 99 % of the coordinates of the benchmark's
-untouched pairs are inside 90 % intervals, and pairs with a turned camera have smaller errors (`benchmarks/cameras.py
---only pairs`).
+Together with the larger errors `MISPLACED_RAD` and `MOVED_FACTOR`, 97 % instead of 99 % of the coordinates of the
+benchmark's untouched pairs are inside 90 % intervals, and pairs with a turned camera have smaller errors
+(`benchmarks/cameras.py --only pairs`).
 """
 MISPLACED_RAD = 0.05235987755982988
 """Standard deviation of the rotation of a camera that is roughly calibrated, or was turned after its calibration, rad.
@@ -93,14 +93,14 @@ TURNED_SHARE = 0.3
 % intervals, and 5 of 45 pairs have the verdict "use". With a probability of 0.1, these figures are 89 % and 8 of 45
 (`--only turned-share`).
 """
-MOVED = 8.5
+MOVED_FACTOR = 8.5
 """Factor on the usual standard deviation of a camera's position if the camera was moved after its calibration.
 
 The standard deviation is then 0.3 m (a tripod that was pushed), or 12 % of the distance if the animal is close.
 """
 MOVED_SHARE = 0.1
 """Prior probability, for each of two cameras, that the camera was moved; an assumption."""
-MISPLACED = 12.0
+MISPLACED_FACTOR = 12.0
 """Factor on the usual standard deviations for a camera that was moved after calibration, or whose clock is wrong.
 
 The standard deviations are then 6 degrees, 0.6 m and 3.5 frames. The factor is a round number.

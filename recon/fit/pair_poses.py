@@ -145,7 +145,7 @@ def pair_poses(
         sized_gradient[column] += added * (shared[SIZE] - unknowns[SIZE].mean)
     _, curvature, pull = likelihood(sized_S, sized_gradient)
     usual_sigma = sigma * np.sqrt(variance_factor)
-    misplaced_sigma = np.where(_ROTATIONS, constants.MISPLACED_RAD, constants.MOVED * usual_sigma)
+    misplaced_sigma = np.where(_ROTATIONS, constants.MISPLACED_RAD, constants.MOVED_FACTOR * usual_sigma)
     poses = PairPoses.weigh(
         curvature / variance_factor,
         pull / variance_factor,

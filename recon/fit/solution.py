@@ -357,9 +357,10 @@ def _segment_in_world(clip: ClipProblem, segment: SegmentFit, size: float) -> Mo
 def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     """Test whether the second of two cameras is turned, moved or late.
 
-    The alternatives are that the camera is turned about one axis, displaced along one axis, or late, by `MISPLACED`
-    times the expected error. All other unknowns are eliminated from the normal equations, so that the cost is a
-    quadratic function of the camera's seven errors. Its evidence under a Gaussian of any width has a closed form.
+    The alternatives are that the camera is turned about one axis, displaced along one axis, or late, by
+    `MISPLACED_FACTOR` times the expected error. All other unknowns are eliminated from the normal equations, so that
+    the cost is a quadratic function of the camera's seven errors. Its evidence under a Gaussian of any width has a
+    closed form.
     """
     segment = _seen_by_both(clip, segment)
     problem, usual_sigma = _pair_problem(clip, segment)
@@ -377,7 +378,7 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
         deviation = -np.linalg.solve(precision + np.diag(sigma**-2), pull)
         return -0.5 * float(pull @ deviation + np.linalg.slogdet(np.eye(n) + precision * sigma**2)[1]), deviation
 
-    alternatives = [evidence(np.where(axis, constants.MISPLACED, 1.0) * usual_sigma) for axis in np.eye(n)]
+    alternatives = [evidence(np.where(axis, constants.MISPLACED_FACTOR, 1.0) * usual_sigma) for axis in np.eye(n)]
     gains = np.array([log_evidence for log_evidence, _ in alternatives]) - evidence(usual_sigma)[0]
     return SecondCamera(float(gains[:-1].max()), float(gains[-1]), float(alternatives[-1][1][-1]))
 

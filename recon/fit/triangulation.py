@@ -3,13 +3,13 @@
 The method is robust to outliers, gives covariances, and leaves gaps where a point is not determined.
 
 **Start.** Every pair of cameras that saw a keypoint in a frame gives a point, the middle of the shortest line between
-the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at `OUTLIER`
-standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. All V (V - 1) / 2 pairs of V cameras
-are tried, so the result does not depend on random numbers.
+the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at
+`OUTLIER_SIGMAS` standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. All V (V - 1) / 2
+pairs of V cameras are tried, so the result does not depend on random numbers.
 
 **Minimum.** Gauss-Newton steps minimise the reprojection errors in the distorted pictures, with Cauchy's weights at
-first. Detections with errors above `OUTLIER` standard deviations are then left out, and the others get their full
-weight. If fewer than two detections remain, or the rays are nearly parallel, the point is a gap (NaN).
+first. Detections with errors above `OUTLIER_SIGMAS` standard deviations are then left out, and the others get their
+full weight. If fewer than two detections remain, or the rays are nearly parallel, the point is a gap (NaN).
 
 **Noise.** The detector's noise is estimated for each keypoint from the remaining errors, divided by their degrees of
 freedom, and all steps are repeated with it.
@@ -33,7 +33,7 @@ import numpy as np
 from recon.base.arrays import Array, Bools, Brief, Index
 from recon.clip import View
 
-OUTLIER = 3.5
+OUTLIER_SIGMAS = 3.5
 """Distance of a detection from the point's reprojection, in standard deviations, above which it is an outlier."""
 SIGMAS_PX = (0.3, 12.0)
 """Minimum and maximum of the estimated noise of a keypoint, as a standard deviation in pixels."""
@@ -128,16 +128,16 @@ def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
     for _ in range(_CAUCHY_ROUNDS):
         error, by_point, valid = _errors(views, points, sigma)
         square = np.sum(error**2, axis=-1)
-        weight = np.where(present & valid, 1.0 / (1.0 + square / OUTLIER**2), 0.0)
+        weight = np.where(present & valid, 1.0 / (1.0 + square / OUTLIER_SIGMAS**2), 0.0)
         points = points + _gauss_newton_step(error, by_point, weight)
     error, by_point, valid = _errors(views, points, sigma)
     square = np.sum(error**2, axis=-1)
-    is_used = present & valid & (square < OUTLIER**2)
+    is_used = present & valid & (square < OUTLIER_SIGMAS**2)
     for _ in range(_FINAL_ROUNDS):
         points = points + _gauss_newton_step(error, by_point, is_used.astype(float))
         error, by_point, valid = _errors(views, points, sigma)
     square = np.sum(error**2, axis=-1)
-    is_used &= valid & (square < (1.5 * OUTLIER) ** 2)
+    is_used &= valid & (square < (1.5 * OUTLIER_SIGMAS) ** 2)
     is_known = (is_used.sum(axis=0) >= 2) & _rays_cross(views, points, is_used) & np.isfinite(points).all(axis=-1)
     is_used &= is_known
     covariance = _covariance(by_point, square, is_used)
@@ -158,7 +158,7 @@ def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array
             continue
         error, _, valid = _errors(views, points, sigma, derivatives=False)
         square = np.where(valid, np.sum(error**2, axis=-1), np.inf)
-        cost = np.sum(np.where(present, np.minimum(square, OUTLIER**2), 0.0), axis=0)
+        cost = np.sum(np.where(present, np.minimum(square, OUTLIER_SIGMAS**2), 0.0), axis=0)
         cost = np.where(np.isfinite(points[..., 0]), cost, np.inf)
         better = cost < best_cost
         best_points[better], best_cost[better] = points[better], cost[better]
@@ -307,5 +307,5 @@ def _spline(frames: Index, values: Array, sigma: Array, every: Index) -> Array:
             squares += ((values[:, axis] - spline(x)) / sigma[:, axis]) ** 2
         # the median of a chi square variable with three degrees of freedom
         spread = max(float(np.median(squares)) / 2.366, 1e-12)
-        root = 1.0 / (1.0 + squares / spread / OUTLIER**2)
+        root = 1.0 / (1.0 + squares / spread / OUTLIER_SIGMAS**2)
     return result

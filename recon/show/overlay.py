@@ -42,13 +42,13 @@ TILE_PX = (480, 300)
 """Width and height of a still picture in pixels."""
 TILE_UNIT = 0.55
 """Factor of line widths and mark sizes on a still picture, 1 for a picture 1920 px wide."""
-DARKENED = 0.35
+BRIGHTNESS = 0.35
 """Fraction of the picture's brightness that remains behind text."""
 _FILLED = 0.8
 """Fraction of a tile that the largest animal fills."""
 CLOSE_UP = 0.36
 """Size of the close-up as a fraction of the picture's width and height."""
-WORTH = 1.6
+MIN_MAGNIFICATION = 1.6
 """Smallest magnification, relative to the picture, at which the close-up is shown."""
 HEADING_S = 0.25
 """Time over which the trunk's direction is averaged, so that the views do not shake, in seconds."""
@@ -279,7 +279,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     size = np.array([round(CLOSE_UP * width), round(CLOSE_UP * height)])
     xy = overlay.reprojected_px[t]
     scale = float(np.min(_FILLED * size / overlay.box_px))
-    if scale < WORTH or not np.isfinite(xy).any():
+    if scale < MIN_MAGNIFICATION or not np.isfinite(xy).any():
         return
     corners = np.array([[width, height], [0, height], [width, 0]]) - size * [[1, 1], [0, 1], [1, 0]]
     joint_counts = [
@@ -436,5 +436,5 @@ def draw_text(image: Image, text: str, position: tuple[int, int], scale: float, 
     (text_width, text_height), below = cv2.getTextSize(text, FONT, scale, thickness)
     left, top = max(position[0] - pad, 0), max(position[1] - text_height - pad // 2, 0)
     background = image[top : position[1] + below + pad // 2, left : position[0] + text_width + pad]
-    background[:] = PAPER + DARKENED * (background - np.array(PAPER, dtype=float))
+    background[:] = PAPER + BRIGHTNESS * (background - np.array(PAPER, dtype=float))
     cv2.putText(image, text, position, FONT, scale, colour, thickness, cv2.LINE_AA)

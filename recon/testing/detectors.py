@@ -53,7 +53,7 @@ HORSE_10 = split_names(
     "Nose,Eye,Nearknee,Nearfrontfetlock,Nearfrontfoot,Offknee,Offfrontfetlock,Offfrontfoot,Shoulder,Midshoulder,Elbow",
     "Girth,Wither,Nearhindhock,Nearhindfetlock,Nearhindfoot,Hip,Stifle,Offhindhock,Offhindfetlock,Offhindfoot,Ischium",
 )
-UNSEEN = 10
+UNSEEN_FRAME = 10
 """Frame in which no detector detects the animal."""
 
 
@@ -72,7 +72,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
     Returns
     -------
     Array
-        x and y in pixels and likelihood, shape (T, K, 3); NaN in the frame `UNSEEN`.
+        x and y in pixels and likelihood, shape (T, K, 3); NaN in the frame `UNSEEN_FRAME`.
     """
     renamed = {} if bundled is None else load_names(bundled)
     values = np.empty((len(sample.frames), len(names), 3))
@@ -82,7 +82,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
         if (new := renamed.get(name, name)) in sample.names:
             j = sample.names.index(new)
             values[:, k] = np.column_stack([sample.xy_px[:, j], sample.confidence[:, j]])
-    values[UNSEEN] = np.nan
+    values[UNSEEN_FRAME] = np.nan
     return values
 
 
@@ -158,7 +158,7 @@ def write_mmpose(path: Path, sample: Keypoints) -> None:
                     "bbox_score": 0.9,
                 }
             ]
-            if t != UNSEEN
+            if t != UNSEEN_FRAME
             else [],
         }
         for t, points in enumerate(values)

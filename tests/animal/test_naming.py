@@ -38,7 +38,7 @@ from recon.robotics.quadruped import load_robot
 from recon.robotics.retarget import reference_of, retarget
 from recon.show.report import build_report
 from recon.testing import detectors
-from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
+from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN_FRAME
 
 pytestmark = pytest.mark.usefixtures("no_playback")
 
@@ -343,9 +343,9 @@ def test_a_detectors_own_file(name, tmp_path):
     assert (found.names, found.frames.tolist()) == (native.names, native.frames.tolist())
     known = [j for j, marker in enumerate(native.names) if marker in source.file_names]
     assert len(known) == {"superanimal-quadruped": 19, "animal3d": 19, "ap-10k": 17, None: 24}[bundled]
-    rows = native.frames != UNSEEN
+    rows = native.frames != UNSEEN_FRAME
     np.testing.assert_allclose(found.xy_px[rows][:, known], native.xy_px[rows][:, known], atol=1e-3)
-    assert not found.present[UNSEEN].any()
+    assert not found.present[UNSEEN_FRAME].any()
     assert not found.present[:, [j for j in range(len(native.names)) if j not in known]].any()
 
 

@@ -9,7 +9,7 @@ import pytest
 from command_line import refusal
 from example_run import AHEAD, ASIDE, BODY, FPS, PRIOR, truth_m, view_of
 
-from recon.api.extrinsics import DISAGREEMENT
+from recon.api.extrinsics import MAX_CHI_SQUARED
 from recon.base.arrays import Index
 from recon.base.progress import silent
 from recon.clip import View, still_view
@@ -66,7 +66,7 @@ def test_two_clips_determine_a_camera_that_one_clip_lacks():
     assert not both.sigma[0].any()
     assert (both.sigma[1] < one.sigma[1]).all()
     assert both.disagreement.shape == (2, 3)
-    assert both.disagreement.max() < DISAGREEMENT
+    assert both.disagreement.max() < MAX_CHI_SQUARED
 
 
 @pytest.mark.slow
@@ -76,7 +76,7 @@ def test_a_camera_moved_between_two_clips_disagrees():
         setting([view_of(truth_m(), p, seed=i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]),
         setting([view_of(across(), p, seed=3 + i) for i, p in enumerate((AHEAD, turned, BEHIND))]),
     ]
-    assert solve_extrinsics(clips).disagreement.max() > DISAGREEMENT
+    assert solve_extrinsics(clips).disagreement.max() > MAX_CHI_SQUARED
 
 
 def test_levelled_cameras_determine_the_upward_direction():

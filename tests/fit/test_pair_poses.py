@@ -107,7 +107,7 @@ def test_uncertainty_of_poses_includes_all_hypotheses():
     # The prior of the size counts only once, too.
     lasting = S + np.diag([(correlation - 1.0) * 0.1**-2.0, *np.zeros(12)])
     likelihood_precision = np.linalg.inv(np.linalg.inv(lasting)[1:, 1:]) - np.linalg.inv(prior)
-    misplaced = np.where(np.arange(12) % 6 < 3, constants.MISPLACED_RAD, constants.MOVED * USUAL)
+    misplaced = np.where(np.arange(12) % 6 < 3, constants.MISPLACED_RAD, constants.MOVED_FACTOR * USUAL)
     poses = PairPoses.weigh(likelihood_precision / correlation, np.zeros(12), CALIBRATED, misplaced)
     np.testing.assert_allclose(correlation * after[1:, 1:], poses.covariance_about(np.zeros(12)), rtol=1e-6, atol=1e-15)
     by_poses = np.linalg.solve(before[1:, 1:], before[1:, 0])  # the size depends on the poses as before

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.clip import View, still_view
-from recon.fit.triangulation import OUTLIER, smoothed, triangulate_views
+from recon.fit.triangulation import OUTLIER_SIGMAS, smoothed, triangulate_views
 from recon.geometry.camera import Camera
 from recon.testing.cameras import aim_camera
 
@@ -77,7 +77,7 @@ def test_outliers_of_single_cameras_are_left_out():
     assert not result.is_used[3, 15:30, 4].any()
     assert result.is_used.mean() > 0.95
     assert np.linalg.norm(result.points_m - points(), axis=-1).max() < 0.03
-    assert np.nanmin(result.error_px[0, 10:20, 2]) > OUTLIER * SIGMA_PX
+    assert np.nanmin(result.error_px[0, 10:20, 2]) > OUTLIER_SIGMAS * SIGMA_PX
 
 
 def test_two_wrong_cameras_of_five_do_not_win():

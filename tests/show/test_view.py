@@ -21,7 +21,7 @@ from recon.clip import Source, views_of
 from recon.fit.motion import Motion
 from recon.fit.result import MotionSegment, Solution
 from recon.show.view import DISPLAYS, OVERVIEW_ASPECT, VIEW_RAD, fitting_eye, open_viewer, time_view, write
-from recon.show.view.scene import CLOSE, HIDDEN_LINK, TimePlot, limb_strips, middle_and_reach_px
+from recon.show.view.scene import CLOSE_VIEW_SIZE, HIDDEN_LINK, TimePlot, limb_strips, middle_and_reach_px
 from recon.show.view.web import served
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solution import FrameSolution
@@ -206,7 +206,7 @@ def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion
             pixels = recording.values("/picture/reprojections/joints", frame)
             np.testing.assert_allclose(pixels, picture.reprojected_px[row], atol=1e-3)
             ends = np.stack((picture.detected_px[row], picture.reprojected_px[row]), axis=1)
-            linked = outlier | (picture.distance_px[row] >= HIDDEN_LINK * 2 * CLOSE * reach_px)
+            linked = outlier | (picture.distance_px[row] >= HIDDEN_LINK * 2 * CLOSE_VIEW_SIZE * reach_px)
             links = np.reshape(recording.values("/picture/links", frame), (-1, 2, 2))
             np.testing.assert_allclose(links, ends[linked], atol=1e-3)
 

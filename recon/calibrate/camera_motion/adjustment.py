@@ -25,9 +25,9 @@ MAX_PAIRS = 60
 """Maximum number of pairs of pictures, those with the largest rotations, that determine the focal length."""
 MIN_PAIRS = 4
 """Minimum number of pairs of pictures required to estimate the focal length."""
-WIDEST = 0.7
+MAX_LOG_FACTOR = 0.7
 """Largest absolute logarithm of a factor on the focal length that is tried."""
-STEP = 1e-3
+LOG_STEP = 1e-3
 """Step in the logarithm of the focal length with which derivatives are computed numerically."""
 STEPS = 6
 """Number of iterations to find the focal length."""
@@ -138,12 +138,12 @@ def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -
         sizes = [np.linalg.norm(_residuals_px(camera, pair, log_factor, COARSE_ROUNDS), axis=1) for pair in every_few]
         return sum(float(np.minimum(size / limit_px, 1.0).mean()) for size in sizes)
 
-    log_factor = min(np.linspace(-WIDEST, WIDEST, 29).tolist(), key=cost)
+    log_factor = min(np.linspace(-MAX_LOG_FACTOR, MAX_LOG_FACTOR, 29).tolist(), key=cost)
     information, pull = np.ones((2, len(pairs)))
     for _ in range(STEPS):
         information, pull = np.transpose([_information(camera, pair, log_factor) for pair in pairs])
         step = pull.sum() / information.sum()
-        log_factor = float(np.clip(log_factor + step, -2 * WIDEST, 2 * WIDEST))
+        log_factor = float(np.clip(log_factor + step, -2 * MAX_LOG_FACTOR, 2 * MAX_LOG_FACTOR))
         if abs(step) < 0.01 / np.sqrt(information.sum()):
             break
     keys, total = np.array([pair.key for pair in pairs]), float(information.sum())
@@ -153,8 +153,12 @@ def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -
 
 def _information(camera: Camera, pair: TurnedPair, log_factor: float) -> tuple[float, float]:
     """Return a pair's precision for the log focal-length ratio, and the gradient of its cost with respect to it."""
-    residual_px, *ends = (_residuals_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
-    slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(residual_px), np.linalg.norm(residual_px, axis=1)
+    residual_px, *ends = (_residuals_px(camera, pair, log_factor + change) for change in (0.0, LOG_STEP, -LOG_STEP))
+    slope, weights, size = (
+        (ends[0] - ends[1]) / (2 * LOG_STEP),
+        _weights(residual_px),
+        np.linalg.norm(residual_px, axis=1),
+    )
     used = max(float(weights.sum()), 1.0)
     sigma2 = max(float(weights @ size**2) / (2 * used), 1e-4) + PAIR_FLOOR_PX**2 * used
     return float(weights @ (slope**2).sum(axis=1)) / sigma2, -float(

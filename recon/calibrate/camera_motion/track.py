@@ -26,7 +26,7 @@ from recon.calibrate.camera_motion.rotation import AgreedOrientation, GreyPictur
 from recon.geometry.camera import Camera
 from recon.io.video import Image
 
-LIMIT = 1 / 320
+MAX_ERROR = 1 / 320
 """Largest error of a point that agrees with a rotation, as a fraction of the picture's longer side."""
 MIN_CORNERS = 40
 """Minimum number of corners in the background of a keyframe."""
@@ -47,9 +47,9 @@ KEYS_TO_LINK = 5
 """Number of keyframes with which a new keyframe is compared."""
 MAX_PICTURES = 120
 """Maximum number of keyframes, those used last, whose pictures stay in memory."""
-LEARNING = 0.15
+NEW_FRAME_WEIGHT = 0.15
 """Weight of a new frame in the running mean of a point's agreement with the background."""
-SETTLED = 0.75
+MIN_AGREEMENT = 0.75
 """Agreement with the background, from 0 to 1, above which a point counts as background."""
 LEAST_AGREEING = 0.6
 """Fraction of background points that agree with a rotation, below which no single rotation explains the background."""
@@ -207,7 +207,7 @@ class Tracker:
 
     @property
     def _limit_px(self) -> float:
-        return LIMIT * max(self.camera.image_size_px)
+        return MAX_ERROR * max(self.camera.image_size_px)
 
     def _begin(self, number: int, frame: GreyPicture, mask: Bools | None) -> bool:
         points = turning.strongest_corners(frame, mask)
@@ -292,8 +292,8 @@ class Tracker:
             was_settled = key.settled[point_rows]
             settled = settled + int(was_settled.sum())
             still_agreeing = still_agreeing + int((was_settled & agree).sum())
-            key.background[point_rows] += LEARNING * (np.where(agree, 1.0, 0.05) - key.background[point_rows])
-            key.settled |= key.background > SETTLED
+            key.background[point_rows] += NEW_FRAME_WEIGHT * (np.where(agree, 1.0, 0.05) - key.background[point_rows])
+            key.settled |= key.background > MIN_AGREEMENT
         return settled >= MIN_CORNERS and still_agreeing < LEAST_AGREEING * settled
 
     def _look_back(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> None:

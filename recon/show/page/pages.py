@@ -93,14 +93,14 @@ def _data(kind: str, content: bytes) -> str:
 
 SECTION_CHARACTERS = 600_000
 """Largest number of characters of a section's vector graphics, which keeps the page small."""
-SHOWN = 100
+MAX_ROWS = 100
 """Largest number of rows in the table of flagged frames."""
 SPEED_MM = 100.0
-LENGTHS = 2.5
+FIGURE_LENGTHS = 2.5
 """Distance that the animal runs in one figure of poses, in body lengths."""
 POSES = 5
 """Number of poses in one figure."""
-STRETCHES = 3
+MAX_FIGURES = 3
 """Largest number of figures of poses on a page."""
 
 
@@ -175,8 +175,8 @@ def clip_page(
         quality=quality,
         worst=None if player is None else worst_keypoint(quality),
         sections=[] if analysis is None else list(_sections(analysis)),
-        flagged=flagged[:SHOWN],
-        more_flagged=max(0, len(flagged) - SHOWN),
+        flagged=flagged[:MAX_ROWS],
+        more_flagged=max(0, len(flagged) - MAX_ROWS),
         meaning={flag: text for flag, text in FLAGS.items() if any(flag in flags for flags in motion.flags)},
         summary=[(label, text) for label, text in report["lines"] if label not in ("verdict", "expected")],
         assumptions=report["assumptions"]["sentences"],
@@ -274,7 +274,7 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
     joints_m = motion.upright.xyz_m
     pose_rows = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     length_m = float(np.median(np.ptp(joints_m[pose_rows], axis=1), axis=0).max())
-    count = int(np.clip(np.round(np.nan_to_num(path.distance_m) / (LENGTHS * length_m)), 1, STRETCHES))
+    count = int(np.clip(np.round(np.nan_to_num(path.distance_m) / (FIGURE_LENGTHS * length_m)), 1, MAX_FIGURES))
     shown_rows = pose_rows[np.round(np.linspace(0, len(pose_rows) - 1, count * POSES)).astype(int)]
     for rows in np.split(shown_rows, count):
         part = np.full_like(joints_m, np.nan)
@@ -282,7 +282,7 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
         yield part
 
 
-FIRST = ("failed", "unsolved", "pending")
+FIRST_STATUSES = ("failed", "unsolved", "pending")
 """Statuses of the clips at the top of a batch's table."""
 NUMBERS = {
     "pose_mm": ("pose error, mm (90 %)", ".0f"),
@@ -299,7 +299,11 @@ NUMBERS = {
 
 `median_px` is computed from the results, since a single distant keypoint makes the mean in summary.csv large.
 """
-DOTS = {"pose_mm": "pose error (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
+DOT_TITLES = {
+    "pose_mm": "pose error (mm)",
+    "median_px": "median keypoint error (px)",
+    "mean_speed_m_s": "mean speed (m/s)",
+}
 """Titles of the columns of summary.csv whose distributions over the clips are drawn."""
 DOTS_PX = (300.0, 44.0)
 """Width and height of a distribution plot in pixels."""
@@ -314,7 +318,7 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
     """Return the HTML page of the batch in a folder from the rows of summary.csv."""
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
     counter = Counter(row["verdict"] or row["status"] for row in rows)
-    counts = {name: counter[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counter)) if counter[name]}
+    counts = {name: counter[name] for name in dict.fromkeys((*FIRST_STATUSES, *LEVELS, *counter)) if counter[name]}
     is_corrected = any(row["corrected"] not in ("", "0") for row in rows)
     return rendered(
         "summary.html",
@@ -324,7 +328,7 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
         numbers={name: NUMBERS[name] for name in NUMBERS if name != "corrected" or is_corrected},
         look=sum(clip["state"] != "use" for clip in clips),
         states=list(dict.fromkeys(clip["state"] for clip in clips)),
-        dots=[dots for name, title in DOTS.items() if (dots := _dots(clips, name, title)) is not None],
+        dots=[dots for name, title in DOT_TITLES.items() if (dots := _dots(clips, name, title)) is not None],
         dots_box=DOTS_PX,
         script=script("table", "batch"),
         pages=any(clip["page"] for clip in clips),
@@ -346,7 +350,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     - `state`: the verdict, or the reason why there is none
     - `rank`: a key for sorting, which puts clips that need a check first
     """
-    folder, order = out / cells["clip"], (*FIRST, *LEVELS)
+    folder, order = out / cells["clip"], (*FIRST_STATUSES, *LEVELS)
     try:
         motion = Motion.load(folder)
         flagged, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
@@ -355,7 +359,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     except (OSError, InputError):  # the fit failed, or its files are damaged
         flagged, thumbnail = None, []
         cells = {**cells, "median_px": ""}
-    state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
+    state = cells["status"] if cells["status"] in FIRST_STATUSES else cells["verdict"]
     numbers = dict[str, list[str]]()
     for name, (_, spec) in NUMBERS.items():
         texts = [format(float(x), spec) for end in ("", "_low", "_high") if (x := cells.get(name + end))]

@@ -20,7 +20,7 @@ from recon.io.video import Image
 
 STRIP_BYTES = 2_500_000
 """Largest size of all pictures of a page before base64 encoding, which adds a third."""
-LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
+SIZES_AND_QUALITIES = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
 """Widths in pixels and WebP qualities of pictures, the best first.
 
 The first with which the pictures fit into `STRIP_BYTES` is used.
@@ -91,14 +91,14 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     corners = np.zeros((len(points_px), 2), dtype=int)
     known = np.isfinite(points_px.sum(axis=2)).any(axis=1)
     if not known.any():
-        return Cut(corners, picture_px, LADDER[0][0])
+        return Cut(corners, picture_px, SIZES_AND_QUALITIES[0][0])
     low, high = np.nanmin(points_px[known], axis=1), np.nanmax(points_px[known], axis=1)
     low, high = np.clip(low, 0, picture), np.clip(high, 0, picture)
     box = np.maximum(np.percentile(high - low, 98, axis=0), 8.0)
     first, last = low.min(axis=0) - MARGIN * box, high.max(axis=0) + MARGIN * box
     first, last = np.clip(first, 0, picture), np.clip(last, 0, picture)
     size = _even(np.maximum(last - first, 0.15 * picture), picture)
-    widest = LADDER[0][0]
+    widest = SIZES_AND_QUALITIES[0][0]
     if box[0] * min(1.0, widest / size[0]) >= SMALL_PX or size[0] <= WINDOW * box[0]:
         corners[:] = np.clip(np.round((first + last - size) / 2), 0, picture - size)
         return Cut(corners, (int(size[0]), int(size[1])), widest)
@@ -140,7 +140,11 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
 
 def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
     """Return width in pixels and quality at which `count` similar pictures fit, and the step between frames."""
-    allowed = [(width, quality) for width, quality in LADDER if width <= max(cut.most_px, LADDER[-1][0])]
+    allowed = [
+        (width, quality)
+        for width, quality in SIZES_AND_QUALITIES
+        if width <= max(cut.most_px, SIZES_AND_QUALITIES[-1][0])
+    ]
     size = 1.0
     for width, quality in allowed:
         size = 1.1 * len(_encode(picture, row, cut, width, quality))

@@ -24,9 +24,9 @@ from recon.gait.stances import INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.quality import keypoint_notes
 
-LARGEST = 32_000
+MAX_PACKED = 32_000
 """Largest absolute value of a number packed into 16 bits."""
-NOTHING = -32_768
+NAN_CODE = -32_768
 """16-bit number that stands for NaN."""
 LARGEST_BYTE = 254
 """Largest number that is packed into a byte."""
@@ -37,7 +37,7 @@ CAMERA_BYTES = 1_800_000
 
 The camera that is shown first is always included.
 """
-SPREADS = 600
+MAX_UNCERTAINTY_FRAMES = 600
 """Largest number of frames whose uncertainty is stored, evenly spaced because uncertainty changes slowly."""
 POSTURE_BYTES = 400_000
 """Size of the model's angle curves in bytes above which a page with anatomical flexions leaves these curves out."""
@@ -102,8 +102,8 @@ def packed(values: Array, least_unit: float = 1e-9) -> dict[str, Any]:
     """Return an array as little-endian 16-bit integers in base64, with their unit and offset."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    offset, unit = (low + high) / 2, max((high - low) / 2 / LARGEST, least_unit)
-    units = np.where(np.isfinite(values), np.round((values - offset) / unit), NOTHING).astype("<i2")
+    offset, unit = (low + high) / 2, max((high - low) / 2 / MAX_PACKED, least_unit)
+    units = np.where(np.isfinite(values), np.round((values - offset) / unit), NAN_CODE).astype("<i2")
     return {"type": "i2", "unit": unit, "offset": offset, "data": base64.b64encode(units.tobytes()).decode()}
 
 
@@ -129,7 +129,7 @@ def _scene(motion: Motion) -> dict[str, Any]:
     """Return joints, uncertainty, ground and cameras in metres in the frame of `Motion.upright`, with z up."""
     joints_m = motion.upright.xyz_m
     posed_m = joints_m[motion.solved]
-    every = -(-len(joints_m) // SPREADS)
+    every = -(-len(joints_m) // MAX_UNCERTAINTY_FRAMES)
     lengths_m = np.nanmax(np.ptp(posed_m, axis=1), axis=1) if len(posed_m) else np.ones(1)
     return {
         "joints_m": packed(joints_m, 1e-5),

@@ -36,7 +36,7 @@ from recon.geometry.kinematics import ROOT
 from recon.show.plots import style
 
 CONFIGURATIONS = 10
-STILL = 0.1
+MIN_PATH = 0.1
 """Shortest path that defines a direction, relative to the animal's length."""
 STYLES: dict[Side | None, tuple[Any, float, str]] = {
     "left": ((0, (2.2, 1.0)), 0.9, "left side"),
@@ -44,7 +44,7 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
     None: ("-", 1.6, "the rest"),
 }
 """Dashes, line width in points, and label of the limbs on each side."""
-_SPARE = 1.1
+_AXIS_FACTOR = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM = 160.0
@@ -115,7 +115,7 @@ def composites(
             axes.locator_params(axis="y", nbins=2 if axes is cells["top"] else 4)
         # The scale follows the shared axis, which must be long enough for the height. Otherwise poses would be cut.
         middle_m = (np.nanmin(points, axis=(0, 1)) + np.nanmax(points, axis=(0, 1))) / 2
-        half_m = _SPARE / 2 * _WIDE_MM / scale
+        half_m = _AXIS_FACTOR / 2 * _WIDE_MM / scale
         cells["side"].set_xlim(middle_m[0] - half_m, middle_m[0] + half_m)
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
@@ -196,7 +196,7 @@ def run_frame(joints_m: Array, rows: Index) -> tuple[Array, Array]:
     moved_m = (last - first)[np.isfinite(last - first).all(axis=1), :2]
     velocity = moved_m.mean(axis=0) if len(moved_m) else np.zeros(2)
     size = float(np.linalg.norm(np.nanmax(first, axis=0) - np.nanmin(first, axis=0)))
-    if np.linalg.norm(velocity) <= STILL * size:
+    if np.linalg.norm(velocity) <= MIN_PATH * size:
         return np.eye(3), origin
     c, s = velocity / np.linalg.norm(velocity)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), origin
@@ -213,7 +213,7 @@ LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _COLOUR_KEY = "left blue, right orange; pale: first configuration, full colour: last"
 _REFERENCE_KEY = "; +: the reference joint"
 """Addition to the key if the reference joint is marked."""
-_PALEST = 0.25
+_MIN_COLOUR = 0.25
 """Fraction of a side's colour in the first, palest configuration."""
 _ROOM = 0.04
 
@@ -274,7 +274,7 @@ def body_fixed(
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     """Draw N paths of n points, `paths_m` (N, n, 2), from the palest colour to the full colour."""
-    share = np.linspace(_PALEST if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
+    share = np.linspace(_MIN_COLOUR if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
     lines = LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2)
@@ -290,7 +290,7 @@ _NAME_MM = 3.4
 """Height in mm of a marker's name in a figure."""
 _LONG_MM = 0.42 * style.WIDTH_MM
 """Length in mm of the animal in a figure."""
-_SAME = 0.01
+_SAME_LABEL_DISTANCE = 0.01
 """Distance between markers, as a fraction of the animal's extent in a view, below which they share a label."""
 
 
@@ -356,7 +356,7 @@ def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
     """Return x, y and text of each label from left to right, with one label for markers at the same position."""
-    tolerance = _SAME * float(np.ptp(points, axis=0).max())
+    tolerance = _SAME_LABEL_DISTANCE * float(np.ptp(points, axis=0).max())
     positions: dict[int, list[str]] = {}
     for i, marker in enumerate(markers):
         first_index = next((k for k in positions if np.linalg.norm(points[k] - points[i]) < tolerance), i)

@@ -234,10 +234,10 @@ def _curve(axes: Axes, i: int, series: Series, value: Array, sigma: Array, unkno
 def _peak(motion: JointKinematics, acceleration: bool) -> str:
     if not np.isfinite(motion.peak_speed_m_s):
         return "no data"
-    speed = plus_minus(motion.peak_speed_m_s, style.REACH * motion.peak_speed_sigma_m_s, "m/s", default=".2f")
+    speed = plus_minus(motion.peak_speed_m_s, style.BAND_SIGMAS * motion.peak_speed_sigma_m_s, "m/s", default=".2f")
     text = f"peak {speed} at {quantity(motion.peak_speed_time_s, 3, 's')}"
     if acceleration:
-        sigma = style.REACH * motion.peak_acceleration_sigma_m_s2
+        sigma = style.BAND_SIGMAS * motion.peak_acceleration_sigma_m_s2
         text += f", {plus_minus(motion.peak_acceleration_m_s2, sigma, 'm/s²', default='.0f')}"
     return text
 
@@ -247,25 +247,25 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     if not np.isfinite(highest):
         style.blank(axes)
         return
-    tops = [np.nanmax(v + style.REACH * s) for v, s in series if np.isfinite(v + s).any()]
+    tops = [np.nanmax(v + style.BAND_SIGMAS * s) for v, s in series if np.isfinite(v + s).any()]
     top = min(np.max(tops, initial=highest), BAND_ROOM * highest)
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
 
 
 SHADES = 60
 """Number of colours into which the path of a phase portrait is divided."""
-_LEAST = (0.05, 0.5)
+_MIN_HALF_RANGES = (0.05, 0.5)
 """Half of the smallest range of the axes of a phase portrait, in degrees and in degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND = "#E6E6E6"
 """Colour of the band around the path of a phase portrait."""
 _UNSEEN = "#9A9A9A"
 """Colour of the path of a phase portrait that comes mostly from the prior."""
-_ALONG = 0.25
+_ELLIPSE_SPACING = 0.25
 """Distance between successive ellipses of a phase portrait's band, relative to their half axes."""
 
 
-CLEAREST = 6
+MAX_PRINTED_PORTRAITS = 6
 """Largest number of phase portraits in a figure for a paper."""
 _EXACT_RAD = 1e-6
 """Smallest standard deviation, in radians, by which the range of an angle is divided."""
@@ -319,7 +319,7 @@ def phase_portraits(
 
 
 def clearest_portraits(
-    portraits: Mapping[str, Portrait], shares: Mapping[str, float], count: int = CLEAREST
+    portraits: Mapping[str, Portrait], shares: Mapping[str, float], count: int = MAX_PRINTED_PORTRAITS
 ) -> dict[str, Portrait]:
     """Return the phase portraits of the angles whose range is largest relative to their uncertainty.
 
@@ -368,10 +368,10 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     axes.update_datalim(path[rows])
     if np.isfinite(portrait.angle_sigma_rad).any():
         sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
-        _band(axes, path[rows], style.REACH * sigma[rows])
+        _band(axes, path[rows], style.BAND_SIGMAS * sigma[rows])
     # The axes have a smallest range, so that a constant angle does not look like a motion.
     middle = (path[rows].min(axis=0) + path[rows].max(axis=0)) / 2
-    axes.update_datalim([middle - _LEAST, middle + _LEAST])
+    axes.update_datalim([middle - _MIN_HALF_RANGES, middle + _MIN_HALF_RANGES])
     axes.autoscale_view()
     axes.plot(*path[rows[0]], "o", ms=4, mfc="w", mec="k", mew=0.9, zorder=3)
     axes.plot(*path[rows[-1]], "s", ms=4, mfc="k", mec="k", zorder=3)
@@ -385,7 +385,9 @@ def _band(axes: Axes, path: Array, half: Array) -> None:
     steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(half[1:], 1e-12), axis=1)
     arc_length = np.concatenate([[0.0], np.cumsum(steps)])
     chosen = np.unique(
-        np.searchsorted(arc_length, np.arange(0.0, arc_length[-1] + _ALONG, _ALONG)).clip(max=len(path) - 1)
+        np.searchsorted(arc_length, np.arange(0.0, arc_length[-1] + _ELLIPSE_SPACING, _ELLIPSE_SPACING)).clip(
+            max=len(path) - 1
+        )
     )
     circle = Path.unit_circle()
     corners = path[chosen, None] + half[chosen, None] * np.asarray(circle.vertices)
@@ -397,13 +399,13 @@ def _band(axes: Axes, path: Array, half: Array) -> None:
 def _percent(value: float, sigma: float) -> str:
     if not np.isfinite(value):
         return "–"
-    return f"{value:.0f}±{style.REACH * sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
+    return f"{value:.0f}±{style.BAND_SIGMAS * sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
 
 
-ARROWS = 45
+MAX_ARROWS = 45
 """Largest number of arrows in a row of a vector field."""
 _ROW_MM, _ABOUT_MM = 24.0, 26.0
-_LONGEST = 0.46
+_ARROW_LENGTH = 0.46
 """Length of the longest arrow of a vector field relative to the height of a row."""
 
 
@@ -411,10 +413,10 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
     """Draw the velocity of each link's tip in the plane over time, as arrows and as a curve of its speed.
 
     Each link has a row, and all rows have the same scale. `time_s` (T,) has the times in seconds. Right is along the
-    parent, and up is perpendicular to the parent. At most `ARROWS` evenly spaced arrows are drawn. A link is grey if
-    its mean speed is below its standard deviation. A speed whose band would fill its panel is left out.
+    parent, and up is perpendicular to the parent. At most `MAX_ARROWS` evenly spaced arrows are drawn. A link is grey
+    if its mean speed is below its standard deviation. A speed whose band would fill its panel is left out.
     """
-    every = max(1, -(-len(time_s) // ARROWS))
+    every = max(1, -(-len(time_s) // MAX_ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
     height = min(_ROW_MM * len(fields), style.PAGE_MM - _ABOUT_MM) + _ABOUT_MM
     with style.drawing(height, title=title or " ") as figure:
@@ -466,7 +468,7 @@ def _arrows(axes: Axes, field: LinkField, time_s: Array, every: int, fastest: fl
     is_drawn = np.isfinite(field.velocity_m_s[:, :2]).all(axis=1) & (np.arange(len(time_s)) % every == 0)
     axes.axhline(0, color=style.PALE, lw=0.6, zorder=1)
     dx, dy = field.velocity_m_s[is_drawn, :2].T
-    scale = {"angles": "uv", "scale_units": "height", "scale": (fastest or 1.0) / _LONGEST, "units": "inches"}
+    scale = {"angles": "uv", "scale_units": "height", "scale": (fastest or 1.0) / _ARROW_LENGTH, "units": "inches"}
     looks = {"width": 0.013, "headwidth": 4, "clip_on": False, "color": colour, "zorder": 2}
     arrows = axes.quiver(time_s[is_drawn], np.zeros(is_drawn.sum()), dx, dy, **scale, **looks)
     arrows.set_in_layout(False)

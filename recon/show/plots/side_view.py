@@ -22,7 +22,7 @@ POSES = 6
 NARROW_POSES = 3
 """Number of poses in a row of a figure as wide as a column."""
 NARROW_MM = 120.0
-_APART = 1.1
+_POSE_SPACING = 1.1
 """Distance between the poses in a row, relative to the length of the longest pose."""
 _WIDTHS: Mapping[Side | None, float] = {"left": 1.0, "right": 1.0, None: 1.4}
 
@@ -69,7 +69,7 @@ def side_view(
     R, origin = run_frame(joints_m, rows)
     poses = (joints_m[chosen] - origin) @ R.T
     low_x, high_x = np.nanmin(poses[:, drawn, 0], axis=1), np.nanmax(poses[:, drawn, 0], axis=1)
-    step_m = _APART * float((high_x - low_x).max())
+    step_m = _POSE_SPACING * float((high_x - low_x).max())
     ground_m = _ground_m(joints_m, poses, chosen, drawn, grounds)
     tall_m = float(np.nanmax(poses[:, drawn, 2] - ground_m[:, None]))
     lines = -(-POSES // per_line)

@@ -177,7 +177,7 @@ def dots(count: int, size: float) -> dict[str, Any]:
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
-REACH = radius(INTERVAL)
+BAND_SIGMAS = radius(INTERVAL)
 """Half width of a 90 % band in standard deviations."""
 
 

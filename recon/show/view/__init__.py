@@ -165,7 +165,10 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     """Return tabs of close views and whole pictures, with the pictures of several cameras next to each other."""
     closeups, wholes = [], []
     for picture, entity in zip(pictures, scenes.by_camera(scenes.PICTURE, pictures), strict=True):
-        reach, (low, high) = scenes.CLOSE * scenes.middle_and_reach_px(picture)[1], scenes.picture_bounds(picture)
+        reach, (low, high) = (
+            scenes.CLOSE_VIEW_SIZE * scenes.middle_and_reach_px(picture)[1],
+            scenes.picture_bounds(picture),
+        )
         contents = [f"+ /{entity}/**", f"- /{entity}/{scenes.EDGE_OF_PICTURE}"]
         closeups.append(_picture_view(f"{entity}/{scenes.ANIMAL}", picture.name, -reach, reach, contents))
         wholes.append(_picture_view(entity, picture.name, low, high))

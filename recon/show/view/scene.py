@@ -51,7 +51,7 @@ ANIMAL, EDGE_OF_PICTURE, VIDEO = "animal", "frame", "video"
 _FRAMES_AT_ONCE = 4000
 """Number of frames that are written at once, for data that need much memory."""
 GRID_SPACING_M = 1.0
-CLOSE = 1.1
+CLOSE_VIEW_SIZE = 1.1
 """Size of the close view of a picture relative to the animal's extent."""
 HIDDEN_LINK = 0.01
 """Length of a link, relative to the close view's width, below which the dots at its ends hide it."""
@@ -432,7 +432,7 @@ def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None
     columns = rr.Points2D.columns(positions=reprojected[is_seen], class_ids=classes).partition(is_seen.sum(axis=1))
     log.draw(f"{root}/reprojections/joints", rr.Points2D, columns, radii=rr.Radius.ui_points(3.5), **fixed_style)
 
-    hidden_px = HIDDEN_LINK * 2 * CLOSE * middle_and_reach_px(picture)[1].max()
+    hidden_px = HIDDEN_LINK * 2 * CLOSE_VIEW_SIZE * middle_and_reach_px(picture)[1].max()
     is_linked = outliers | (picture.distance_px >= hidden_px)
     ends = np.stack((detected, reprojected), axis=2)
     colours = np.where(outliers[is_linked][:, None], OUTLIER, LINK).astype(np.uint8)

@@ -43,7 +43,7 @@ _POLICY = (
 _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
 RECORDING = "recording.rrd"
 """Name of the recording in the page's address. The viewer recognises the format by the suffix."""
-LOOK = "theme=dark&persist=0"
+VIEWER_OPTIONS = "theme=dark&persist=0"
 """Options in the page's address, which make the viewer dark and keep it from storing settings in the browser."""
 START_S = 30.0
 """Longest time that rerun's server may take to start, seconds."""
@@ -64,7 +64,7 @@ def served(path: Path) -> Iterator[str]:
     server = LocalServer(pages | {RECORDING: partial(_recording, path)}, policy=_POLICY)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
-        yield f"{server.address}?url={quote(server.address + RECORDING, safe='')}&{LOOK}"
+        yield f"{server.address}?url={quote(server.address + RECORDING, safe='')}&{VIEWER_OPTIONS}"
     finally:
         server.shutdown()
         server.server_close()
