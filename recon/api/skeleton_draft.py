@@ -273,7 +273,7 @@ class _Distances:
     usual_m: Array
     """Median of each distance over the frames, shape (K, K), m."""
     changes_m: Array
-    """Standard deviation of each distance over frames, (K, K), m, from its range without `TAIL_FRACTION` at each end."""
+    """Standard deviation of each distance over frames, (K, K), m, of its range without `TAIL_FRACTION` at each end."""
     same_m: float
     """Standard deviation below which a distance counts as constant."""
     length_m: float

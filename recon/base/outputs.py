@@ -337,8 +337,8 @@ class Output:
         """Yield one problem for all files that may not be replaced."""
         if names:
             listed, count = names[1 : 1 + MAX_NAMED_FILES], len(names) - 1
-            more = f" and {count - MAX_NAMED_FILES} more" * (count > MAX_NAMED_FILES)
-            rest = f"; the same holds for {', '.join(listed)}{more}" if listed else ""
+            remaining = f" and {count - MAX_NAMED_FILES} more" * (count > MAX_NAMED_FILES)
+            rest = f"; the same holds for {', '.join(listed)}{remaining}" if listed else ""
             way_out = f"another {self.option}, or " if self.option else ""
             expected = f"{way_out}the file moved away: recon would have to replace it"
             yield Problem(self.folder / names[0], "file", description + rest, expected)
