@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, reduce
+from functools import cached_property, reduce
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -44,8 +44,6 @@ LENGTHS = "segment lengths"
 SIDESLIP = "sideslip"
 """Name of the shared unknown angle from the animal's trunk to its direction of travel, rad, positive to the left."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
-_KEPT_TERMS = 32
-"""Number of a prior's linear terms of each kind that are kept, because the fits of one clip share a few of them."""
 
 
 def time_offset(view: int) -> str:
@@ -235,7 +233,6 @@ def _rate(fps: float, weight: float) -> float:
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 
-@lru_cache(_KEPT_TERMS)
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
     """Return the term that keeps the angles near the prior's mean pose, with a single Gaussian of poses."""
     rows = np.zeros((len(prior.mean), n_state))
@@ -243,7 +240,6 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
     return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
 
 
-@lru_cache(_KEPT_TERMS)
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
     """Return the term that keeps the angles' accelerations near the prior's linear function of angles and rates."""
     A = len(prior.mean)
