@@ -178,7 +178,7 @@ def _hierarchy(lines: Iterable[list[str]]) -> list[_Joint]:
             joints[-1].channels = rest[1:]
         elif word != "HIERARCHY":
             raise ValueError(f"'{' '.join((word, *rest))[:60]}' in the hierarchy")
-    raise ValueError("no MOTION")
+    raise ValueError("no section MOTION")
 
 
 def _value(words: Sequence[str], pattern: str) -> str:

@@ -214,7 +214,7 @@ def one_animal(
         *_name_problems(path, "names of animals", animals, N),
     ]
     problems += [
-        Problem(path, field, f"an array of shape {block.shape}", f"{shape}, as the points")
+        Problem(path, field, f"an array of shape {block.shape}", f"{shape}, the shape of the points")
         for field, block, shape in blocks
         if block is not None and block.shape != shape
     ]

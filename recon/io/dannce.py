@@ -137,7 +137,7 @@ class _File:
                 unpacker = zlib.decompressobj()
                 whole = unpacker.decompress(bytes(body), self.left)
                 if unpacker.unconsumed_tail:
-                    raise ValueError("more than a file of poses can hold")
+                    raise ValueError("more data than a file of poses can hold")
                 self.left -= len(whole)
                 kind, body = next(self.elements(memoryview(whole)), (0, body))
             if kind == _MATRIX:
@@ -154,7 +154,7 @@ class _File:
             if kind >> 16:  # the size of an element of up to 4 bytes shares a word with the type
                 size, kind, begin, step = kind >> 16, kind & 0xFFFF, position + 4, 8
                 if size > 4:
-                    raise ValueError("an element that is too large for the one that contains it")
+                    raise ValueError("an element larger than the one that contains it")
             else:
                 begin = position + 8
                 step = 8 + (size if packed and kind == _COMPRESSED else (size + 7) // 8 * 8)
@@ -184,14 +184,14 @@ class _File:
             return name, None
         values = self.numbers(*elements[3]) if len(elements) > 3 else np.zeros(0)
         if min(shape) < 0:
-            raise ValueError("sizes below 0")
+            raise ValueError("negative sizes")
         return name, values.reshape(shape, order="F")
 
     def structs(self, elements: list[tuple[int, memoryview]], depth: int) -> object:
         length = int(self.numbers(*elements[0])[0])
         text = bytes(elements[1][1])
         if not 0 < length <= 64:
-            raise ValueError("field names longer than MATLAB's, or none")
+            raise ValueError("field names that are missing, or longer than MATLAB allows")
         fields = [text[i : i + length].split(b"\0")[0].decode("ascii") for i in range(0, len(text), length)]
         values = [self.matrix(element, depth + 1)[1] for _, element in elements[2:]]
         rows = [dict(zip(fields, values[i:], strict=False)) for i in range(0, len(values), max(len(fields), 1))]
