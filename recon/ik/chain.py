@@ -334,7 +334,7 @@ def _with_z_along(z: Array) -> Array:
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
-    """Return why the end effector cannot come within the tolerance of a target (dim,), m, or "" if it might."""
+    """Return why the end effector cannot come within the tolerance of a target (dim,) in metres, or "" if it might."""
     if not np.isfinite(target_m).all():
         return "unreachable: the target is not finite"
     distance, (nearest, farthest) = float(np.linalg.norm(target_m)), chain.reach_m

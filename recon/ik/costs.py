@@ -18,7 +18,7 @@ from recon.ik.chain import SerialChain
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """A cost on joint angles q (n,), rad, with functions for its value, gradient and Hessian."""
+    """A cost on joint angles q (n,) in rad, with functions for its value, gradient and Hessian."""
 
     value: Callable[[Array], float]
     gradient: Callable[[Array], Array]

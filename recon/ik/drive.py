@@ -33,7 +33,7 @@ PROGRESS_ITERATIONS = 100
 MIN_PROGRESS = 0.01
 """Smallest reduction of the distance from the target, as a fraction of it, that counts as progress."""
 STILL_RAD = 1e-10
-"""Motion, rad, or rate, rad/s, below which a joint counts as still, because only rounding errors remain."""
+"""Motion (rad) or rate (rad/s) below which a joint counts as still, because only rounding errors remain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Run:
     solve_s: Array
     """Computing time of each step, shape (K - 1,), seconds."""
     limits: dict[str, str]
-    """Text on each joint that a limit stopped, with the limit and the first step at which it did so, by joint name."""
+    """Text for each joint that a limit stopped, by joint name, with the limit and the step of the first stop."""
     closed: bool
     """Whether the path was closed."""
     note: str
@@ -96,7 +96,7 @@ class Run:
 
     @cached_property
     def control(self) -> tuple[Array, Array]:
-        """Return joint rates, rad/s, and accelerations, rad/s², for a controller, both with the shape (K, n).
+        """Return joint rates (rad/s) and accelerations (rad/s²) for a controller, both with the shape (K, n).
 
         Both are derivatives of the parabola through a sample and its two neighbours. A closed path is continued
         periodically. Any other path starts at rest.
@@ -167,7 +167,7 @@ def drive_to(
     max_iterations: int = 2000,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Drive the end effector from joint angles q0 (n,), rad, to a target (dim,), metres.
+    """Drive the end effector from joint angles q0 (n,) in rad to a target (dim,) in metres.
 
     The run starts at q0, moved to within the limits. The extended Jacobian first moves from there to G = 0 with the end
     effector fixed. If the target is not reached, the run's note gives the reason.

@@ -68,7 +68,7 @@ class Limb:
     base: Literal["UVW", "xyz"]
     """Meaning of the base frame's axes: U forwards, V down and W left, or x forwards, y left and z up."""
     base_at: str
-    """Point of the animal at which the chain begins, the origin of the base frame, in words."""
+    """Description of the animal's point at which the chain begins, which is the origin of the base frame."""
     misfit_m: float
     """Median distance of the chain's end from the foot, metres."""
 

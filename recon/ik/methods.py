@@ -52,13 +52,13 @@ class JointRates(NamedTuple):
     """Joint rates that a method computed for one step, with a note."""
 
     dq: Array
-    """Rates of the joints, rad/s, shape (n,)."""
+    """Rates of the joints, shape (n,), rad/s."""
     singular: bool = False
     """Whether the rates were damped because the end effector cannot move in some direction."""
     note: str = ""
     """Sentence that says how the rates were reduced or damped; empty if they were not."""
     along: Array | float = 0.0
-    """Rates along the null space, rad/s, to add to `dq` as far as the limits allow."""
+    """Rates along the null space in rad/s, to add to `dq` as far as the limits allow."""
 
 
 @dataclass(frozen=True, eq=False)

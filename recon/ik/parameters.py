@@ -111,7 +111,7 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
     - gradient-projection, with k = 1: coefficients of the costs, or the smallest constant g (n,) if there are none
     - weighted: diag W, positive, with a mean of 1; `pull` is the strength described at `EQUAL_WEIGHT_PULL`
     - damped: lambda, metres
-    - selectively-damped: gamma_max, rad, for steps of `INTERVAL_S`
+    - selectively-damped: gamma_max in rad, for steps of `INTERVAL_S`
     """
 
     def projection(c: Array) -> Method:

@@ -40,7 +40,7 @@ class StridePath:
     origin: str
     """Origin of the stride: "given", "gait" or "end effector" for a complete stride, "return" or "whole clip"."""
     q: Array
-    """Joint angles of the animal, shape (F, n), rad, NaN if missing; the first row is the start."""
+    """Joint angles of the animal, shape (F, n), rad; NaN if missing. The first row is the start."""
     path_m: Array
     """Closed path of the end effector, shape (K, dim), metres, with points `interval_s` apart."""
     interval_s: float
@@ -68,11 +68,11 @@ def find_stride(
     chain
         The chain whose end effector is followed.
     q
-        Joint angles (T, n) in the frames, rad, NaN if missing.
+        Joint angles (T, n) in the frames, rad; NaN if missing.
     fps
         Frames per second.
     span_s
-        Start and end of the stride, seconds, if known.
+        Start and end of the stride in seconds, if known.
     duration_range_s
         Shortest and longest possible duration of a return, seconds; None for the whole clip.
 

@@ -55,7 +55,7 @@ class Correction:
 
 
 def read_corrections(path: Path) -> list[Correction]:
-    """Return the corrections in a file, in their order.
+    """Return the corrections in a file, in the order of its rows.
 
     Raises
     ------

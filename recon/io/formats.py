@@ -94,7 +94,7 @@ class Format:
             return _present(self._loaded().read)(path, individual)
 
     def write(self, data: object, path: Path) -> None:
-        """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file.
+        """Write data of a kind in `writes` (`Keypoints`, `Pose3D`, `Armature` or cameras) to a new file.
 
         Raises
         ------

@@ -281,7 +281,7 @@ NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """First words of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
 Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
-"""Axes and values of each variable; the keys are the variables' names in movement 0.17."""
+"""Axes and values of each variable, by its name in movement 0.17."""
 
 
 def recognises_movement(path: Path) -> bool:
@@ -484,7 +484,7 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
             problems.append(Problem(path, f"{name}/{point}", f"{positions.shape} positions", expected))
         elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
             problems.append(
-                Problem(path, f"{name}/{point}", f"times that differ from those of {first}", "the same times for all points")
+                Problem(path, f"{name}/{point}", f"other times than {first}", "the same times for all points")
             )
     raise_problems(problems)
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()

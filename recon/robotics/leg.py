@@ -81,7 +81,7 @@ class Leg:
     foot_offset_m: Length = 0.0
     """Forward offset of the foot, perpendicular to the shin, metres."""
     lateral_m: Length = 0.0
-    """Outward distance from the flap joint to the swing joint, metres, if the flap joint comes first."""
+    """Outward distance from the flap joint to the swing joint in metres, if the flap joint comes first."""
     mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factor 1 or -1 for each leg axis: 1 as in the right front leg, -1 mirrored."""
 
@@ -125,7 +125,7 @@ class Leg:
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
     def forward(self, angles_rad: ArrayLike) -> Array:
-        """Return the positions (..., 3) of the feet relative to the hip, metres, for angles (..., 3), rad."""
+        """Return the positions (..., 3) of the feet relative to the hip in metres, for angles (..., 3) in rad."""
         return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
@@ -153,7 +153,7 @@ class Leg:
         return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return the distance (...) of feet from the edge of the reach, metres, negative outside.
+        """Return the distance of feet (..., 3) from the edge of the reach in metres, shape (...), negative outside.
 
         The swing joint of the leg has to come first.
         """

@@ -207,7 +207,7 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, se
 
 
 def _apart(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
-    """Return the deepest penetration (K,) of two parts as a negative distance, metres, or 0 if no parts touch."""
+    """Return the deepest penetration of two parts as a negative distance (K,) in metres, or 0 if no parts touch."""
     mujoco = require_mujoco(motion.robot.source)
     data, distances = mujoco.MjData(model), np.zeros(len(time_s))
     for k, coordinates in enumerate(_places(model, motion.robot, motion.states(time_s))):
@@ -368,7 +368,7 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = MAX_EXCESS) -
     motion : RobotMotion
         The first motion found that keeps every rule, or the last motion tried.
     shifts : (N, 6)
-        Changes of the base's position, m, and of its yaw, pitch and roll, rad.
+        Changes of the base's position (m) and of its yaw, pitch and roll (rad).
     """
     problem, shifts = _Carrying(motion, model), np.zeros((len(motion.time_s), 6))
     moved, pushes = np.zeros(problem.moved_shape), np.full(problem.n_pushes, 0.2)

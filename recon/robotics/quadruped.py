@@ -34,7 +34,7 @@ from recon.robotics.models import bodies_to, body_names, foot_of, leaves_of, mod
 LEGS = ("LF", "RF", "LH", "RH")
 """Labels of the legs in the order of all arrays: left or right, fore or hind."""
 IK_TOLERANCE_M = 1e-5
-"""Distance from its target, metres, within which a foot counts as having reached the target."""
+"""Distance from its target in metres within which a foot counts as having reached the target."""
 _BISECTIONS = 12
 """Number of bisections in the search for the height to which a leg can lift its foot."""
 
@@ -68,7 +68,7 @@ class RobotLeg:
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
-        """Return the distance (..., n) of each angle from its nearer limit, rad, negative outside; NaN stays NaN."""
+        """Return the distance of each angle (..., n) from its nearer limit in rad, negative outside; NaN for NaN."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
@@ -78,7 +78,7 @@ class RobotLeg:
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return the distance (T,) of feet (T, 3) from the edge of the closed form's reach, m, negative outside."""
+        """Return the distance (T,) of feet (T, 3) from the edge of the closed form's reach in m, negative outside."""
         assert self.closed is not None
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
@@ -131,7 +131,7 @@ class Quadruped:
         return tuple(name for leg in self.legs.values() for name in leg.joints)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Return the lower limits, rad, upper limits, rad, and maximum rates, rad/s, of all joints, (joints,) each."""
+        """Return the lower limits (rad), upper limits (rad) and maximum rates (rad/s) of all joints, (joints,) each."""
         names = ("lower_rad", "upper_rad", "max_rate_rad_s")
         chains = [leg.chain for leg in self.legs.values()]
         lower, upper, rate = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
@@ -205,7 +205,7 @@ def _to_leg_axes(v: Array) -> Array:
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
-    """Return T_world_body for body positions (..., 3), metres, and angles (...), rad."""
+    """Return T_world_body for body positions (..., 3) in metres and angles (...) in rad."""
     angles = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1)
     return RigidTransform.from_components(np.asarray(position_m, float), Rotation.from_euler("ZYX", angles))
 
@@ -377,5 +377,5 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
 
 def _turns(chain: SerialChain) -> Array:
-    """Return the lower and upper limits (2, n), rad, with half a turn each way for joints without limits."""
+    """Return the lower and upper limits in rad, shape (2, n), with half a turn each way for joints without limits."""
     return np.array([np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)])

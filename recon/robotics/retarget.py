@@ -120,7 +120,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     motion : Motion
         The animal's motion.
     stride_s : tuple of float, optional
-        Start and end of a stride, s, as for `analyse`.
+        Start and end of a stride in seconds, as for `analyse`.
 
     Raises
     ------
@@ -396,7 +396,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def margin_rad(self) -> Array:
-        """Return the smallest distance of each joint (joints,) from its limits, rad, negative beyond a limit."""
+        """Return the smallest distance of each joint from its limits in rad, (joints,), negative beyond a limit."""
         lower, upper, _ = self.robot.limits()
         return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
 

@@ -299,7 +299,7 @@ class Climb:
 
     @property
     def pitch_rad(self) -> Array:
-        """Return the pitch (T,), rad, positive with the nose up."""
+        """Return the pitch in rad, shape (T,), positive with the nose up."""
         return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
 
     @cached_property
