@@ -199,7 +199,6 @@ def _builtin_prior(name: str, body: str, angles: tuple[str, ...]) -> MotionPrior
 
 
 def _read_prior(name_or_path: str, body: str, angles: tuple[str, ...]) -> MotionPrior:
-    """Read the file of a prior, and check that it fits a body with the given name and angles."""
     names = (*builtin_priors(), NONE)
     content, source = documents.named_file(name_or_path, "animal/priors", ".npz", "--prior", "prior", names)
     with documents.damage_as_input_error(source, _EXPECTED, "file"):

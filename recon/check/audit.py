@@ -63,7 +63,7 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "points_identical": ("lengths_change", "joint_beyond_range"),
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }
-"""Codes of the consequences of each fault, which are not reported in addition to the fault, the key."""
+"""Codes of the consequences of each fault, by the fault's code. They are not reported in addition to the fault."""
 LEAST_FRAMES = 5
 """Minimum number of frames in a file that can be audited."""
 

@@ -29,7 +29,7 @@ NO_DRIFT_SIGMAS = 0.5 * DRIFT_SIGMAS
 The quick test uses only some of the frames.
 """
 RAY_SIGMAS = 3.0
-"""Margin, in standard deviations, by which the drift from rays must be below half of the estimated drift to refute it.
+"""Margin by which the drift from rays must be below half of the estimated drift to refute it, in standard deviations.
 
 Wrong lengths of a rough skeleton look like a drift, but rays do not depend on the lengths. Errors of detections rarely
 reach three standard deviations, so a real drift is rarely refuted (`tests/check/test_clocks.py` tests both).

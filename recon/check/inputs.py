@@ -353,7 +353,6 @@ def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
 
 
 def _exceeds_chance(identical: Bools, is_seen: Bools) -> bool:
-    """Return whether more of the detected points are identical than chance explains."""
     return bool(identical.sum() > IDENTICAL_FRACTION * is_seen.sum() and identical.sum() >= MIN_COUNT)
 
 
@@ -613,7 +612,6 @@ def seem_to_slide(speeds: FeetSpeeds) -> bool:
 
 
 def _sliding(motion: Motion, speeds: FeetSpeeds) -> Finding | None:
-    """Return a finding if standing feet move over the ground, otherwise None."""
     if not seem_to_slide(speeds):
         return None
     if abs(on_ground_m_s(motion)) < 0.5 * abs(speeds.slowest_m_s):

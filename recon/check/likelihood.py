@@ -421,7 +421,6 @@ _WORDS = {
 
 
 def _is_upside_down(alternative: _Alternative) -> bool:
-    """Return whether a hypothesis explains an animal that runs upside down."""
     code, numbers, _ = alternative
     return code in {"picture_upside_down", "keypoints_y_up", *_CAMERA_TO_WORLD} or numbers.get("axis") == "-z"
 

@@ -294,7 +294,6 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def _effector_stride(self) -> Stride | None:
-        """Return the first complete stride of a chain's end effector, or None without such a stride."""
         motion, effector = self.motion, self.end_effector
         span_s = None if effector is None else effector.stride_s(motion.time_s[longest_stretch(motion.solved)])
         if effector is None or span_s is None:

@@ -322,7 +322,7 @@ def frame_jitter_m(points_m: Array) -> Array:
 
 
 def jitter_errors(values: Array) -> tuple[Errors]:
-    """Return the errors of values (T, ...), independent between frames, as large as the frame-to-frame jitter."""
+    """Return errors of values (T, ...) that are as large as the jitter, and independent between frames."""
     jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
     smallest = 1e-9  # avoids a zero sigma, as an exact series has no jitter
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
