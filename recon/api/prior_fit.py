@@ -44,7 +44,7 @@ class PriorFitSettings(Settings):
     out: Path
     """File to write the prior to, such as my-dog.npz."""
     skeleton: str | None = None
-    """Skeleton of 3D poses, such as cheetah-24. (default: that of the results)"""
+    """Skeleton of 3D poses, such as cheetah-24. (default: the results' skeleton)"""
     fps: str | None = None
     """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one rate per segment."""
     subject: str | None = None

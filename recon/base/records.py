@@ -121,7 +121,7 @@ class _Layout:
     stored: str
     """Type of the stored values, single precision if this changes no bit."""
     symmetric: bool
-    """Whether the last two axes are those of symmetric matrices, of which only the upper triangles are stored."""
+    """Whether the last two axes form symmetric matrices, of which only the upper triangles are stored."""
 
     @classmethod
     def of_array(cls, array: np.ndarray) -> _Layout:

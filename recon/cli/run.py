@@ -163,8 +163,8 @@ class _StageOutcome(NamedTuple):
 def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answer:
     """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, record, and write report.html.
 
-    Stages that were done before with the same files and settings are skipped. The frame rate is that of the video
-    unless --fps is given. The stages are detect, camera-motion, fit, analyse, overlay, playback and page.
+    Stages that were done before with the same files and settings are skipped. The frame rate is the video's unless
+    --fps is given. The stages are detect, camera-motion, fit, analyse, overlay, playback and page.
 
     Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
 

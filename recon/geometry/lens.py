@@ -1,7 +1,7 @@
 """Distort and undistort rays by lens models, each of which is a class in the table `LENS_MODELS`.
 
 A lens model converts the normalised coordinates (a, b) = (x/z, y/z) of a point to distorted coordinates, which the
-camera matrix converts to pixels. The models are those of OpenCV (modules calib3d and fisheye):
+camera matrix converts to pixels. The models are OpenCV's (modules calib3d and fisheye):
 
 - "pinhole": no distortion, no coefficients.
 - "radtan": radial-tangential, k1 k2 p1 p2 [k3 [k4 k5 k6]]; with 8 coefficients the radial part is rational.

@@ -125,7 +125,7 @@ TO_CORRECT_COLUMNS = (
 def to_correct(motion: Motion, path: Path) -> None:
     """Write the detections that should be corrected by hand, the most useful corrections first.
 
-    Frame numbers are those of the camera's keypoint file. The sigmas are the half axes of the one-sigma ellipse around
+    Frames are numbered as in the camera's keypoint file. The sigmas are the half axes of the one-sigma ellipse around
     the expected position.
     """
     rows = [
@@ -164,7 +164,7 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.cs
 """Functions that write the tables of every clip, by file name."""
 
 REPROJECTION = "reprojection.csv"
-"""File name of a single camera's table of reprojections (`camera_files` names those of several cameras)."""
+"""File name of a single camera's table of reprojections. For several cameras, `camera_files` gives the names."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:

@@ -55,7 +55,7 @@ def read_osim_as_xml(path: Path) -> Joints:
                 values = np.array(motion[name])[:, None] * _numbers(axis, "axis")
                 if kind == "rotation":
                     turn = turn * Rotation.from_rotvec(values)
-                else:  # The axes of the only translating joint are those of the ground.
+                else:  # The only translating joint has the axes of the ground.
                     position = position + values
         poses[joint.findtext("socket_child_frame") or ""] = turn, position
     joints = {}

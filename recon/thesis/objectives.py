@@ -4,11 +4,11 @@ Each term is a small class. A term reads the pose of one frame and, if it `ties`
 frame. Terms return residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
 new term needs one class here and one line in the list in `tests/thesis/test_objectives.py`.
 
-f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty. "deadband"
-penalises only values outside the range, as the publication intends. "printed" is the published formula, which is
-two-sided and pulls values towards the edge of the range. The Gaussian priors are necessary as well, because the pixels
-of one frame do not determine the scale, the roll of the chain about its axis, one mode of depth, and the sign of each
-link's depth.
+f1 to f5 are the objectives of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty.
+"deadband" penalises only values outside the range, as the publication intends. "printed" is the published formula,
+which is two-sided and pulls values towards the edge of the range. The Gaussian priors are necessary as well, because
+the pixels of one frame do not determine the scale, the roll of the chain about its axis, one mode of depth, and the
+sign of each link's depth.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ class DirectionPrior(Objective):
     expected: Array | None
     """Expected unit vectors (T, 3) in the camera frame, NaN where the residuals are 0.
 
-    None stands for the axis in the previous frame. The standard deviation `sigma` is then that of a random walk over
+    None stands for the axis in the previous frame. The standard deviation `sigma` then belongs to a random walk over
     one second.
     """
     sigma: float

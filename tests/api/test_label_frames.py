@@ -47,7 +47,7 @@ def test_chosen_frames_cover_every_scene_and_are_reproducible(film: Path):
 def test_with_a_result_the_most_useful_frames_are_chosen(small_motion: Motion):
     """If a result is given, the chosen frames are those whose labels reduce the error most.
 
-    A neighbour of a chosen frame adds little. Frame numbers are those of the keypoint file.
+    A neighbour of a chosen frame adds little. Frames are numbered as in the keypoint file.
     """
     gain_m2 = np.zeros((1, len(small_motion.frames), len(small_motion.names)))
     gain_m2[0, [0, 1], 4] = 3.0, 2.9

@@ -202,7 +202,7 @@ def test_a_zooming_picture_is_reported(times, ways):
 
 
 def test_the_effect_of_a_zoom_is_that_of_a_calibration_at_either_end():
-    """The effect of a zoom includes that of a calibration at the start or the end of the clip.
+    """The effect of a zoom includes the effect of a calibration at the start or the end of the clip.
 
     If the picture becomes a quarter larger, distances are wrong by an eighth.
     """

@@ -890,7 +890,7 @@ def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypat
 
 
 def test_only_short_clips_have_a_playback_by_default(tmp_path, fitted, monkeypatch):
-    """By default, a short clip gets a playback, and a longer clip loses that of an earlier fit."""
+    """By default, a short clip gets a playback, and a longer clip loses the playback of an earlier fit."""
     out, opened = tmp_path / "clip", []
     monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.parent, path.name)))
     settings, motion = replace(read_config(fitted[0] / CONFIG, {}), playback="auto"), Motion.load(fitted[0])

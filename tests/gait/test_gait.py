@@ -162,7 +162,7 @@ def test_default_feet_are_those_of_the_cheetah():
 
 
 def test_stances_of_the_simulated_gallop():
-    """Stances of the simulated gallop at 90 fps are those of the formula at 3600 fps, within one frame."""
+    """Stances of the simulated gallop at 90 fps agree with the formula at 3600 fps to within one frame."""
     moved = pose_tracks(simulated(90.0, 90), 90.0)
     truth = simulated(3600.0, 3560)
     where = {name: i for i, name in enumerate(truth.names)}

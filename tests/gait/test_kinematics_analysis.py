@@ -105,7 +105,7 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
 
 
 def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
-    """Standard deviations of a long clip, computed in pieces, are those of the whole spline.
+    """Standard deviations of a long clip, computed in pieces, equal the standard deviations of the whole spline.
 
     Several errors add up, and one of them lasts throughout the clip.
     """
@@ -239,7 +239,7 @@ def test_spine_flexion_is_positive_when_arched_up(heading):
 
 
 def test_peak_speed_of_the_simulated_gallop():
-    """The peak speed of every joint of the simulated gallop at 90 fps is that of the formula at 3600 fps."""
+    """The peak speed of every joint of the simulated gallop at 90 fps agrees with the formula at 3600 fps."""
     fine = gallop(fps=3600.0, n_frames=3600)
     coarse = gallop(fps=90.0, n_frames=90)
     true = np.linalg.norm(fine.truth_m[2:] - fine.truth_m[:-2], axis=2) * 1800

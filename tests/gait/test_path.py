@@ -201,7 +201,7 @@ def test_times_must_increase():
 def test_lasting_errors_are_part_of_the_deviations_of_speeds():
     """Errors that last are part of the standard deviations of speeds.
 
-    The noise of each frame partly continues that of the frame before, as in a method that starts from it.
+    The noise of each frame partly continues the noise of the previous frame, from which the method starts.
     """
     rng, points = np.random.default_rng(3), np.zeros((120, 3))
     points[:, 0] = 12 * np.arange(120) / 90

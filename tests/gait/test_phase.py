@@ -106,7 +106,7 @@ def test_a_parent_across_the_travel_has_no_frame():
 
 
 def test_closure_of_a_full_and_of_a_half_turn():
-    """The closures of a full and of half a turn of 0.3 cos(w t), 72 frames, are those computed by hand.
+    """The closures of a full and of half a turn of 0.3 cos(w t), 72 frames, agree with values computed by hand.
 
     Half a turn from the least to the greatest angle, in the scaled plane, runs from (0, 0) to (1, 0) over the half
     ellipse (u, 2 sqrt(u (1 - u))), whose farthest point from an end is at u = 2/3: d_max = sqrt(4/9 + 8/9).
@@ -120,7 +120,7 @@ def test_closure_of_a_full_and_of_a_half_turn():
 
 
 def test_deviation_of_a_closure_by_hand():
-    """The standard deviation of a closure is that computed by hand.
+    """The standard deviation of a closure agrees with a value computed by hand.
 
     The ends of a full turn have independent errors of sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
     and the standard deviation of |n| is that of n times sqrt(1 - 2 / pi).

@@ -55,7 +55,7 @@ def test_jacobian_against_central_differences(some_tree: Tree):
 
 
 def test_frames_are_rotations_and_segments_keep_their_lengths(some_tree: Tree):
-    """Frames are rotations, and segments keep their lengths, which are those of the offsets times the size."""
+    """Frames are rotations, and segments keep their lengths, which are the lengths of the offsets times the size."""
     origins = Tree(some_tree.segments, tuple(Marker(s.name, s.name) for s in some_tree.segments))
     states, sizes = states_and_sizes(some_tree, 20)
     R = some_tree.orientations(states)

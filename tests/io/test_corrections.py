@@ -103,7 +103,7 @@ def test_frames_that_a_spreadsheet_writes(tmp_path: Path):
 
 
 def test_corrections_of_another_clip_are_refused(keypoints: Keypoints):
-    """Corrections are refused if none of their positions is that of a detection of any keypoint."""
+    """Corrections are refused if no keypoint was detected at any of their positions."""
     other = [Correction(4 + i % 3, "", "nose", (50.0 + i, 60.0), (9.0, 8.0)) for i in range(5)]
     with pytest.raises(InputError) as refusal:
         with_corrections([keypoints], ["cam"], other, Path("corrections.csv"))

@@ -77,7 +77,7 @@ def test_an_opensim_model(rig, tmp_path):
 
 
 def test_an_opensim_model_has_masses_and_inertias(tmp_path):
-    """Masses and inertias are those of solid cylinders, equal for left and right.
+    """Masses and inertias agree with solid cylinders, and are equal for left and right.
 
     The moment of inertia of a slender bone about an axis across it is m L^2 / 12.
     """

@@ -178,7 +178,7 @@ def forces(dynamics: Dynamics, gait: Gait) -> Figure:
 BAND_ROOM = 3.0
 """Largest height of a speed axis relative to the highest curve, so that the curve fills a third of the panel.
 
-Bands may be higher, such as those of accelerations from one camera and those at the ends of a spline.
+Bands may be higher, such as the bands of accelerations from one camera, or at the ends of a spline.
 """
 
 

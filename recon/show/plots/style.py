@@ -1,8 +1,8 @@
 """Define the style of all figures, and write figures to files.
 
-Figures are as wide as a page (180 mm) or a column (85 mm), with text of 8 points. Colours are those of Okabe and Ito
-without yellow, which is pale on paper. Lines that have to be distinguished also differ in dashes. Times have the
-colours of viridis without its palest tenth.
+Figures are as wide as a page (180 mm) or a column (85 mm), with text of 8 points. Colours are from the palette of Okabe
+and Ito without yellow, which is pale on paper. Lines that have to be distinguished also differ in dashes. Times have
+the colours of viridis without its palest tenth.
 
 A figure is laid out once, at the end of its `drawing` block. All files are byte-identical for the same data and version
 of matplotlib. The user's matplotlib settings have no effect and are not changed.

@@ -177,7 +177,7 @@ class Scene:
 
 
 def changes(values: Bools) -> Bools:
-    """Return a mask (T,) of the rows whose value differs from that of the row before, and of the first row."""
+    """Return a mask (T,) of the first row and of all rows whose value differs from the previous row's."""
     return np.append(True, values[1:] != values[:-1])[: len(values)]
 
 
