@@ -34,8 +34,8 @@ CONSTANT_KEYPOINTS = 3
 class Keypoints(Brief):
     """Detections of K named keypoints in T frames of one camera.
 
-    A reader of files returns the values as they are stored: a confidence of NaN if the file has none, and sometimes a
-    confidence of a missing point. `clean` turns them into the form that the attributes describe.
+    A reader of files returns the values that the file stores. The confidence is NaN if the file has none, and a missing
+    point may have a confidence. `clean` turns the values into the form that the attributes describe.
 
     Raises
     ------

@@ -1,31 +1,36 @@
-"""Solve the normal equations of a clip, in which each frame is coupled with the W frames before and after it.
+"""Solve the normal equations of a clip, in which each frame is coupled only with the W frames before and after it.
 
-Each of T frames has D unknowns. H (TD, TD) is symmetric and positive definite; its block (t + k, t), D x D, is zero for
-k > W. Time and memory are linear in T. The Cholesky factor L of H = L L' has the same band.
+**Input and output.** A clip has T frames with D unknowns each. It comes in one or more pieces of consecutive frames
+(`Normal`): the blocks of a symmetric, positive definite matrix H (TD, TD), the gradient, and the border of the unknowns
+that all frames share. The block (t + k, t) of H, D x D, is zero for k > W. `step` returns the step towards the minimum.
+`eliminated` yields windows (`Window`), which give solutions, random draws and covariances.
 
-The inverse of H, a covariance, is full; only its blocks near the diagonal are needed. If z is white noise, block row t
-of L' x = z gives frame t from the W frames after it:
+**Idea.** The Cholesky factor L of H = L L' has the same band as H, so time and memory are linear in T.
+
+**Covariances.** The covariance Z = H^-1 is full, but only its blocks near the diagonal are needed. They follow one
+after the other, backwards from the last frame. If z is white noise, block row t of L' x = z gives frame t from the W
+frames after it:
 
     x_t = gain_t x_later + L_tt^-T z_t,   gain_t = -L_tt^-T [L_t+1,t' ... L_t+W,t'],   later = t + 1, ..., t + W
 
-Z = H^-1 therefore follows backwards from the last frame, while the window Z[later, later] moves along:
+The covariance of frame t is therefore known once the window Z[later, later] of the W frames after it is known:
 
     Z[t, later] = gain_t Z[later, later],   Z[t, t] = L_tt^-T L_tt^-1 + Z[t, later] gain_t'
 
-These are Takahashi's equations in blocks, and the smoother of Rauch, Tung and Striebel.
+These are Takahashi's equations for blocks, which are also the smoother of Rauch, Tung and Striebel.
 
-Unknowns that all frames share border the matrix:
+**Shared unknowns.** Unknowns s that all frames share add a border B and a corner C to the matrix:
 
     [H  B] [x]   [b]          S = C - B' Y,  Y = H^-1 B
     [B' C] [s] = [c],    s = S^-1 (c - Y' b),  x = H^-1 b - Y s
 
 Then cov(s) = S^-1, cov(x, s) = -Y S^-1, and cov(x) = H^-1 + Y S^-1 Y'.
 
-A long clip is processed in pieces (`eliminated`). Frames before a piece are eliminated exactly. Let L21 be the rows of
-L from the last W frames of a piece to the first W of the next, and z = L^-1 b: the next piece gets -L21 L21' on H and
--L21 z on a right-hand side. B' H^-1 B is the sum over all pieces of (L^-1 B)' (L^-1 B) in their own rows. On the way
-back, a piece is solved together with the next piece only, which represents all later frames, because the influence of
-later frames decays exponentially.
+**Pieces.** A long clip is processed piece by piece, from its first frame to its last (`eliminated`). The frames of a
+piece are eliminated exactly. This adds -L21 L21' to H and -L21 z to a right-hand side b in the first W frames of the
+next piece, where L21 holds the rows of L for these W frames and its columns for the last W frames of the piece, and z =
+L^-1 b. The matrix B' H^-1 B is the sum of (L^-1 B)' (L^-1 B) over the rows of all pieces. On the way back, a piece is
+solved together with the next piece only, because the influence of later frames decays exponentially.
 """
 
 from __future__ import annotations
@@ -43,7 +48,7 @@ from scipy.linalg.lapack import dtbtrs, dtrtri
 from recon.base.arrays import Array, Bools
 
 _REGULARISATION = 1e-9
-"""Relative increase of the diagonal of H if H is not positive definite to rounding (`factored` with `bounded`)."""
+"""Relative increase of the diagonal with which `factored` retries if `bounded` and H is not positive definite."""
 _MIN_BLOCK_COLUMNS = 8
 """Minimum number of right-hand sides for which matrix products replace LAPACK's solver.
 
@@ -108,7 +113,7 @@ class Window:
         return Window(rows, _NO_PIECE, self.factor.first_frames(n), self.whitened[:n])
 
     def without_piece(self) -> Window:
-        """Return the window without its normal equations, half of its memory, which `solved_for` does not need."""
+        """Return the window without its normal equations, to free memory, because `solved_for` does not need them."""
         following = None if self.following is None else self.following.without_piece()
         return replace(self, piece=_NO_PIECE, following=following)
 

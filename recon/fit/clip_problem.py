@@ -36,8 +36,7 @@ class TrajectoryOptions:
     """
 
     fast: bool = False
-    """Whether the search is shortened, by fewer starts, of which only one is solved to the end, and looser tolerances.
-    """
+    """Whether the search is shortened by fewer starts, only one of them solved to the end, and looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
     """Whether standing feet are assumed to be still and on one plane ("auto"), or nothing is assumed ("none")."""
     sigma_px: float = 3.0
@@ -347,7 +346,7 @@ class ClipProblem:
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
-        """Return shared unknowns of mean 0 with errors that persist, which count once for any number of frames."""
+        """Return shared unknowns of mean 0 whose errors persist, so that they count once for any number of frames."""
         sigmas = np.asarray(np.atleast_1d(sigma) / np.sqrt(self.correlation_frames), dtype=float)
         return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
 
@@ -484,9 +483,14 @@ class ClipProblem:
 
 
 LOW_FEET = 0.1
-"""Quantile of the lowest foot's height over the frames at which this foot is assumed to be on the ground."""
+"""Quantile, over the frames, of the height of the lowest foot, at which this foot is assumed to stand on the ground.
+
+The value is an assumption. Feet that are placed too low by an error in some frames then do not lower the ground.
+"""
 OFF_ZERO_SIGMAS = 2.0
-"""Maximum distance of the lowest feet from z = 0, in standard deviations, at which the ground is assumed to be there.
+"""Maximum distance of the lowest feet from z = 0, in standard deviations, for a ground that is expected near z = 0.
+
+The value is an assumption. Beyond this distance, the fit ignores z = 0 and finds the ground from the feet alone.
 """
 
 

@@ -1,13 +1,13 @@
-"""Define the numbers of the trajectory method that no user sets, each with its reason.
+"""Define the numbers of the trajectory method that no user sets.
 
-The numbers are standard deviations unless stated otherwise. Code reads them by name (`constants.ROBUST_C`), so that
-tests can set other values. docs/benchmarks.md shows their effect.
+A value without a stated source is an assumption. Code reads the numbers by name (`constants.ROBUST_C`), so that tests
+can set other values. `python benchmarks/accuracy.py --only ablation` fits with some of them changed.
 """
 
 # Detections
 
 ROBUST_C = 3.0
-"""Residual, in standard deviations, at which its robust weight is 0.5.
+"""Residual of a detection, in standard deviations, at which its robust weight is 0.5.
 
 The value is a round number; `python benchmarks/accuracy.py --only ablation` also fits with 30.
 """
@@ -20,7 +20,7 @@ increases it if the detections show a larger bias.
 COMMON_BIAS_SHARE = 0.4
 """Fraction of the variance of the keypoint bias that several cameras share.
 
-The value is the most likely one in the benchmark's real runs; `python benchmarks/cameras.py --only several` also fits
+The value is the most likely one in the benchmark's real runs. `python benchmarks/cameras.py --only several` also fits
 with 0.
 """
 NOISE_ABOUT_BIAS = 1.2
@@ -32,10 +32,8 @@ as noise (`python benchmarks/cameras.py --only several`).
 ERROR_TIME_S = 0.16
 """Correlation time of the errors of detections, s.
 
-Detections within this time count once in the uncertainty.
-
-The value was chosen in the benchmark's real runs, so that 90 % regions contain about 90 % of the joints (`python
-benchmarks/uncertainty.py --only views`).
+Detections within this time count once in the uncertainty. The value was chosen in the benchmark's real runs, so that 90
+% regions contain about 90 % of the joints (`python benchmarks/uncertainty.py --only views`).
 """
 
 # Cameras and their clocks
@@ -43,12 +41,13 @@ benchmarks/uncertainty.py --only views`).
 CALIBRATED_FOCAL = 0.02
 """Relative standard deviation of a single camera's focal length from a calibration file.
 
-The value is an assumption, which the setting `focal_sigma` replaces.
+The value is an assumption. The setting `focal_sigma` replaces it.
 """
 STATED_FOCAL = 0.1
 """Relative standard deviation of a single camera's focal length that is computed from a field of view.
 
-A data sheet usually errs by this much for a video, which uses only a part of the sensor.
+The value is an assumption. The field of view in a data sheet belongs to the whole sensor, of which a video often uses
+only a part.
 """
 
 TIME_OFFSET_FRAMES = 12**-0.5
@@ -77,9 +76,8 @@ The variances of the two poses add up, so each is half.
 WELL_CALIBRATED = 0.2
 """Factor on the usual standard deviations of two cameras' poses if both cameras are well calibrated.
 
-Together with the larger errors `MISPLACED_RAD` and `MOVED_FACTOR`, 97 % instead of 99 % of the coordinates of the
-benchmark's untouched pairs are inside 90 % intervals, and pairs with a turned camera have smaller errors
-(`benchmarks/cameras.py --only pairs`).
+Larger errors are covered by `MISPLACED_RAD` and `MOVED_FACTOR`. `python benchmarks/cameras.py --only pairs` counts the
+coordinates that are inside 90 % intervals, for untouched pairs and for pairs with a turned camera.
 """
 MISPLACED_RAD = 0.05235987755982988
 """Standard deviation of the rotation of a camera that is roughly calibrated, or was turned after its calibration, rad.
@@ -89,9 +87,9 @@ The value is 3 degrees about each axis, six times the usual error of a calibrati
 TURNED_SHARE = 0.3
 """Prior probability that the rotation of one of two cameras about an axis has the standard deviation `MISPLACED_RAD`.
 
-`python benchmarks/cameras.py --only pairs` turns the second camera by 3 degrees: 96 % of the coordinates are inside 90
-% intervals, and 5 of 45 pairs have the verdict "use". With a probability of 0.1, these figures are 89 % and 8 of 45
-(`--only turned-share`).
+`python benchmarks/cameras.py --only pairs` turns the second camera by 3 degrees, and counts the coordinates inside 90 %
+intervals and the pairs with the verdict "use". With a probability of 0.1 (`--only turned-share`), fewer coordinates are
+inside, and more of these pairs have the verdict "use".
 """
 MOVED_FACTOR = 8.5
 """Factor on the usual standard deviation of a camera's position if the camera was moved after its calibration.
@@ -99,11 +97,12 @@ MOVED_FACTOR = 8.5
 The standard deviation is then 0.3 m (a tripod that was pushed), or 12 % of the distance if the animal is close.
 """
 MOVED_SHARE = 0.1
-"""Prior probability, for each of two cameras, that the camera was moved; an assumption."""
+"""Prior probability, for each of two cameras, that the camera was moved after its calibration; an assumption."""
 MISPLACED_FACTOR = 12.0
-"""Factor on the usual standard deviations for a camera that was moved after calibration, or whose clock is wrong.
+"""Factor on the usual standard deviations for a second camera that was turned or moved, or whose clock is wrong.
 
-The standard deviations are then 6 degrees, 0.6 m and 3.5 frames. The factor is a round number.
+The test of the second camera uses the factor. The standard deviations are then 6 degrees, 0.6 m and 3.5 frames. The
+factor is a round number.
 """
 SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of the animal's size as measured by two calibrated cameras."""
@@ -120,17 +119,19 @@ NOISE_COUNT = 1.0
 The weight applies under the conditions of `LEAST_NOISE`.
 """
 LENGTH_SHARE = 0.3
-"""Standard deviation of a single length, relative to the size's, if several cameras estimate the shape.
+"""Standard deviation of a single length, relative to the standard deviation of the size, if the shape is estimated.
 
-The standard deviation is increased if the solution shows that the animal's lengths vary more.
+The value is an assumption. With a smaller value, the estimated proportions stay closer to the skeleton's. The standard
+deviation is increased if the solution shows that the animal's proportions differ more.
 """
 OFFSET_SHARE = 0.4
-"""Standard deviation of a keypoint offset, relative to the common bias's, if several cameras estimate the shape.
+"""Standard deviation of a keypoint offset, relative to the common keypoint bias, if the shape is estimated.
 
-The standard deviation is increased if the solution shows that the animal's offsets vary more.
+The value is an assumption. With a smaller value, the estimated offsets stay closer to the measured ones, or to 0. The
+standard deviation is increased if the solution shows larger offsets.
 """
 LENGTH_SIGMA = 0.1
-"""Minimum relative standard deviation of a single length, for one camera and a skeleton without a prior."""
+"""Minimum relative standard deviation of a length, if a fit cannot estimate it or the lengths were not measured."""
 FIRST_SHAPE_SCALE = (3.0, 2.5)
 """Factors on the standard deviations of lengths and of offsets in the first round.
 
@@ -142,20 +143,20 @@ KNOWN_SHAPE_SCALE = (1 / 3, 1 / 2)
 A detector and a skeleton that were measured together fit each other.
 """
 SHAPE_COUNT = 8.0
-"""Weight of the expected spread of lengths in its estimate from a solution, as an equivalent number of lengths.
+"""Weight of the expected spread of lengths in the estimate of this spread, as an equivalent number of lengths.
 
-The weight of the expected spread of offsets is the same number of coordinates.
+The expected spread of offsets has the weight of the same number of coordinates.
 """
 
 # The animal's motion
 
 POSE_WEIGHT = 1.0
-"""Weight of the prior's distribution of poses in the cost, for each 1/90 s of a clip.
+"""Weight of the prior's distribution of poses in the cost, for every 1/90 s of a clip.
 
 `python benchmarks/accuracy.py --only ablation` also fits with one Gaussian, and without the prior.
 """
 MOTION_WEIGHT = 1.0
-"""Weight of the prior's distribution of accelerations in the cost, for each 1/90 s of a clip.
+"""Weight of the prior's distribution of accelerations in the cost, for every 1/90 s of a clip.
 
 `python benchmarks/accuracy.py --only ablation` also fits with 0.001.
 """
@@ -168,7 +169,7 @@ The values come from the reconstructions behind the prior `running-cheetah`, as 
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Standard deviation of the root's angular acceleration about the vertical, rad/s^2."""
 LATERAL_M_S = 0.5
-"""Standard deviation of the root's velocity across the trunk, m/s, which corresponds to 0.05 rad at 10 m/s."""
+"""Standard deviation of the root's velocity across the trunk, m/s, an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
 """Standard deviation of the constant angle between the trunk and the direction of travel, rad, for several cameras.
 
@@ -184,7 +185,7 @@ The value is a usual mean for real clips of motions like the prior's. It exceeds
 many frames. `python benchmarks/accuracy.py --only prior` measures misfits.
 """
 MISFIT_LEVEL = 2.0
-"""Minimum misfit at which a motion is called unlike the prior's motions.
+"""Misfit above which a motion counts as unlike the prior's motions.
 
 `python benchmarks/accuracy.py --only prior` counts the false alarms.
 """
@@ -200,7 +201,7 @@ SLIP_C = 2.0
 GROUND_HEIGHT_M = 0.12
 """Standard deviation of the ground's height about z = 0, m, if the ground is known to be near z = 0."""
 GROUND_SLOPE = 0.02
-"""Standard deviation of the ground's slopes along x and y, as height over distance."""
+"""Standard deviation of the ground's slope along x and along y, in metres per metre."""
 GROUND_FOOT_M = 0.04
 """Standard deviation of a standing foot's height above the ground, m."""
 
@@ -212,7 +213,7 @@ NOISE_ROUNDS = 3
 A fast fit has one round.
 """
 TOLERANCE = 1e-5
-"""Relative decrease of the cost that is expected of the next step, below which the search ends.
+"""Expected relative decrease of the cost in the next step, below which the search ends.
 
 A fast fit uses ten times this value. The error from ending the search is far below the uncertainty of the joints.
 """

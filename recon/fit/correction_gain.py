@@ -1,24 +1,32 @@
 """Rank the detections of a clip by how much a correction by hand would improve its 3D motion.
 
-No fit is repeated. At the minimum, H is the curvature of the cost with respect to the states of all frames, Z = H^-1
-their covariance, and G the curvature of the mean squared distance of the joints, both poses centred, in each frame. A
-detection of one keypoint in one picture moves with the states of its frame by A (2, D). Its noise is sigma and its
-weight w, which is 0 if it is missing or was left out. If it were corrected, two parts of the squared error would
-vanish:
+**Input and output.** `correction_gain_m2` takes a solution. For each detection it returns the expected decrease of the
+pose's mean squared error, m^2, if a person corrected this detection.
 
-**1. Variance.** The detection would have its full weight. The precision in the picture grows by d = (1 - w) / sigma^2,
-and the covariance decreases by Z A' (I / d + A Z A')^-1 A Z. The trace of this decrease, weighted by G, is
+**Idea.** No fit is repeated, because the curvature at the minimum already determines the effect of a single detection.
+A correction removes two parts of the squared error: variance, because the corrected detection gets its full weight, and
+the displacement of the pose by the wrong detection.
+
+**Notation.** H is the curvature of the cost at the minimum with respect to the states of all frames, and Z = H^-1 their
+covariance. If the states of a frame change by dx, the squared displacements of its joints, both poses centred, add up
+to dx' G dx. A detection moves in the picture by A dx, where A is (2, D). Its noise is sigma and its weight w, which is
+0 if the detection is missing or was left out.
+
+**1. Variance.** With full weight, the precision of the detection grows by d = (1 - w) / sigma^2, and the covariance of
+the states decreases by Z A' (I / d + A Z A')^-1 A Z. The squared error of the joints decreases by
 
     tr((I / d + A Z A')^-1 A Q A'),   Q = Z G Z
 
-**2. Pull.** A wrong detection displaces the pose. Without it, the states would move by Z A' (I sigma^2 / w - A Z A')^-1
-r, where r is the residual. This is the step of one deletion (R. D. Cook, *Detection of influential observation in
-linear regression*, Technometrics 19, 1977). The squared displacement of the joints by that step is
+times the correlation time of the errors, in frames.
+
+**2. Displacement.** Without the detection, the states would move by Z A' (I sigma^2 / w - A Z A')^-1 r, where r is the
+residual. This is the effect of deleting an observation (R. D. Cook, *Detection of influential observation in linear
+regression*, Technometrics 19, 1977). The squared displacements of the joints add up to
 
     r' P A Q A' P r,   P = (I sigma^2 / w - A Z A')^-1
 
-Only the blocks of Z and Q within a frame are needed. Q is the derivative of the covariance: Z(H) - Z(H + e G) = e Q to
-first order, so that the recursion that gives Z gives Q as well.
+Only the blocks of Z and Q within each frame are needed. To first order, Z(H) - Z(H + e G) = e Q. The recursion that
+gives Z (`recon.fit.banded`) therefore gives Q as well, if it is repeated with H + e G.
 """
 
 from __future__ import annotations
@@ -39,13 +47,13 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
 _MOST_WEIGHT = 0.99
-"""Maximum weight w of a detection in the formulas of the module, to which larger weights are reduced."""
+"""Maximum weight w of a detection in the displacement, because P may not exist for a weight of 1."""
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, to limit the memory."""
 _FRAMES_KEPT = 5000
-"""Maximum number of frames of a clip whose normal equations are kept in memory, 19 kB a frame, for the derivative."""
+"""Maximum number of frames of a segment whose normal equations are kept in memory instead of computed twice."""
 _RELATIVE_STEP = 1e-4
-"""Step of the numerical derivative of the covariance: the size of e G relative to H, in the module's notation."""
+"""Trace of e Z G in the frame where it is largest, which sets the step e of the numerical derivative of Z."""
 
 
 def correction_gain_m2(
@@ -69,8 +77,7 @@ def correction_gain_m2(
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
-    # One thread as in `solve_trajectory`, because the matrices are small. The squares of points from a damaged file may
-    # overflow.
+    # One thread is faster, because the matrices are small. The squares of points from a damaged file may overflow.
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):
         for rows, segment_clip, problem, estimate in problems_at(clip, solution):
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
@@ -113,7 +120,7 @@ def _segment_gain(
     parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
 
     def curvature(frames: slice) -> Array:
-        """Return the matrix G of the module in some frames, (N, D, D)."""
+        """Return the matrices G (N, D, D) of N frames, as the module's docstring defines them."""
         jacobian = clip.body.tree.pose_with_jacobian(states[frames]).jacobian
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
         return flat.swapaxes(1, 2) @ flat

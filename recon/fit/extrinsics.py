@@ -43,7 +43,7 @@ _UNKNOWN_RAD = float(np.radians(10.0))
 _UNKNOWN_M = 1.0
 """Standard deviation of a camera's initial position along each axis, m, if no poses are given; an assumption."""
 LEVEL_RAD = float(np.radians(5.0))
-"""Standard deviation of a camera's tilt and roll about the stated values, or about level, rad, if not measured."""
+"""Standard deviation of a camera's tilt and roll, rad, about stated values, or about level if none are stated."""
 _FIXED = 1e-6
 """Standard deviation, in the unknown's own unit, that is small enough to fix the unknown."""
 _SIZE_SIGMA = 1e-3

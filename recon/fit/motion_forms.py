@@ -75,7 +75,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
-    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # `Motion.save` writes none of these
+    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # written by a fit, not by `Motion.save`
         read_manifest(folder).require(MOTION)
     hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
@@ -116,7 +116,6 @@ def _refit_command(folder: Path) -> str:
 
 
 def _no_motion(folder: Path) -> Problem:
-    """Return the problem with a folder that contains no motion."""
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"

@@ -194,7 +194,7 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
 
 
 def _log_size_step(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> float:
-    """Return the Gauss-Newton step of the size's logarithm, with the states, at their minimum, eliminated."""
+    """Return the Gauss-Newton step of the logarithm of the size, with the states eliminated at their minimum."""
     curvature = gradient = 0.0
     for first in range(0, len(states), _BLOCK):
         block = slice(first, first + _BLOCK)

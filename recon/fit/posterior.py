@@ -1,17 +1,23 @@
-"""Compute the uncertainty of a trajectory: the Gaussian approximation of the posterior at the minimum.
+"""Compute the uncertainty of a trajectory, as a Gaussian approximation of the posterior at the minimum.
 
-A fit calls `posterior_with_reestimated_noise` once for each segment, at its minimum. The function estimates the noise
-of several cameras' detections again (part 3), frees the nuisance unknowns and computes the curvature (part 1), then the
-covariances of the joints (part 2) and the information fractions (part 4). The `Posterior` belongs to a given size, and
-`with_size` adds the uncertainty of the size. During a fit, `prior_misfit_of` weighs the prior (part 5), and
-`pair_poses_of` weighs hypotheses about the poses of two cameras (`recon.fit.pair_poses`). Later rooms use `radius` for
-regions and intervals (part 6).
+**Input and output.** A fit calls `posterior_with_reestimated_noise` with the problem and the minimum of each segment.
+The resulting `Posterior` has the covariances of the joints, the variances of the angles and their information
+fractions, for a given size of the animal. `with_size` adds the uncertainty of the size.
+
+**Idea.** Near its minimum the cost is almost quadratic, so that the inverse of its curvature is the covariance of all
+unknowns (part 1). Derivatives of the joints turn it into the covariance of the joints (part 2). Errors that persist
+over many frames are added (part 3), and a comparison with the variances without pixels gives the information fractions
+(part 4).
+
+During a fit, `prior_misfit_of` gives the new weight of the prior (part 5), and `pair_poses_of` the probabilities of
+hypotheses about the poses of two cameras (`recon.fit.pair_poses`). Regions and intervals use `radius` (part 6).
 
 **1. Covariance of the states.** Let H be the curvature of the cost at the minimum with respect to the states x of all
-frames, B that between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s with x eliminated
-(`recon.fit.banded`). If s moves by ds, x follows by -Y ds. The covariance of s is S^-1. The covariance of a frame is a
-block of H^-1, with s fixed, plus Y S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the
-ground may determine it further. `curvature` computes these parts, and `posterior` adds them up frame by frame.
+frames, B the mixed curvature between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s
+with x eliminated (`recon.fit.banded`). The covariance of s is S^-1. If s changes by ds, x changes by -Y ds. The
+covariance of a frame is therefore its block of H^-1, for a fixed s, plus Y S^-1 Y'. The size is one of the shared
+unknowns. It is kept separate, because the ground may determine it further. `curvature` computes these parts, and
+`posterior` adds them up frame by frame.
 
 **2. Covariance of the joints.** A joint lies at origin + size p. Let G be the Jacobian of p with respect to the frame's
 unknowns, and let a be the derivative of these unknowns with respect to the size (`state_by_size`). With q = p + size G
@@ -36,11 +42,12 @@ because the residuals at the minimum contain bias and noise, and the bias would 
 **4. Information fraction.** The variance of a joint or an angle is compared with its variance without the pixels, which
 follows from the other terms alone. The information fraction is 1 - variance / variance without pixels.
 
-**5. Prior misfit and prior weight.** At a minimum the angles deviate from what the prior expects by whitened residuals
-r. Let P be the prior's curvature, H the curvature of all terms, and n the number of unknowns. If the prior fits, |r|^2
-is n - tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which
-is above 1 because errors persist over many frames (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992).
-The ratio of the two is the most likely scale of the prior's variances, and its inverse is the new weight of the prior.
+**5. Prior misfit and prior weight.** At a minimum, let r be the deviations of the angles from the prior, in standard
+deviations. Let P be the prior's curvature, H the curvature of all terms, and n the number of unknowns. If the prior
+fits, |r|^2 is n - tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square
+(`MISFIT_USUAL`), which is above 1 because errors persist over many frames (D. MacKay, *Bayesian interpolation*, Neural
+Computation 4, 1992). The ratio of the two is the most likely scale of the prior's variances, and its inverse is the new
+weight of the prior.
 
 **6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
 Gaussian into a Student's t. Let V be the covariance of an error e in k dimensions. Then e' V^-1 e is k (nu - 2) / nu
@@ -73,7 +80,7 @@ from recon.geometry.kinematics import ROOT, YAW
 _FIXED = 1e8
 """Precision, in the unknown's own unit, that is large enough to fix the unknown."""
 _NEARLY_FREE = 1e-3
-"""Precision of an almost unknown position and heading (1 / m^2, 1 / rad^2)."""
+"""Precision of an almost unknown position, 1/m^2, and heading, 1/rad^2."""
 _FRAMES_AT_ONCE = 256
 """Number of frames whose covariances are computed at once if the lengths are known, to limit the memory."""
 _FRAMES_OF_SHAPE = 32
@@ -646,7 +653,7 @@ class PriorMisfit:
 
     @property
     def prior_weight(self) -> float:
-        """Return the new factor on the prior's weight, at most 1: the inverse of the factor on its variances."""
+        """Return the new factor on the prior's weight, at most 1, the inverse of the factor on its variances."""
         return 1.0 / max(self.level, 1.0)
 
     @property

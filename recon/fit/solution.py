@@ -188,7 +188,6 @@ class _ClipArrays:
 
 
 def _cost_by_term(segments: Sequence[SegmentFit]) -> dict[str, float]:
-    """Return the cost of each term, summed over the segments."""
     costs = [segment.problem.costs(segment.estimate.states, segment.estimate.shared) for segment in segments]
     names = dict.fromkeys(chain.from_iterable(costs))
     return {name: sum(by_name.get(name, 0.0) for by_name in costs) for name in names}
@@ -346,7 +345,6 @@ def _estimate_size(
 
 
 def _segment_in_world(clip: ClipProblem, segment: SegmentFit, size: float) -> MotionSegment:
-    """Return the result of one segment, with its ground in the world."""
     ground, misfit = segment.ground and segment.ground.about(clip.origin_m, size), segment.prior_misfit
     level, unlike = (None, False) if misfit is None else (misfit.level, misfit.unlike)
     pair_fixed = len(clip.views) == 2 and clip.shows_size and not clip.options.refine_cameras

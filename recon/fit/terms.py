@@ -1,18 +1,25 @@
-"""Define the terms of the trajectory problem, as functions that return a `Linear` term and as small classes.
+"""Define the terms that a fit of a trajectory minimises, as functions that return a `Linear` term and as classes.
 
-For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
-by name, the derivatives (N, M, P) with respect to unknowns that all frames share. J'r is the exact gradient of the
-cost, and J'J its curvature. Residuals are divided by standard deviations and multiplied by the square root of a robust
-loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets of the frames that a row reads: at most
-(-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because spans overlap by one frame.
+**Idea.** A term compares the states of a few neighbouring frames with detections or with an expectation, and adds the
+weighted deviation to the cost. `Reprojection` compares with the detections, `pose_term`, `PoseMixture` and
+`dynamics_term` with the prior, `root_term`, `climb_term` and `Heading` with a smooth run forward, `StanceVelocity` and
+`OnGround` with standing feet, and `KnownAngles` with given states.
 
-States belong to a body of nominal size in a scene about an origin, the first camera's centre. The point p of this scene
-lies at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that
-stays at the origin can determine the size. The `Reprojection` of other cameras determines it. `StanceVelocity` and a
-plane that is fixed in the world (`OnGround.at`) read the size too, but hardly add to its precision.
+**Input and output.** A term gets N consecutive frames (`Span`) and returns its cost (N,), its residual r (N, M), the
+Jacobian J (N, M, S, D) and, by name, the derivatives (N, M, P) with respect to unknowns that all frames share. J'r is
+the exact gradient of the cost, and J'J its curvature. Residuals are divided by standard deviations and multiplied by
+the square root of a robust loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets of the
+frames that a row reads. These are at most (-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because spans overlap
+by one frame.
 
-Errors of the prior persist over many frames. The weight of a prior per second is therefore the same at every frame rate
-(`REFERENCE_HZ`).
+**Size.** States belong to a body of nominal size in a scene about an origin, the first camera's centre. The point p of
+this scene lies at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a
+camera that stays at the origin can determine the size. The `Reprojection` of other cameras determines it.
+`StanceVelocity` and a plane that is fixed in the world (`OnGround.at`) read the size too, but hardly add to its
+precision.
+
+**Frame rate.** Errors of the prior persist over many frames. The weight of a prior per second is therefore the same at
+every frame rate (`REFERENCE_HZ`).
 """
 
 from __future__ import annotations
@@ -93,7 +100,7 @@ OUT_OF_SIGHT = 50.0
 """Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
 POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
 PRIOR_TERMS = POSE, MOTION
-"""Names of the terms of the prior, and of the body's own prior, which gets the weight that the prior loses."""
+"""Names of the terms of the prior. The terms of the body's own prior have the same names."""
 ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
 """Names of the terms that penalise accelerations."""
 
@@ -410,7 +417,6 @@ class Reprojection:
         return self._rows_of(span, scene, self._errors(scene, span, jacobian=True))
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
-        """Return the residuals of the detections and their derivatives, from errors that include derivatives."""
         view, weight = scene.view, self.weights_of(scene, errors)
         by_point = errors.by_point * weight[..., None, None]
         N, J = errors.squares.shape  # N is 0 for a single frame without the next one
@@ -431,7 +437,6 @@ class Reprojection:
         return PointRows(errors.cost, residual, by_point * scene.size, by_shared, self.number, by_bias)
 
     def _errors(self, scene: Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
-        """Return the reprojection errors, and with `jacobian` also the derivatives of the projections."""
         view = scene.view
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(scene.world_m)

@@ -1,7 +1,7 @@
 """Solve for the motion of a whole animal over a whole clip, as one least-squares problem.
 
-Three objects appear throughout: `clip` is the `ClipProblem`, the fixed inputs of one fit; a *segment* (`SegmentFit`) is
-a part of the clip that is solved separately, with its solution; `problem` is the `LeastSquares` problem of one segment.
+Three objects appear throughout. `clip` is the `ClipProblem`, the fixed inputs of one fit. A *segment* (`SegmentFit`) is
+a part of the clip that is solved separately, with its solution. `problem` is the `LeastSquares` problem of one segment.
 Everything is in the world frame (`recon.geometry.frames`). The unknowns describe the motion of a body of nominal size
 about the first camera's centre (`recon.fit.terms`). The size follows from its prior, and from other views or the
 ground's distance below the camera if they determine it. The steps to the minimum are:
@@ -233,7 +233,7 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
 
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
-    """Solve one segment from the beginning, in steps 1 to 4 of the module."""
+    """Solve one segment without an earlier solution, by steps 1 to 4 of the module's docstring."""
     options, T = clip.options, len(clip)
     rounds = constants.NOISE_ROUNDS
     if options.fast:  # if the shape is estimated, a first round is needed to estimate the noise

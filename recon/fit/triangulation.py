@@ -50,9 +50,9 @@ _NOISE_ROUNDS = 2
 _SPLINE_ROUNDS = 3
 """Number of rounds that adapt the weights of a spline's points."""
 _MEDIAN_OF_CHI_SQUARE = 1.3863
-"""Median of chi square with two degrees of freedom: a detection's squared error over its variance, for several rays."""
+"""Median of a detection's squared error over its variance if several rays meet (chi square, two degrees of freedom)."""
 _MEDIAN_OF_TWO_RAYS = 0.9099
-"""Median of a detection's squared error over its variance if only two rays meet, which leave one degree of freedom."""
+"""Median of a detection's squared error over its variance if two rays meet, which leave one degree of freedom."""
 _LEAST_OF_KEYPOINT = 20
 """Minimum number of detections required to estimate a keypoint's own noise."""
 _LEAST_KNOTS = 6
