@@ -1,6 +1,6 @@
 """Define array types, show objects in one line, and compute statistics of arrays with missing values.
 
-An array type names the content of an array; docstrings give its shape.
+The name of an array type states the content of an array. Docstrings state its shape.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ Json: TypeAlias = Any
 """Content of a JSON text: dictionaries, lists, strings, numbers, booleans and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
-"""Maximum size of a TOML file, in bytes, because the parser is slow; a skeleton has about 10 kB."""
+"""Maximum size of a TOML file, in bytes, because the parser is slow."""
 
 
 @contextmanager

@@ -66,7 +66,7 @@ class InputError(ValueError):
 
     @property
     def merged(self) -> tuple[Problem, ...]:
-        """Return the problems, of which those that differ only in the file are merged into one.
+        """Return the problems, with problems that differ only in the file merged into one.
 
         The keypoint files of a clip's cameras often have the same problem, which the message would repeat.
         """

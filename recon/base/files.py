@@ -259,7 +259,7 @@ def is_plain_name(name: str) -> bool:
 
 
 # The manifest is removed before the first file of a run is replaced, and added after the last (`exchange`). A killed
-# run therefore leaves no manifest, and nobody takes the files of two runs for one.
+# run therefore leaves no manifest, so that files of two runs are never taken for the files of one run.
 
 
 @dataclass(frozen=True)

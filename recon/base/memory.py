@@ -35,9 +35,8 @@ def collect_rarely() -> None:
 def keep_freed_memory() -> None:
     """Let this process keep freed memory until it ends, if the C library is glibc.
 
-    A fit allocates arrays of some megabytes repeatedly. The system has to clear each page of them, which takes
-    3 % of the processor time of clips of 2000 and 4000 frames (`python benchmarks/parts/long_clips.py 4000x1 --against`
-    a checkout without this function).
+    A fit allocates arrays of some megabytes repeatedly, and the system has to clear every page of newly allocated
+    memory.
     """
     if sys.platform != "linux":
         return

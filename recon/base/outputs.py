@@ -1,8 +1,8 @@
 """Decide what a command may write: no file of the user is ever replaced or deleted.
 
 A command replaces or deletes only files that an earlier run of the same kind wrote and that nobody has changed since.
-Size and SHA-256 identify these files; they are listed in `RECORD`, a hidden file in every folder that recon writes to,
-and in the folder's manifest, if it has one. Everything else stays: inputs of the run that is starting, links, folders,
+Size and SHA-256 identify these files. `RECORD`, a hidden file in every folder that recon writes to, lists them, and so
+does the folder's manifest, if there is one. Everything else stays: inputs of the run that is starting, links, folders,
 files of a user or of another command. A command that would have to replace such a file stops with a message before it
 changes anything. This holds for a folder and for a single file that the user names, as in --out camera.toml.
 

@@ -63,7 +63,7 @@ class Event:
     name: str
     """Name of the task."""
     pid: int | None = None
-    """Number of the process in which the task runs; None on a cluster."""
+    """Process ID of the process in which the task runs; None on a cluster."""
     stage: str = ""
     share: float = 0.0
     """Fraction of the work that is done, 0 to 1."""

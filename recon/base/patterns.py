@@ -9,7 +9,10 @@ from typing import Any, TypeAlias
 _Part: TypeAlias = Any
 """Part of a parsed pattern, for which Python publishes no types."""
 MAX_REPEATS = 3
-"""Maximum number of repeats in a pattern; the time grows as the text's length to the power of this number."""
+"""Maximum number of repeats in a pattern.
+
+The time of a search grows as the text's length to the power of this number.
+"""
 MAX_OPTIONS = 6
 """Maximum number of optional parts of a pattern, each of which doubles the time."""
 MAX_LENGTH = 200
