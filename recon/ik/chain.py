@@ -279,7 +279,7 @@ def joint_chain(
     sliding
         Whether joints slide along their axes, one value or (n,).
     tool_m, tool_rotation
-        Position (3,), metres, and rotation of the end effector relative to the last joint.
+        Position (3,) in metres and rotation of the end effector, relative to the last joint.
     limits_rad
         Lower and upper limits, rad or metres, each one number or one for each joint.
     max_rate_rad_s
@@ -290,7 +290,7 @@ def joint_chain(
     Raises
     ------
     ValueError
-        If shapes do not match, or a number is not finite, an axis is zero, or a limit or rate is not valid.
+        If shapes do not match, a number is not finite, an axis is zero, or a limit or rate is not valid.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)

@@ -14,8 +14,8 @@ from recon.ik.chain import planar_chain, unreachable
 def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array, str]:
     """Return both solutions (2, 2) of a planar arm for a target (2,) in metres, and why there are fewer than two.
 
-    A solution is (q1, q2), with angles in rad in (-pi, pi]. The solution with q2 <= 0 comes first, then the one with q2
-    >= 0. A solution that does not exist is NaN.
+    A solution is (q1, q2), with angles in rad in (-pi, pi]. The solution with q2 <= 0 comes first. A solution that
+    does not exist is NaN.
 
         cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
 

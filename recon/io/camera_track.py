@@ -346,7 +346,8 @@ def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     records = [record for record in read_colmap(path) if record.name in wanted]
     lenses = {camera.name: camera for camera in cameras_of(records, path)}
     missing = [key for key in wanted if key not in lenses]
-    raise_problems([Problem(path, "cameras", f"no camera {_some(missing)}", f"all of {IMAGES}")] if missing else [])
+    if missing:
+        raise InputError(Problem(path, "cameras", f"no camera {_some(missing)}", f"every camera that {IMAGES} uses"))
     if len({(c.model, c.image_size_px, *c.distortion.tolist()) for c in lenses.values()}) > 1:
         expected = "one lens, whose focal length and centre alone may change from image to image"
         raise InputError(Problem(path, "cameras", f"{len(lenses)} with different lenses or picture sizes", expected))

@@ -68,7 +68,7 @@ VALUES_MAX = 4 * common.POINTS_MAX
 COLUMNS_MAX = 10_000
 """Largest number of columns of a table that is read."""
 METADATA = b"recon"
-"""Key of the metadata, JSON with fps and up, that recon writes into Parquet files."""
+"""Key of the metadata that recon writes into Parquet files, which are JSON with `fps` and `up`."""
 
 
 _Meaning = tuple[str, str, str | None]

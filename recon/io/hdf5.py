@@ -30,7 +30,7 @@ A larger dataset may take the size that it has in the file, or `MAX_RATIO` times
 MAX_RATIO = 1100
 """Largest ratio of a dataset's size in memory to its size in the file, slightly above the limit of gzip."""
 USUAL_RATIO = 100
-"""Largest ratio of the sizes in memory and in the file of a dataset that may take up to four times `MAX_UNPACKED`.
+"""Largest ratio of a dataset's size in memory to its size in the file, for sizes up to four times `MAX_UNPACKED`.
 
 Tracks of many animals are mostly empty, and therefore large when unpacked.
 """

@@ -55,7 +55,7 @@ _REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "foo
 _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
 """Columns of numbers whose unit is at the end of the quantity's name in the same row."""
 MOST_ROWS = 1_000_000
-"""Largest number of rows of an Excel sheet."""
+"""Largest number of rows that are written into a sheet, slightly below the limit of Excel."""
 MOST_COLUMNS = 30
 """Largest number of columns of a table that has its own sheet."""
 
