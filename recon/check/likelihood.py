@@ -5,9 +5,9 @@ hypothesis and compared with the same second as given. This takes as long as a f
 evidence. Errors of a detector persist over frames, and the keypoints of one limb have similar errors. An error that
 persists is therefore more likely than an error that jumps (`negative_log_density`).
 
-The hypotheses in this module are a different picture (keypoints from 0 to 1, turned over, of a smaller video, without
-lens distortion), a picture that zooms, and a different frame rate, at which the angles swing as fast as in the prior.
-Left-right swaps are in `recon.check.swaps`.
+The hypotheses in this module are a different picture (fractions of its size as keypoints, a turned picture, a smaller
+video, no lens distortion), a picture that zooms, and a different frame rate, at which the angles swing as fast as in
+the prior. Left-right swaps are in `recon.check.swaps`.
 """
 
 from __future__ import annotations

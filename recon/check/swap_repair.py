@@ -23,7 +23,7 @@ def swap_improves(mended: TrajectorySolution, original: TrajectorySolution) -> b
 def downgrade_swap(swap: Finding) -> Finding:
     """Return the finding on a swap as one on a possible swap, and any other finding unchanged.
 
-    A swap is only possible if correcting it does not make the whole clip more likely.
+    A swap counts as possible if correcting it does not make the whole clip more likely.
     """
     if swap.code != "left_right_swap":
         return swap

@@ -102,8 +102,8 @@ def pairs_of(body: Body) -> dict[str, Index]:
 def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
     """Return the left-right swaps in the view of a baseline, whose prior was learned from motions.
 
-    The search ends at the first swap that is not clear. If `is_unlike` is true, the motion is unlike those of the
-    prior. A swap of the whole clip is then not tried, because only the prior could show it.
+    The search ends at the first swap that is not clear. If `is_unlike` is true, the motion is unlike the prior's
+    motions. A swap of the whole clip is then not tried, because only the prior could show it.
     """
     kinds, found_swaps = pairs_of(baseline.clip.body), list[_SwapTrial]()
     while len(found_swaps) < MAX_SWAPS and "all" in kinds:
@@ -265,7 +265,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """Return a dictionary of each frame's log-likelihood gain if the sides are exchanged, shape (T,), for each kind.
+    """Return a dictionary of each frame's log-likelihood gain if the sides are exchanged, (T,), for each kind of swap.
 
     The gain of the kind "all" is computed from all legs.
     """

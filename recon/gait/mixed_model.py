@@ -22,7 +22,7 @@ LEVELS = "animal", "run", "stride"
 _MIN_SIGMA_RATIO = 1e-4
 """Lower bound of the standard deviations of animals, runs and strides, relative to the values' standard deviation."""
 _MIN_REPORTED_RATIO = 1e-2
-"""Standard deviation of animals, runs or strides, as a fraction of that of all values, below which 0 is reported."""
+"""Ratio of the standard deviation of animals, runs or strides to that of all values, below which 0 is reported."""
 
 
 @dataclass(frozen=True)
