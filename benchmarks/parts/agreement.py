@@ -55,7 +55,7 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
     return [view.mask_outside_image() for view in views_of(given.sources)], given.fps
 
 
-def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
+def check_agreement(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
     """Run the check of agreement on a stand-in for a fit, which has only the fields that the check reads."""
     sources = [SimpleNamespace(offset_frames=view.offset_frames, offset_s=0.0) for view in views]
     frames, solution = np.arange(len(views[0].xy_px)), SimpleNamespace(views=views)
@@ -113,7 +113,7 @@ def main() -> None:
     for run in runs:
         views, fps = views_of_run(run)
         began = time.process_time()
-        as_it_is = judged(views, fps)
+        as_it_is = check_agreement(views, fps)
         seconds["as it is"].append(time.process_time() - began)
         notes = [SimpleNamespace(**one.numbers) for one in as_it_is if one.code == "camera_agreement"]
         for v, (view, found) in enumerate(zip(views, notes, strict=True)):
@@ -129,7 +129,7 @@ def main() -> None:
             )
         for done, changed, kind, cameras in cases(views):
             began = time.process_time()
-            findings = named(judged(changed, fps), changed)
+            findings = named(check_agreement(changed, fps), changed)
             seconds["changed"].append(time.process_time() - began)
             ok = (kind, cameras) in findings and findings - {(kind, cameras)} <= named(as_it_is, views)
             for table, by in ((right, ok), (total, 1)):

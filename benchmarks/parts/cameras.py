@@ -119,7 +119,7 @@ def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
     }
 
 
-def too_far(run: Run, solution: TrajectorySolution) -> float:
+def log_distance_ratio(run: Run, solution: TrajectorySolution) -> float:
     """Return the mean logarithm of the ratio of the animal's estimated to its true distance from the first camera."""
     found, true = (
         np.linalg.norm(points_m.mean(axis=1) - solution.views[0].centre_m, axis=-1)
@@ -278,7 +278,7 @@ def single_view_errors(run: Run, body: Body) -> list[dict[str, float]]:
     found = []
     for camera in run.views:
         solution = solved(run, [camera], body)
-        far = {"too far": too_far(run, solution), "named": float(camera == run.named)}
+        far = {"too far": log_distance_ratio(run, solution), "named": float(camera == run.named)}
         found.append(errors(run, solution) | far)
     return found
 

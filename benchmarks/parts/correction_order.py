@@ -225,7 +225,7 @@ class Linearised:
             order.append(best)
         return order
 
-    def drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
+    def draw_errors(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw a truth from the posterior, and return the errors of the known joints and the innovations."""
         T, D = self.joints.shape[0], self.projection.shape[-1]
         states = np.sqrt(self.variance_factor) * self.window.unwhiten(rng.normal(size=(T, D)))
@@ -285,7 +285,7 @@ def measured_falls(clip: Clip, fit: Linearised) -> dict[str, list[float]]:
 def drawn_falls(clip: Clip, fit: Linearised, seed: int) -> dict[str, list[float]]:
     """Draw a truth from the posterior, and return how much each order reduces the error, mm, after `COUNTS` steps."""
     rng = np.random.default_rng(seed)
-    error_m, innovation_px = fit.drawn(rng)
+    error_m, innovation_px = fit.draw_errors(rng)
     shifts_m, index = fit.shifts_m(innovation_px), {cell: i for i, cell in enumerate(clip.cells)}
     orders = {
         "greedy": fit.greedy(error_m, shifts_m),

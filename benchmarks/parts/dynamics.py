@@ -126,7 +126,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
     return rows
 
 
-def carry_the_body(*found: ClipAnalysis) -> str:
+def force_summary(*found: ClipAnalysis) -> str:
     """Return as text the number of complete strides, how many intervals contain 1, and the mean force."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
@@ -207,7 +207,7 @@ def dog_rows(as_stated: bool) -> list[list[str]]:
                     f"{np.sqrt(np.nanmean(off**2)):.2f}, {np.sqrt(np.nanmean(moved.speed_sigma_m_s**2)):.2f}",
                     f"{net:.2f} ± {reach * sigma:.2f}, {true_net:.2f}",
                     f"{len(of_flights)}, {int((of_flights > OFF_GRAVITY).sum())}",
-                    carry_the_body(found),
+                    force_summary(found),
                 ]
             )
     return rows
@@ -229,7 +229,7 @@ def carried_rows(motion: Motion) -> list[list[str]]:
         rows.append(
             [
                 *(name, f"{off.centre_m:.0e}", f"{off.kinetic_j_kg:.3f}", f"{off.rms_bw:.2f}"),
-                *(f"{off.timed_rms_bw:.2f}", f"{off.inside:.0%}", carry_the_body(found)),
+                *(f"{off.timed_rms_bw:.2f}", f"{off.inside:.0%}", force_summary(found)),
             ]
         )
     return rows
@@ -347,7 +347,7 @@ def print_dogs_and_cheetahs() -> None:
             print_table([*head, "flights, against gravity", CARRIED], dogs)
     views, shares = cheetahs()
     if views:
-        print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {carry_the_body(*views)}")
+        print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {force_summary(*views)}")
         energy, *momentum = map(percent, shares)
         print(f"in 90 % of a view, by all cameras: internal energy {energy}, angular momentum {' '.join(momentum)}")
 

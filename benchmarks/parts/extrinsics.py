@@ -75,13 +75,13 @@ def estimated_rig(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: 
     return solve_extrinsics([without_poses(*of) for of in zip(views, bodies, fps, strict=True)])
 
 
-def placed(rig: Rig, views: Sequence[View]) -> list[View]:
+def with_poses(rig: Rig, views: Sequence[View]) -> list[View]:
     return [replace(view, T_camera_world=T) for view, T in zip(views, rig.T_camera_world, strict=True)]
 
 
 def rig_errors(rig: Rig, own: Sequence[View]) -> dict[str, float]:
     """Compare a rig with the views' own poses: errors of rotations, degrees, and relative errors of distances."""
-    views, apart = placed(rig, own), []
+    views, apart = with_poses(rig, own), []
     for (a, own_a), (b, own_b) in combinations(zip(views, own, strict=True), 2):
         turns = [(v.T_camera_world @ np.linalg.inv(w.T_camera_world))[:3, :3] for v, w in ((a, b), (own_a, own_b))]
         apart.append(np.degrees(Rotation.from_matrix(turns[0] @ turns[1].T).magnitude()))
@@ -124,7 +124,7 @@ def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
     rig = estimated_rig(views, bodies, [run.fps for run in clips])
     rows = []
     for run, own, body in zip(clips, views, bodies, strict=True):
-        with_found = placed(rig, own)
+        with_found = with_poses(rig, own)
         solution = solve_trajectory(with_found, body, prior_of(PRIOR), run.fps, ground_near_zero=False)
         turned = replace(solution, joints_m=solution.joints_m @ _world_turn(with_found, own).T)
         row = {"clips": len(clips), "run": run.folder.name[:28], **shown(rig_errors(rig, own))}

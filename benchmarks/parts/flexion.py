@@ -69,7 +69,7 @@ def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
     return np.array(angles)
 
 
-def beside(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
+def displaced_camera(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
     """Return a second camera: the given one, displaced as if the world turned by `turn` (3, 3) about a point (3,)."""
     assert camera.rotation is not None
     assert camera.translation_m is not None
@@ -81,7 +81,7 @@ def gallops(seeds: int, folder: Path, cameras: int) -> Iterator[tuple[Motion, np
     """Fit the simulated gallop with different noise, and yield each fit with the true markers (T, J, 3), metres."""
     clip, _ = whole_gallop()
     middle_m = clip.truth_m.mean(axis=(0, 1))
-    views = [clip.camera, beside(clip.camera, middle_m)][:cameras]
+    views = [clip.camera, displaced_camera(clip.camera, middle_m)][:cameras]
     keypoints, files = (tuple(folder / f"{view}.{ending}" for view in range(cameras)) for ending in ("csv", "toml"))
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -105,7 +105,7 @@ def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, n
             middle_m = np.nanmean(clip.points_m, axis=(0, 1))
             turned = replace(clip, name=f"{name}-2", points_m=(clip.points_m - middle_m) @ TURN.T + middle_m)
             write_view(turned, folder, 1, SKELETON)
-            write_camera(beside(side_view(turned)[0], middle_m), folder / f"{turned.name}.toml")
+            write_camera(displaced_camera(side_view(turned)[0], middle_m), folder / f"{turned.name}.toml")
             names = clip.name, turned.name
             keypoints, files = (tuple(folder / f"{view}.{ending}" for view in names) for ending in ("csv", "toml"))
             settings = replace(settings, keypoints=keypoints, camera=files, camera_name=names)

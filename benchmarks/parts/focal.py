@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from dataclasses import replace
 
 import numpy as np
-from cameras import PRIOR, Run, cameras_of, errors, runs_given, too_far
+from cameras import PRIOR, Run, cameras_of, errors, log_distance_ratio, runs_given
 from markdown_table import print_table
 from trajectory import body_of, prior_of
 
@@ -69,7 +69,7 @@ def main() -> None:
             speed = speed_m_s(run, solved(run, camera, 1.0))
             for factor in FACTORS:
                 solution = solved(run, camera, factor)
-                of_view = [errors(run, solution)["mpjpe_mm"], too_far(run, solution)]
+                of_view = [errors(run, solution)["mpjpe_mm"], log_distance_ratio(run, solution)]
                 found.setdefault(factor, []).append([*of_view, speed_m_s(run, solution) / speed - 1])
     rows = []
     for factor in FACTORS:

@@ -425,7 +425,7 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class StrideData:
     """Leg of a run with one stride, and the frames of the stride with known angles."""
 
     leg: Leg
@@ -433,7 +433,7 @@ class Shown:
     frames: Frames
 
     @classmethod
-    def of(cls, leg: Leg) -> Shown:
+    def from_leg(cls, leg: Leg) -> StrideData:
         stride = find_stride(leg.chain, leg.q, leg.fps, duration_range_s=leg.duration_range_s)
         return cls(leg, stride, frames_of(leg, (stride.start_s, stride.end_s)))
 
@@ -453,16 +453,18 @@ class Shown:
         return float(np.degrees(np.sqrt(np.nanmean(off**2))))
 
 
-def rates_by(method: Method, shown: Shown) -> Array:
+def rates_by(method: Method, stride_data: StrideData) -> Array:
     """Return the joint rates (T, n), rad/s, that a method without limits computes for a stride."""
-    chain = copy(shown.leg.chain)
+    chain = copy(stride_data.leg.chain)
     object.__setattr__(chain, "max_rate_rad_s", np.full(chain.n, 1e9))
-    return np.array([method.rates(chain, q, dx).dq for q, dx in zip(shown.frames.q, shown.frames.dx, strict=True)])
+    return np.array(
+        [method.rates(chain, q, dx).dq for q, dx in zip(stride_data.frames.q, stride_data.frames.dx, strict=True)]
+    )
 
 
-def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
+def unfitted(stride_data: StrideData, others: Sequence[StrideData]) -> dict[str, Method]:
     """Return the methods without a fitted parameter; their reference pose is the mean pose of the other runs."""
-    chain = shown.leg.chain
+    chain = stride_data.leg.chain
     pose = np.mean([one.frames.q.mean(axis=0) for one in others], axis=0)
     every = {name: method for name, method in methods(chain).items() if name.startswith(("extended", "weighted"))}
     return {**every, "extended Jacobian (pose)": ExtendedJacobian(pose_distance(pose))}
@@ -471,8 +473,8 @@ def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
 def print_held_out(folder: Path) -> None:
     """Print the errors of the methods on each stride, with parameters fitted to the strides of all other runs."""
     for kind in ("2D", "whole animal"):
-        data = [Shown.of(leg) for leg in real_legs(folder)[kind]]
-        others = [[one for one in data if one.run != shown.run] for shown in data]
+        data = [StrideData.from_leg(leg) for leg in real_legs(folder)[kind]]
+        others = [[one for one in data if one.run != stride_data.run] for stride_data in data]
         print(f"\n{kind}, {len(data)} strides, parameters from the other runs:\n")
         rows = []
         for name, fit_of, unit in FITS:
@@ -482,7 +484,7 @@ def print_held_out(folder: Path) -> None:
             value = ", ".join(f"{v:.2g}" for v in np.median([fit.parameter for fit in fits], axis=0)) + unit
             scales = [fit.alpha for fit in fits]
             rows.append(held_out_row(name, value, own, rates, scales, data, [fit.method for fit in fits]))
-        every = [unfitted(shown, of) for shown, of in zip(data, others, strict=True)]
+        every = [unfitted(stride_data, of) for stride_data, of in zip(data, others, strict=True)]
         for name in every[0]:
             chosen = [of[name] for of in every]
             rates = [rates_by(method, s) for method, s in zip(chosen, data, strict=True)]
@@ -504,7 +506,7 @@ def print_online(folder: Path) -> None:
     The refit uses the animal's joint rates just before the frame, as `recon ik --online` does. The table shows the
     explained fraction of a frame's squared rates, and the deviation of the joints after following the stride.
     """
-    data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
+    data = [StrideData.from_leg(leg) for leg in real_legs(folder)["2D"]]
     print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joint error, deg:\n")
     online = [s.leg.online(s.stride) for s in data]
     rows = []
@@ -526,7 +528,7 @@ def held_out_row(
     own: list[float],
     rates: list[Array],
     scales: list[float],
-    data: list[Shown],
+    data: list[StrideData],
     chosen: list[Method],
 ) -> list[str]:
     explained = [100 * explained_by(r, s.frames.dq) for r, s in zip(rates, data, strict=True)]

@@ -131,7 +131,7 @@ class Case:
     """Function that returns the changed keypoints (T, J, 2) of a view, and a mask (T,) of the changed frames."""
     code: str | None = None
     """Code of the expected finding; None if none is expected."""
-    told: Callable[[View], dict[str, Any]] = field(default=lambda view: {})
+    wrong_settings: Callable[[View], dict[str, Any]] = field(default=lambda view: {})
     """Function that returns wrong settings for the fit of a view."""
     mends: bool = False
     """Whether to fit the clip with --fix-swaps as well."""
@@ -180,7 +180,7 @@ def view_in_run(run: Path, camera: int) -> View:
     return View(run, camera, replace(file, xy_px=xy_px, confidence=confidence, fps=meta_of(run)["fps"]), lens, truth_m)
 
 
-def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, np.ndarray]:
+def fitted(view: View, case: Case, folder: Path, **more_settings: Any) -> tuple[Motion, np.ndarray]:
     """Fit the view of a case, and return the motion and a mask of the changed frames."""
     xy_px, changed = case.change(view)
     path = folder / f"cam{view.camera}.csv"
@@ -193,7 +193,7 @@ def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, n
         "fps": view.file.fps,
         "subject": subject if subject in builtin_subjects() else None,
     }
-    return fit_clip(FitSettings(**settings | case.told(view) | told)), changed
+    return fit_clip(FitSettings(**settings | case.wrong_settings(view) | more_settings)), changed
 
 
 def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
@@ -425,9 +425,9 @@ def print_folds(table: pd.DataFrame) -> None:
         part = (table if run == "none" else table[table["run"] == run]).loc[lambda t, best=best: t["margin"] == best]
         untouched, of_case = part[part["case"] == "untouched"], part[part["case"] != "untouched"]
         found = [f"{int(one.sum())} of {len(one)}" for _, one in of_case.groupby("case", sort=False)["right"]]
-        told = f"{int((of_case['right'] | of_case['unclear']).sum())} of {len(of_case)}"
+        found_or_unclear = f"{int((of_case['right'] | of_case['unclear']).sum())} of {len(of_case)}"
         shares = [f"{one['wrong'].mean():.1%}" for one in (untouched, of_case)]
-        print_row([run, f"{best:.0f}", *shares, f"{part['mended'].max():.2f}", *found, told])
+        print_row([run, f"{best:.0f}", *shares, f"{part['mended'].max():.2f}", *found, found_or_unclear])
 
 
 def dog_rows(folder: Path) -> list[dict[str, Any]]:

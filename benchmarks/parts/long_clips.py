@@ -29,7 +29,7 @@ CASES = ("1000x1", "4000x1", "16000x1", "4000x6", "216000/120")
 STRETCHES = 3
 
 
-def written(folder: Path, case: str) -> tuple[list[str], int]:
+def write_inputs(folder: Path, case: str) -> tuple[list[str], int]:
     """Write the input files of a case, and return the arguments of `recon fit` and the number of seen frames."""
     frames, _, cameras = case.partition("x")
     frames, _, count = frames.partition("/")
@@ -77,7 +77,7 @@ def main() -> None:
     for case in options.cases:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
-            arguments, seen = written(folder, case)
+            arguments, seen = write_inputs(folder, case)
             for checkout in filter(None, (options.against, here)):
                 taken_s, memory_mb, sizes = fitted(checkout, arguments, folder / "out")
                 tables_mb = sum(size for name, size in sizes.items() if name.endswith(".csv"))

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from arguments import parser_of
-from long_clips import written
+from long_clips import write_inputs
 from markdown_table import print_header, print_row
 from startup import SAMPLES, seconds
 
@@ -141,7 +141,7 @@ def film_page(folder: Path) -> Path:
 
 def long_page(frames: int, folder: Path) -> Path:
     """Write the page of a simulated run around a camera, and return its path."""
-    arguments, _ = written(folder, f"{frames}x1")
+    arguments, _ = write_inputs(folder, f"{frames}x1")
     recon(folder, "fit", *arguments, "--out", "long", "--quiet")
     recon(folder, "report", "long", "--quiet")
     return folder / "long" / "report.html"

@@ -86,7 +86,7 @@ def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]
     turned_camera = task.clip.cameras[-1 if task.turned == "second" else 0]
 
     def change(clip: Clip, given: Given) -> Given:
-        given = replace(given, told={"fast": True} | settings)
+        given = replace(given, settings={"fast": True} | settings)
         if given.camera.name != turned_camera:
             return given
         by = Rotation.from_rotvec(np.radians(task.degrees) * np.eye(3)[task.axis]).as_matrix()

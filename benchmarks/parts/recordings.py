@@ -8,5 +8,5 @@ from pathlib import Path
 
 def recordings(kind: str) -> Path:
     """Return the folder of a kind of recordings, such as cheetah-runs, in $RECON_SHARED_DATA or ../shared/data."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    return Path(os.environ.get("RECON_SHARED_DATA", beside)) / kind
+    default = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return Path(os.environ.get("RECON_SHARED_DATA", default)) / kind

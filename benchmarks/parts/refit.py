@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from long_clips import written
+from long_clips import write_inputs
 from markdown_table import print_table
 from threadpoolctl import threadpool_limits
 from trajectory import FPS
@@ -32,7 +32,7 @@ MOVED_PX = 40.0
 
 def settings_of(folder: Path, frames: int) -> FitSettings:
     """Write the keypoints and the camera of a simulated run as files, and return the settings of the fit."""
-    written(folder, f"{frames}x1")
+    write_inputs(folder, f"{frames}x1")
     return FitSettings(keypoints=(folder / "run_cam0.csv",), camera=(folder / "cameras.toml",), fps=FPS)
 
 

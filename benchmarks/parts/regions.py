@@ -25,7 +25,7 @@ from cameras import PRIOR, Run, as_seen, cameras_of, runs_given, solved
 from markdown_table import print_table
 from scipy.linalg.lapack import dtbtrs
 from scipy.special import gammaln
-from simulated_coverage import pull_of_the_mode
+from simulated_coverage import mode_shift
 from trajectory import body_of, prior_of
 
 from recon.fit.banded import factored
@@ -93,7 +93,7 @@ def inside(some: Sequence[Fit], what: str, nu: float) -> str:
     return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
 
 
-def heaviness(found: Sequence[Fit]) -> None:
+def print_tail_coverage(found: Sequence[Fit]) -> None:
     """Fit the degrees of freedom with each run left out, and print the coverage that they give on that run."""
     one = [fit for fit in found if fit.cameras == "one"]
     by_fit = {id(fit): {what: likelihood(off) for what, off in fit.off.items()} for fit in one}
@@ -121,7 +121,7 @@ def heaviness(found: Sequence[Fit]) -> None:
     print_table(["cameras", *(f"{what}, {of}" for what in KINDS for of in ("Gaussian", "t"))], rows)
 
 
-def drawn(
+def draw_errors(
     setting: ClipProblem, solved: SegmentFit, rng: np.random.Generator
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Draw the joints' errors from the stated covariances.
@@ -160,10 +160,10 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
             setting = ClipProblem.from_views([view], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
             segment = max(solve_segments(setting), key=lambda one: one.rows.stop - one.rows.start)
             part, truth_m = setting.part(segment.rows), run.truth_m[segment.rows] - setting.origin_m
-            for what, (off, off_mm) in drawn(part, segment, rng).items():
+            for what, (off, off_mm) in draw_errors(part, segment, rng).items():
                 shares[what].append(np.mean(off < radius(0.9, 3), axis=1))
                 mm[what].append(off_mm)
-            found_m, pull = body.tree.pose(segment.estimate.states).points_m, pull_of_the_mode(part, segment)
+            found_m, pull = body.tree.pose(segment.estimate.states).points_m, mode_shift(part, segment)
             both = [found_m, np.exp(-pull) * found_m]
             off_m.append([np.nanmean(np.linalg.norm(points_m - truth_m, axis=-1)) for points_m in both])
             middles = [np.linalg.norm(points_m.mean(axis=1), axis=-1) for points_m in (*both, truth_m)]
@@ -181,10 +181,14 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
     print_table([*head, "real worst view", f"real views below {WORST}"], rows)
     sizes({what: np.array(of) for what, of in mm.items()}, [fit for fit in found if fit.cameras == "one"])
     rows = []
-    for label, off_mm, too_far in zip(
+    for label, off_mm, log_ratios in zip(
         ("as found", "corrected"), 1000 * np.array(off_m).T, np.array(far).T, strict=True
     ):
-        cells = [f"{too_far.mean():+.1%}", f"{np.sqrt(np.mean(too_far**2)):.1%}", str(int((too_far > 0).sum()))]
+        cells = [
+            f"{log_ratios.mean():+.1%}",
+            f"{np.sqrt(np.mean(log_ratios**2)):.1%}",
+            str(int((log_ratios > 0).sum())),
+        ]
         rows.append([label, *cells, f"{off_mm.mean():.0f}", f"{np.median(off_mm):.0f}"])
     print("\nPositions corrected for the bias of the joint minimum\n")
     print_table(["positions", "too far", "rms", "views too far", "mpe_mm mean", "median"], rows)
@@ -208,7 +212,7 @@ def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
 def main() -> None:
     runs = runs_given(__doc__)
     found = fits(runs)
-    heaviness(found)
+    print_tail_coverage(found)
     worst_views(runs, found)
 
 

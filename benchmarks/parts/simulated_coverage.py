@@ -102,7 +102,7 @@ def extent(body: Body) -> float:
     return float(np.linalg.norm(body.tree.pose(np.zeros((1, body.n_state))).points_m[0], axis=1).mean()) / 0.5
 
 
-def drawn(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
+def draw_motion(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
     (body, prior), alike = model(skeleton), max(motion_s * FPS, 1.0)
     A, D = len(prior.mean), body.n_state
     rows = []
@@ -162,7 +162,7 @@ def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) 
 def one_clip(skeleton: str, motion_s: float, noise_s: float, animal: str | None, seed: int) -> dict[str, float]:
     rng = np.random.default_rng(seed)
     camera = Camera.from_hfov(rng.uniform(40.0, 100.0), (1920, 1080))
-    motion = recorded(animal, rng) if animal else drawn(skeleton, motion_s, rng)
+    motion = recorded(animal, rng) if animal else draw_motion(skeleton, motion_s, rng)
     body, (n, J, _) = motion.body, motion.points_m.shape
     options, scale, size = TrajectoryOptions(ground="none"), extent(body), 1.0 + body.size_sigma * rng.normal()
     blank = still_view(camera, np.zeros((n, J, 2)), np.ones((n, J)))
@@ -213,7 +213,7 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
     ray = truth_m[t, j] / np.linalg.norm(truth_m[t, j])
     sigma_m = float(np.sqrt(ray @ solution.covariance_m2[t, j] @ ray))
     found, true = (np.linalg.norm(points[t].mean(axis=0)) for points in (solution.joints_m, truth_m))
-    mode = pull_of_the_mode(setting, *solve_segments(setting))
+    mode = mode_shift(setting, *solve_segments(setting))
     return row | {
         "mpjpe mm": 1000 * float(np.linalg.norm(centred, axis=-1).mean()),
         "rank": cumulative(float(true - found) / sigma_m),
@@ -224,7 +224,7 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
     }
 
 
-def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
+def mode_shift(setting: ClipProblem, solved: SegmentFit) -> float:
     """Return the expected shift of the log distance from the maximum of its own distribution to the joint maximum.
 
     The log distance has the density exp(-cost / l) / sqrt(det H). The other unknowns are optimal for each distance, H

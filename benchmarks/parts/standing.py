@@ -40,7 +40,7 @@ def speed_m_s(part: Clip) -> float:
     return float(np.linalg.norm(steps_m, axis=-1).mean() * part.fps)
 
 
-def judged(part: Clip) -> tuple[str, list[str]]:
+def verdict_and_errors(part: Clip) -> tuple[str, list[str]]:
     """Fit a part of a clip, and return the level of the verdict and the codes of the errors among the findings."""
     with tempfile.TemporaryDirectory() as folder:
         settings, _ = write_view(part, Path(folder), seed=1, as_stated=True)
@@ -55,7 +55,7 @@ def main() -> None:
     if not arguments.folder.is_dir():
         parser.exit(message=f"no clips in {arguments.folder}: nothing measured\n")
     found = [
-        (speed_m_s(part), *judged(part))
+        (speed_m_s(part), *verdict_and_errors(part))
         for clip in read_clips(arguments.folder)
         if clip.name in CLIPS
         for part in parts_of(clip)

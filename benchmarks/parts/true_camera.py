@@ -78,7 +78,7 @@ def fit(clip: Clip, name: str, as_given: bool = False) -> tuple[Motion, Given] |
 
     def change(clip: Clip, given: Given) -> Given:
         changed = case.change(clip, given)
-        return replace(changed, told=changed.told | {"cameras_known": True}) if as_given else changed
+        return replace(changed, settings=changed.settings | {"cameras_known": True}) if as_given else changed
 
     with tempfile.TemporaryDirectory() as folder:
         try:

@@ -58,7 +58,7 @@ AS_IT_IS = ("one", "one, lengths known", "two", "all")
 
 def lengths_known(clip: Clip, given: Given) -> Given:
     subject = builtin_file("animal/subjects", f"{clip.meta['subject']}.toml")
-    return replace(given, told={"subject": subject.read_text(encoding="utf-8")})
+    return replace(given, settings={"subject": subject.read_text(encoding="utf-8")})
 
 
 def first_half(clip: Clip, given: Given) -> Given:
@@ -79,8 +79,8 @@ def noisier(share: float) -> Callable[[Clip, Given], Given]:
 
 def half_the_frames(clip: Clip, given: Given) -> Given:
     frames = given.keypoints.frames[::2]
-    told = {"fps": clip.meta["fps"] / 2}
-    return given.seen(given.xy_px[::2], np.arange(len(frames)), frame=lambda t: frames[t], told=told)
+    settings = {"fps": clip.meta["fps"] / 2}
+    return given.seen(given.xy_px[::2], np.arange(len(frames)), frame=lambda t: frames[t], settings=settings)
 
 
 WORSE = {

@@ -110,9 +110,9 @@ class Given:
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
     t: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Translation to the world of the camera file, metres: x' = R x + t for a point x of the truth."""
-    told: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     """Settings of the fit that the change replaces."""
-    really: Seen | None = None
+    origin: Seen | None = None
     """Real origin of the keypoints, or None if they come from this camera."""
 
     @property
@@ -218,7 +218,7 @@ def other_only_camera(clip: Clip, given: Given) -> Given:
 
 def other_renamed(clip: Clip, given: Given) -> Given:
     camera = replace(clip.given(clip.others[0]).camera, name=given.camera.name)
-    return replace(given, camera=camera, really=Seen(clip.run, given.camera))
+    return replace(given, camera=camera, origin=Seen(clip.run, given.camera))
 
 
 def cropped(clip: Clip, given: Given) -> Given:
@@ -407,16 +407,16 @@ def from_other_clip(clip: Clip, given: Given) -> Given:
             other = Clip(run, (name,)).given(name)
             if other.camera.image_size_px == given.camera.image_size_px:
                 T = min(len(other.xy_px), len(given.xy_px))
-                really = Seen(run, other.camera, int(other.keypoints.frames[0] - given.keypoints.frames[0]))
-                return given.seen(other.xy_px[:T], given.keypoints.frames[:T], really=really)
+                origin = Seen(run, other.camera, int(other.keypoints.frames[0] - given.keypoints.frames[0]))
+                return given.seen(other.xy_px[:T], given.keypoints.frames[:T], origin=origin)
     return given
 
 
 def from_other_camera(clip: Clip, given: Given) -> Given:
     other = clip.given(clip.others[0])
     xy_px, later = other.xy_px[: len(given.xy_px)], int(other.keypoints.frames[0] - given.keypoints.frames[0])
-    really = Seen(clip.run, other.camera, later)
-    return given.seen(xy_px, given.keypoints.frames[: len(xy_px)], really=really)
+    origin = Seen(clip.run, other.camera, later)
+    return given.seen(xy_px, given.keypoints.frames[: len(xy_px)], origin=origin)
 
 
 def shuffled(clip: Clip, given: Given) -> Given:
@@ -443,7 +443,7 @@ def swapped(part: str, rows: Callable[[int], slice]) -> Change:
 
 
 def at_rate(factor: float) -> Change:
-    return lambda clip, given: replace(given, told={"fps": factor * clip.meta["fps"]})
+    return lambda clip, given: replace(given, settings={"fps": factor * clip.meta["fps"]})
 
 
 def half_rate_of_one(clip: Clip, given: Given) -> Given:
@@ -524,7 +524,7 @@ def lengths_15(clip: Clip, given: Given) -> Given:
         f"{name} = {[1.5 * x for x in at]}\n" for name, at in placed.items() if name != skeleton["segments"][0]["name"]
     )
     head = 'skeleton = "cheetah-24"\ntitle = "an animal 1.5 times as long"\nsize_sigma = 0.02\n\n[at_m]\n'
-    return replace(given, told={"subject": head + lines})
+    return replace(given, settings={"subject": head + lines})
 
 
 UP = about("x", -90)
@@ -651,16 +651,16 @@ def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
     for one, path in zip(given, paths, strict=True):
         write_csv(replace(one.keypoints, fps=None), path)
     cameras = [one.camera for one in given]
-    told = dict(given[-1].told)
+    own_settings = dict(given[-1].settings)
     if case.whole_file:
-        told["camera_name"] = (given[0].camera.name,)
+        own_settings["camera_name"] = (given[0].camera.name,)
         cameras += [other for other in map(clip.camera, cameras_of(clip.run)) if other.name != given[0].camera.name]
     write_cameras(cameras, folder / "cameras.toml")
-    if "subject" in told:
-        (folder / "subject.toml").write_text(told["subject"])
-        told["subject"] = folder / "subject.toml"
+    if "subject" in own_settings:
+        (folder / "subject.toml").write_text(own_settings["subject"])
+        own_settings["subject"] = folder / "subject.toml"
     settings = {"keypoints": tuple(paths), "camera": folder / "cameras.toml", "fps": clip.meta["fps"]}
-    return fit_clip(FitSettings(**settings | told)), given[0]
+    return fit_clip(FitSettings(**settings | own_settings)), given[0]
 
 
 def truth_of(run: Path, motion: Motion, frames: np.ndarray) -> np.ndarray:
@@ -727,7 +727,7 @@ def row(clip: Clip, name: str) -> dict[str, Any]:
     codes = [one.code for one in motion.findings if one.severity != "note" or one.code == "missing_as_constant"]
     assert motion.verdict is not None
     said = {"codes": " ".join(sorted({*codes})), "level": motion.verdict.level}
-    seen = {} if given.really is None else errors_in_camera(given.really, motion)
+    seen = {} if given.origin is None else errors_in_camera(given.origin, motion)
     return found | measured(clip, given, motion) | seen | said
 
 
@@ -742,7 +742,7 @@ def clips(every: int) -> Iterator[Clip]:
     yield from [*views[::every], *pairs[::every]]
 
 
-def judged(table: pd.DataFrame) -> pd.DataFrame:
+def with_outcomes(table: pd.DataFrame) -> pd.DataFrame:
     """Add columns that state whether the error of each clip is doubled, and whether its findings are true."""
     plain = table[table["case"].isin([*PLAIN])].set_index(["run", "camera"])
     keys = pd.MultiIndex.from_frame(table[["run", "camera"]])
@@ -822,7 +822,7 @@ def main() -> None:
     if not rows:
         parser.exit(message="no recordings: nothing measured\n")
     table = pd.DataFrame(rows)
-    table = judged(table.reindex(columns=[*dict.fromkeys([*table.columns, "seen pose_mm", "seen position_m"])]))
+    table = with_outcomes(table.reindex(columns=[*dict.fromkeys([*table.columns, "seen pose_mm", "seen position_m"])]))
     use = ["use", "use of doubled", "use beyond the bound"]
     header = ["case", "clips", "doubled", "pose mm", "position m", "named", "named of doubled", "wrong cause named"]
     grouped = [(name, table[table["case"] == name]) for name in wanted if (table["case"] == name).any()]

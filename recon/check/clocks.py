@@ -11,7 +11,7 @@ from recon.check.codes import EFFECTS, finding
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.check.one_step import Detections, Step, one_steps
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.least_squares import piece_of
+from recon.fit.least_squares import frames_per_piece
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.starts import APPROACH_HZ
 
@@ -74,7 +74,7 @@ def drift_findings(
     if segment is None:
         return
     frames = segment.rows.stop - segment.rows.start
-    if frames > 2 * piece_of(fps):  # a quick test with some of the frames comes first
+    if frames > 2 * frames_per_piece(fps):  # a quick test with some of the frames comes first
         rough = drifts_of(clip, solution, every=max(1, round(fps / APPROACH_HZ)))
         if all(abs(step.value) < NO_DRIFT_SIGMAS * step.sigma for step in rough.values()):
             return

@@ -14,7 +14,7 @@ from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants, terms
 from recon.fit.body_shape import FreeShape
-from recon.fit.least_squares import LeastSquares, SharedUnknown, piece_of
+from recon.fit.least_squares import LeastSquares, SharedUnknown, frames_per_piece
 from recon.fit.result import Ground
 from recon.geometry.kinematics import ROOT, YAW
 
@@ -479,7 +479,7 @@ class ClipProblem:
         if T > 1:
             nonlinear.append(terms.Heading(rear, front, self.fps, constants.LATERAL_M_S))
         every_term, shape = [*nonlinear, *contact_terms], None if around_m is None else self.shape
-        return LeastSquares(self.body.detected, linear, every_term, shared, nuisance, piece_of(self.fps), shape)
+        return LeastSquares(self.body.detected, linear, every_term, shared, nuisance, frames_per_piece(self.fps), shape)
 
 
 LOW_FEET = 0.1

@@ -60,7 +60,7 @@ _STEP_SHARES = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
 
-def piece_of(fps: float) -> int:
+def frames_per_piece(fps: float) -> int:
     """Return the number of frames of a long clip that are solved at once, as one piece."""
     return _FRAMES_AT_ONCE * math.ceil(_PIECE_S * fps / _FRAMES_AT_ONCE)
 

@@ -18,7 +18,7 @@ from recon.geometry.frames import euler_rotation, rigid
 from recon.testing.cameras import level_pose
 
 
-def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
+def agreement_of(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
     """Return the findings on the agreement of views, computed from a stand-in for a motion with only these views."""
     # A further lag of 0.3 frames that the fit did not find.
     late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)
@@ -57,7 +57,7 @@ def exchanged(views: list[View], a: int, b: int) -> list[View]:
 
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_agreeing_cameras_have_no_finding(n):
-    found = judged(run_views(n))
+    found = agreement_of(run_views(n))
     assert findings(found) == []
     assert notes(found)[0].max_level == 1.6
     for camera in notes(found):
@@ -75,7 +75,7 @@ def test_agreeing_cameras_have_no_finding(n):
 def test_a_turned_camera_is_named_with_its_angle(n, which, axis):
     views = run_views(n)
     views[which] = turned(views[which], axis)
-    found = judged(views)
+    found = agreement_of(views)
     assert findings(found) == [("camera_turned", (which,))]
     assert np.degrees(notes(found)[which].turn_rad) == pytest.approx(5.0, abs=0.5)
     assert notes(found)[which].level_turned < 1.2
@@ -88,7 +88,7 @@ def test_a_turned_camera_is_named_with_its_angle(n, which, axis):
 def test_a_late_or_early_camera_is_named_with_its_lag(n, which, frames):
     views = run_views(n)
     views[which] = late(views[which], frames)
-    found = judged(views, offset_s=[0.0, 0.25, 0.5, 0.75])
+    found = agreement_of(views, offset_s=[0.0, 0.25, 0.5, 0.75])
     assert findings(found) == [("camera_late", (which,))]
     assert (found[0].camera, found[0].frames) == (f"cam{which + 1}", (100, 100 + len(truth_m())))
     assert found[0].numbers["offset_s"] == pytest.approx(0.25 * which + frames / FPS, abs=0.25 / FPS)
@@ -101,13 +101,13 @@ def test_a_known_lag_is_taken_into_account():
     views, points = run_views(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, offset_frames=0.5)
-    assert notes(judged(views))[1].late_frames == 0.0
-    assert notes(judged([views[0], replace(views[1], offset_frames=0.0), views[2]]))[1].late_frames == 0.5
+    assert notes(agreement_of(views))[1].late_frames == 0.0
+    assert notes(agreement_of([views[0], replace(views[1], offset_frames=0.0), views[2]]))[1].late_frames == 0.5
 
 
 @pytest.mark.parametrize(("n", "pair"), [(3, (0, 1)), pytest.param(4, (1, 2), marks=pytest.mark.slow)])
 def test_two_exchanged_files_are_named(n, pair):
-    found = judged(exchanged(run_views(n), *pair))
+    found = agreement_of(exchanged(run_views(n), *pair))
     assert findings(found) == [("cameras_exchanged", pair)]
     assert min(notes(found)[v].level for v in pair) > 3
 
@@ -117,7 +117,7 @@ def test_a_camera_from_another_clip_is_named_without_a_cause():
     views = run_views()
     points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
     views[3] = replace(view_of(points, POSES[3], seed=9), camera=views[3].camera)
-    assert findings(judged(views)) == [("camera_off", (3,))]
+    assert findings(agreement_of(views)) == [("camera_off", (3,))]
 
 
 @pytest.mark.slow
@@ -126,23 +126,23 @@ def test_two_wrong_cameras_are_named():
     views[1], views[3] = turned(views[1], 1), late(views[3], 8)
     fifth = view_of(truth_m(), level_pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5)
     views.append(replace(fifth, camera=replace(fifth.camera, name="cam5")))
-    assert findings(judged(views)) == [("camera_turned", (1,)), ("camera_late", (3,))]
+    assert findings(agreement_of(views)) == [("camera_turned", (1,)), ("camera_late", (3,))]
 
 
 def test_with_two_cameras_neither_is_named():
     views = run_views(2)
     views[1] = turned(views[1], 0)
-    found = judged(views)
+    found = agreement_of(views)
     assert findings(found) == [("cameras_disagree", (0, 1))]
     assert np.isnan(notes(found)[0].turn_rad)
-    assert findings(judged(exchanged(run_views(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
+    assert findings(agreement_of(exchanged(run_views(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
 
 
 def test_cameras_without_common_frames_cannot_be_compared():
     views = run_views()[:2]
     views[0] = replace(views[0], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, views[0].xy_px, np.nan))
     views[1] = replace(views[1], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, np.nan, views[1].xy_px))
-    found = judged(views)
+    found = agreement_of(views)
     assert [one.code for one in found if one.severity != "note"] == ["cameras_apart_in_time"]
     assert [camera.points for camera in notes(found)] == [0, 0]
     assert np.isnan(notes(found)[0].level)
@@ -150,7 +150,7 @@ def test_cameras_without_common_frames_cannot_be_compared():
 
 def test_noisy_detections_are_not_reported_as_disagreement():
     views = [view_of(truth_m(), T, sigma_px=4.0, seed=i) for i, T in enumerate(POSES)]
-    found = judged(views)
+    found = agreement_of(views)
     assert findings(found) == []
     assert 1.6 * 1.5 < notes(found)[0].max_level < 1.6 * 2.0
     assert max(camera.level for camera in notes(found)) > 1.6
@@ -162,13 +162,13 @@ def test_a_long_clip_is_compared_where_most_is_detected():
     xy_px = [np.concatenate([np.full((600, *v.xy_px.shape[1:]), np.nan), v.xy_px]) for v in views]
     views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
     T = len(xy_px[0])
-    found = judged(views)
+    found = agreement_of(views)
     assert found[0].frames == (100 + T - MAX_FRAMES, 100 + T)
     assert notes(found)[0].points == truth_m()[..., 0].size
 
 
 def test_one_camera_has_no_finding_on_agreement():
-    assert judged(run_views(1)) == ()
+    assert agreement_of(run_views(1)) == ()
 
 
 def test_refined_poses_that_fit_worse_are_used_only_if_allowed(two_cameras):
