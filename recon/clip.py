@@ -507,7 +507,7 @@ class View(Brief):
 
     @property
     def turn_px(self) -> Array | float:
-        """Return the standard deviation (T,), px, of the picture's centre due to errors of the camera's rotation.
+        """Return the standard deviation of the picture's centre due to errors of the camera's rotation, (T,), px.
 
         The value is 0 if these errors are unknown.
         """
@@ -587,7 +587,7 @@ class View(Brief):
 
     @property
     def _unzoomed_px(self) -> Array:
-        """Return the keypoints (T, J, 2), px, as they would be under the camera's own matrix, without zoom."""
+        """Return the keypoints (T, J, 2) in px as they would be under the camera's own matrix, without zoom."""
         if self.intrinsics_px is None:
             return self.xy_px
         linear, shift = self._zoom[:, None, :, :2], self._zoom[:, None, :, 2]

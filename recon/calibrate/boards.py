@@ -170,7 +170,7 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
-    """Return corners (N, 2), px, refined to the nearest intersection of edges.
+    """Return corners (N, 2) in px, refined to the nearest intersection of edges.
 
     The half-width of the window is `reach` times the distance between corners, because the window must contain neither
     the board's edge nor another corner. A corner that would leave the window is not moved.

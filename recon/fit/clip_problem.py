@@ -306,7 +306,7 @@ class ClipProblem:
         return np.array(scales)
 
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
-        """Return the standard deviation (V, T, J), px, of the detections of markers (T, J, 3) at nominal size.
+        """Return the standard deviation in px, (V, T, J), of the detections of markers (T, J, 3) at nominal size.
 
         The noise of the detector and of the keypoints, multiplied by sqrt(factor) (V, J), is combined with the noise
         from errors of a camera's rotation.
@@ -411,7 +411,7 @@ class ClipProblem:
         return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return the prior standard deviation (V,), m, of each camera's position, smaller if the animal is close."""
+        """Return the prior standard deviation of each camera's position, smaller if the animal is close, (V,), m."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))

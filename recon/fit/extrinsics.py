@@ -250,7 +250,7 @@ def _initial_poses(clips: Sequence[ClipProblem], progress: Progress) -> list[Cli
 
 
 def _joints_by_view(clip: ClipProblem, view: View) -> Array:
-    """Return the joints (T, J, 3), m, of a fit to one view, in the frame of its camera; NaN without a pose."""
+    """Return the joints of a fit to one view in the frame of its camera, shape (T, J, 3), m; NaN without a pose."""
     level = rigid(level_from_camera(view.camera.up).T, np.zeros(3))
     views = [replace(view, T_camera_world=level)]
     return solve_trajectory(

@@ -490,7 +490,7 @@ class Motion:
 
     @property
     def upright_sigma_m(self) -> Array:
-        """Return the standard deviations of `upright` along the axes, (T, J, 3), m, position and size included."""
+        """Return the standard deviations of `upright` along the axes, position and size included, (T, J, 3), m."""
         return _sigmas(self.solution.covariance_m2)
 
     @property
@@ -551,7 +551,7 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """Return the ground point (3,), m, in the world, below the middle of the root's path; None if unknown."""
+        """Return the ground point below the middle of the root's path in the world, shape (3,), m; None if unknown."""
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if segment.ground is None or not len(xy_m):
@@ -587,7 +587,7 @@ class Motion:
 
     @property
     def alternative_m(self) -> Array:
-        """Return the mean distance (T,), m, between the joints of the two best solutions, both centred.
+        """Return the mean distance between the joints of the two best solutions, both centred, shape (T,), m.
 
         The distance is NaN in frames without a second solution.
         """
@@ -595,7 +595,7 @@ class Motion:
 
     @property
     def joint_sigma_m(self) -> Array:
-        """Return the joints' standard deviations in the frame of reference, (T, J, 3), m, with position and size."""
+        """Return the joints' standard deviations in the frame of reference with position and size, (T, J, 3), m."""
         return _sigmas(self._turned(self.solution.covariance_m2))
 
     def relative_covariance_m2(self, rows: slice = slice(None)) -> Array:
@@ -604,12 +604,12 @@ class Motion:
 
     @property
     def relative_sigma_m(self) -> Array:
-        """Return the standard deviations of the joints relative to their mean, (T, J, 3), m, along the axes."""
+        """Return the standard deviations along the axes of the joints relative to their mean, shape (T, J, 3), m."""
         return _sigmas(self.relative_covariance_m2())
 
     @cached_property
     def relative_rms_m(self) -> Array:
-        """Return the expected RMS distance of the joints from their true positions, (T,), m, both poses centred."""
+        """Return the expected RMS distance of the joints from their true positions, both poses centred, (T,), m."""
         return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
 
     @cached_property

@@ -124,7 +124,7 @@ def _px_per_m(view: View, markers_m: Array) -> Array:
 
 
 def _noise_m(solution: Solution) -> Array:
-    """Return the noise of detections, (T, J), m, at the keypoints' distance, as the median over the views."""
+    """Return the noise of detections at the keypoints' distance, the median over the views, shape (T, J), m."""
     noise_m = [
         noise_px / _px_per_m(view, solution.markers_m)
         for view, noise_px in zip(solution.views, solution.noise_px, strict=True)
@@ -181,7 +181,7 @@ class _Residuals:
 
 
 def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> tuple[Array, Array, float]:
-    """Return the deviations (T, J, 3), m, their covariances (T, J, 3, 3), and the factor on predicted covariances."""
+    """Return deviations (T, J, 3) in m, their covariances (T, J, 3, 3), and the factor on predicted covariances."""
     information = np.array([residual.information for residual in residuals])
     pull = np.array([residual.pull for residual in residuals])
     total, total_pull = information.sum(axis=0), pull.sum(axis=0)

@@ -105,7 +105,7 @@ def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[A
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """Return the derivatives (F, 3, 6) of positions at times (F,), s, by the unknowns of `constant_velocity`."""
+    """Return the derivatives (F, 3, 6) of positions at times (F,) in seconds by the unknowns of `constant_velocity`."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -314,7 +314,7 @@ def _starts(clip: ClipProblem) -> list[Array]:
 
 
 def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Return misfits (H,), headings (H,), rad, and states (H, T, D) of the mean pose that runs straight."""
+    """Return misfits (H,), headings (H,) in rad, and states (H, T, D) of the mean pose that runs straight."""
     T, count = len(clip), _HEADINGS // 2 if clip.options.fast else _HEADINGS
     rays, centres, frames = _rays(clip)
     time_s, middle = np.arange(T) / clip.fps, frames.mean() / clip.fps
@@ -332,7 +332,7 @@ def _runs(clip: ClipProblem) -> tuple[Array, Array, Array]:
 
 
 def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
-    """Return rays (F, J, 3) of all views, their origins (F, 3), m, relative to `origin_m`, and their frames (F,)."""
+    """Return rays (F, J, 3) of all views, origins (F, 3) relative to `origin_m` in m, and their frames (F,)."""
     rays, centres, frames = [], [], []
     counts = [view.present.sum(axis=1) for view in clip.views]
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS

@@ -600,7 +600,7 @@ class StanceVelocity:
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
-        """Return the feet's velocity (n, F, 3), m/s, its loss (n, F) and the loss's slope (n, F).
+        """Return the feet's velocity (n, F, 3) in m/s, its loss (n, F) and the loss's slope (n, F).
 
         The velocity is the change from each frame of markers (n + 1, J, 3) to the next. A slope of 1 means that the
         foot stands, and 0 that it swings.
@@ -641,7 +641,7 @@ class OnGround:
     The residual of a foot is r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 
     The coordinates x and z of the feet are multiplied by the size relative to `at`. `contact` (T - 1, F) holds fixed
-    weights, `plane` (3,) the height at `middle` (2,), m, and the slopes along x and y.
+    weights, `plane` (3,) the height in metres at `middle` (2,), also in metres, and the slopes along x and y.
     """
 
     feet: Index

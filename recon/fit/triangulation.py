@@ -201,7 +201,7 @@ def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: boo
 
 
 def _gauss_newton_step(error: Array, by_point: Array, weight: Array) -> Array:
-    """Return the Gauss-Newton step of points (T, J, 3), m, 0 if fewer than two detections have a weight."""
+    """Return the Gauss-Newton step of points (T, J, 3) in metres, 0 if fewer than two detections have a weight."""
     weighted = by_point * weight[..., None, None]
     normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
     pull = np.sum(weighted.swapaxes(-1, -2) @ error[..., None], axis=0)
@@ -236,7 +236,7 @@ def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
 
 
 def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> Array:
-    """Return the noise (J,), px, of each keypoint's detections, from the median of the used detections' errors."""
+    """Return the noise of each keypoint's detections, from the median of the used detections' errors, (J,), px."""
     count = result.is_used.sum(axis=0)
     freedom = np.where(count >= 2, (2 * count - 3) / np.maximum(2 * count, 1), np.nan)
     median = np.where(count > 2, _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS)

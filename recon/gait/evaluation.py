@@ -365,7 +365,7 @@ def _nothing_in_common(
 
 
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
-    """Return the PCK thresholds, m, for an animal with the joints (T, J, 3), m, from its median extent."""
+    """Return the PCK thresholds in metres for an animal with the joints (T, J, 3), m, from its median extent."""
     size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
     # A single joint has no extent.
     tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0

@@ -309,7 +309,7 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
-    """Return the angle at the point b between the points a and c in each frame, shape (T,), rad, 0 to pi.
+    """Return the angle (0 to pi) at the point b between the points a and c in each frame, shape (T,), rad.
 
     The positions have the shape (T, 3). The angle is NaN where b coincides with a or c.
     """

@@ -71,7 +71,7 @@ def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
 
 
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
-    """Return the rotation matrices (..., 3, 3) of Euler angles (..., 3), rad, and their derivatives (..., 3, 3, 3).
+    """Return the rotation matrices (..., 3, 3) of Euler angles (..., 3) in rad, and their derivatives (..., 3, 3, 3).
 
     The derivative dR with respect to angle k is dR[..., k, :, :].
     """

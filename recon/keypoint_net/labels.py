@@ -262,7 +262,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
 
 
 def extents_px(xy_px: Array) -> Array:
-    """Return the diagonal (N,), px, of the box around each picture's labels (N, K, 2); NaN with fewer than two."""
+    """Return the diagonal of the box around each picture's labels (N, K, 2) in px; NaN with fewer than two labels."""
     is_known = known_points(xy_px)
     points = np.where(is_known[..., None], xy_px, np.nan)
     extent_px = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
@@ -519,7 +519,7 @@ def evaluate_2d(
 
 
 def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
-    """Return errors (N, K), px, with each left-right pair swapped if this reduces the error."""
+    """Return errors in px, shape (N, K), with each left-right pair swapped if this reduces the error."""
     direct = np.linalg.norm(xy_px - label_px, axis=2)
     swapped = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)
     cost = np.stack([direct, swapped])
@@ -528,7 +528,7 @@ def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]
 
 
 def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
-    """Summarise the errors (..., K), px, of predicted points, which are NaN if a point is not labelled or not found.
+    """Summarise the errors (..., K) of predicted points in px, which are NaN if a point is not labelled or not found.
 
     The summary has the number of labelled `points`; the fraction of these that was `found` (predicted, and likely
     enough); the RMSE and the median error of the found points, px, NaN without any; and the fractions of all labelled

@@ -661,7 +661,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
-    """Return the smallest excess (N, K), px, of a label's distance from another label over the usual distance."""
+    """Return the smallest excess in px of each label's distance from another label over the usual distance, (N, K)."""
     n, k = xy_px.shape[:2]
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan

@@ -48,7 +48,7 @@ class RobotLeg:
     neutral_m: Array
     """Position of the foot of the standing leg in body axes, shape (3,), metres."""
     home_rad: Array | None = None
-    """Angles of the standing leg, shape (n,), rad, or None if the leg cannot stand.
+    """Angles of the standing leg in rad, shape (n,), or None if the leg cannot stand.
 
     A leg without a closed form is solved from these angles.
     """

@@ -155,7 +155,7 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize(("skeleton", "frames", "size"), [("dog-27", 150, 1.1), ("mouse-top", 72, 1.2)])
 def test_two_cameras_with_correct_poses_get_no_finding(skeleton, frames, size, monkeypatch):
-    """The animal walks in a circle, or is small."""
+    """Neither an animal that walks in a circle nor a small animal makes the second camera look misplaced or late."""
     monkeypatch.setattr("recon.fit.solution.TESTED_S", 2.0)
     body, random = load_skeleton(skeleton), np.random.default_rng(0)
     states, ahead = rigs.random_motion(body, random, frames), 2 * np.pi * np.arange(frames) / 360

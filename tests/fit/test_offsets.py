@@ -21,7 +21,7 @@ from recon.fit.trajectory import solve_trajectory
 
 
 def test_the_search_finds_whole_frames():
-    """One of three cameras begins 4 frames later, and one 3 frames earlier."""
+    """The search finds that one of three cameras begins 4 frames later, and one 3 frames earlier."""
     views = run_views(3)
     found = search_offsets([views[0], late(views[1], 4), late(views[2], -3)], FPS, 2.0, KEYPOINT_M)
     np.testing.assert_array_equal(found, [0, 4, -3])
@@ -34,7 +34,7 @@ def test_camera_without_common_frames_is_not_compared():
 
 
 def test_lags_are_found_with_their_uncertainty():
-    """Lags are relative to the first camera."""
+    """The second camera's lag relative to the first is within 3 standard deviations of its true value."""
     views = [replace(view, offset_frames=lead) for view, lead in zip(run_views(2), (0.0, 0.75), strict=True)]
     found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
     assert (found.time_offset_frames[0], found.time_offset_sigma_frames[0]) == (0, 0)
@@ -72,7 +72,7 @@ def test_motion_that_does_not_determine_lags_is_refused():
 
 
 def test_offset_of_unsynchronised_cameras_is_found(runs):
-    """Both cameras began together, although `--set offset-s` states five frames."""
+    """The lag corrects a wrong `--set offset-s` of five frames for cameras that began together."""
     motion = fit_clip(settings(runs, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
     lag = motion.solution.views[1].offset_frames - motion.sources[1].offset_frames
     assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)

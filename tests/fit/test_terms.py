@@ -82,7 +82,7 @@ def test_stencil_names_the_frames_that_a_term_reads(term):
 
 
 def test_priors_count_the_same_per_second_at_any_frame_rate():
-    """With twice the frame rate, each frame has half the weight."""
+    """A pose costs half as much per frame at twice the frame rate."""
     states = some_states()
     for make in (lambda fps: pose_term(PRIOR, BODY.n_state, fps, 1.0), lambda fps: PoseMixture(PRIOR, fps, 1.0)):
         assert cost(make(FPS), states) == pytest.approx(2 * cost(make(2 * FPS), states))

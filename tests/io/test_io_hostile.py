@@ -330,7 +330,7 @@ def test_a_cell_that_is_too_long(read, tmp_path):
 
 
 def test_an_endless_heap_of_texts_is_refused(tmp_path):
-    """The HDF5 library would search for the next object of the heap for ever."""
+    """A heap of texts in which the HDF5 library would search for the next object for ever is refused."""
     write_movement(CLIP, tmp_path / "a.nc")
     content = bytearray((tmp_path / "a.nc").read_bytes())
     heap = content.index(b"GCOL")
@@ -397,7 +397,7 @@ def test_a_skeleton_that_extends_a_name_too_long_for_a_file(tmp_path):
 
 
 def test_a_prior_with_signalling_nan_is_refused(tmp_path):
-    """NumPy only warns when a signalling NaN of four bytes is converted."""
+    """A signalling NaN of four bytes is refused, although NumPy only warns when it converts it."""
     content = resources.files("recon") / "animal" / "priors" / "running-cheetah.npz"
     with np.load(BytesIO(content.read_bytes())) as file:
         arrays = dict(file)

@@ -97,7 +97,7 @@ def test_a_suffix_without_a_codec_is_an_input_error(tmp_path):
 
 
 def test_names_that_look_like_addresses(tmp_path, monkeypatch, counted):
-    """FFmpeg would take the text before a colon for a protocol."""
+    """A video whose path has a colon is read and written, although FFmpeg reads a protocol before a colon."""
     monkeypatch.chdir(tmp_path)
     Path("http:").mkdir()
     for name in (f"run10:30{counted.suffix}", f"http:/run{counted.suffix}"):
