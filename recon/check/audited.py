@@ -1,4 +1,4 @@
-"""Define the points of a file that is audited, and derive the parts of the animal from the points' names."""
+"""Represent the points of an audited file, and derive the parts of the animal from the points' names."""
 
 from __future__ import annotations
 

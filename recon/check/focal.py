@@ -166,9 +166,9 @@ def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
 
 
 def _lowest(costs: Mapping[float, float]) -> tuple[float, float]:
-    """Return the minimum of a parabola through the smallest cost and its neighbours, with its standard deviation.
+    """Return where a parabola through the smallest cost and its neighbours has its minimum, and the standard deviation.
 
-    The keys of `costs` are logarithms of factors on the focal length, as is the minimum.
+    The keys of `costs`, and the result, are logarithms of factors on the focal length.
     """
     values = sorted(costs)
     least = min(values, key=costs.__getitem__)

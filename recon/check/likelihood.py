@@ -687,7 +687,7 @@ def frame_rate_finding(
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
-    # speeds are wrong by this factor even if the poses are right
+    # Speeds are wrong by this factor even if the poses are right.
     if not 1 / WRONG_RATE_RATIO < factor < WRONG_RATE_RATIO:
         return item
     return by_effect(item, trunk_m, is_gross=True)

@@ -33,7 +33,8 @@ MIN_STANDING = 3
 class _Upward(NamedTuple):
     """Upward unit vector (3,), a point on the ground (3,) in m, and the standard deviation of the direction in rad.
 
-    Both are in the world frame of the camera poses. The standard deviation applies to the less certain axis.
+    The vector and the point are in the world frame of the camera poses. The standard deviation applies to the less
+    certain axis.
     """
 
     up: Array
