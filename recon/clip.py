@@ -448,7 +448,7 @@ class View(Brief):
     """
 
     camera: Camera
-    """Lens, intrinsics and picture size; its pose is not used (see `T_camera_world`)."""
+    """Camera with the lens, intrinsics and picture size, whose pose is not used (see `T_camera_world`)."""
     T_camera_world: Array
     """Camera poses, shape (T, 4, 4), or (4, 4) for a still camera."""
     xy_px: Array

@@ -132,7 +132,7 @@ def find_clips(
     Raises
     ------
     InputError
-        If inputs or rows cannot be used; the message lists all problems.
+        If inputs or rows cannot be used. The message lists all problems.
     """
     problems: list[Problem] = []
 
@@ -374,7 +374,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
     Raises
     ------
     InputError
-        If the table is faulty; the message lists every fault of the table itself.
+        If the table is faulty. The message lists every fault of the table itself.
     """
     header, known = _header(path), ("out", *EXPERIMENT, *SETTINGS)
     many = {name for name, info in SETTINGS.items() if info.is_many}
@@ -580,7 +580,7 @@ def _camera_names_by_draft(
 
 def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str]:
     """Return a note on joined clips that lack cameras which other clips have."""
-    all_cameras: dict[Any, dict[str, None]] = {}  # by the project's pattern, because projects name cameras differently
+    all_cameras: dict[Any, dict[str, None]] = {}  # keyed by project, because projects name cameras differently
     by_name = [(name, draft) for name, draft in zip(names, drafts, strict=True) if draft.rule]
     for _, draft in by_name:
         all_cameras.setdefault(draft.cam_regex, {}).update(dict.fromkeys(draft.row["camera_name"]))

@@ -1,4 +1,4 @@
-"""Calibrate a camera from pictures or a video of a board: write a camera file and a picture of the coverage."""
+"""Calibrate a camera from pictures or a video of a board, and write a camera file and a picture of the coverage."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     Raises
     ------
     InputError
-        If inputs cannot be used; the message lists every problem.
+        If inputs cannot be used. The message lists every problem.
     """
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     inputs = input_paths(settings)

@@ -42,7 +42,7 @@ DIRECTIONS = (
 )
 """Words for directions from the animal in steps of 45°, counterclockwise seen from above, from straight ahead."""
 HEIGHTS = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
-"""Words for the camera's elevation above the animal, each after the elevation (rad) below which it is used."""
+"""Upper limits of the camera's elevation above the animal, rad, with the words for elevations below them."""
 ABOVE = "almost above it"
 
 

@@ -1,4 +1,4 @@
-"""Fit one clip: turn keypoints and a camera into 3D motion, which `recon.api.clip_results` writes."""
+"""Fit one clip, which turns keypoints and a camera into 3D motion."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     Raises
     ------
     InputError
-        If files or settings cannot be used; the message lists all problems.
+        If files or settings cannot be used. The message lists all problems.
     """
     if settings.method == "frame":
         from recon.thesis.clip import fit_clip as fit_frames

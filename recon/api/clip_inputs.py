@@ -44,9 +44,9 @@ At a lower rate a whole stride fits between two frames, and nothing connects the
 animal's acceleration between frames.
 """
 FEW_OF_SKELETON = 0.25
-"""Minimum fraction of the skeleton's keypoints that a file must have for its names to count as the skeleton's."""
+"""Fraction of the skeleton's keypoints in a file, at or above which the file is accepted for the skeleton."""
 FEW_OF_FILE = 0.5
-"""Minimum fraction of a file's keypoints that must be in the skeleton for its names to count as the skeleton's.
+"""Fraction of a file's keypoints in the skeleton, at or above which the file is accepted for the skeleton.
 
 A file is refused only if it is below `FEW_OF_SKELETON` too, because a file may have many further points, or only a few
 points of a large skeleton.
@@ -56,7 +56,7 @@ KNOWN_FOR_UNIT = 0.5
 FRAMES_FOR_UNIT = 480
 """Maximum number of frames that are used to check the calibration's unit."""
 LOG_SIZE_OF_UNIT = math.log(2.0)
-"""Largest |log(size / expected size)| of the animal at which a unit of the calibration is plausible."""
+"""Maximum |log(size / expected size)| of the triangulated animal for a plausible unit of the calibration."""
 LEAST_BETWEEN_UNITS = 50.0
 """Smallest ratio of two units that the animal's size can distinguish.
 
@@ -110,13 +110,13 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
     settings
         Settings of the fit.
     read_shared
-        Function that reads the inputs that clips can share; a batch passes one with a cache. (default:
+        Function that reads the inputs that clips can share, such as a function with a cache in a batch. (default:
         `read_model_and_cameras`)
 
     Raises
     ------
     InputError
-        If files or settings cannot be used; the message lists all problems.
+        If files or settings cannot be used. The message lists all problems.
     """
     shared = read_shared or read_model_and_cameras
     files, (body, prior, cameras) = collect_problems(lambda: read_clips(settings), lambda: shared(settings))
@@ -234,7 +234,7 @@ def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
     Raises
     ------
     InputError
-        If any of the three cannot be used; the message lists the problems of all.
+        If any of the three cannot be used. The message lists the problems of all.
     """
     model, cameras = collect_problems(lambda: read_model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras
@@ -257,7 +257,7 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
     Raises
     ------
     InputError
-        If files cannot be used, or if frame rates are missing or differ; the message lists the problems of all files.
+        If files cannot be used, or if frame rates are missing or differ. The message lists the problems of all files.
     """
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
     files = collect_problems(

@@ -368,7 +368,7 @@ def read_settings(config: Path | None, options: Mapping[str, Any] | None = None)
     Raises
     ------
     InputError
-        If settings are wrong; the message names each of them and where it was given.
+        If settings are wrong. The message names each of them and where it was given.
     """
     options = {name: value for name, value in (options or {}).items() if value is not None}
     file_settings = {} if config is None else _read_config(config)

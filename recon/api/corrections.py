@@ -72,7 +72,7 @@ class CorrectionSession:
         return session
 
     def _of_this_clip(self, corrections: list[Correction]) -> list[Correction]:
-        """Return corrections with the camera's name filled in; raise InputError for a correction of another clip."""
+        """Return corrections with the camera's name filled in, or raise InputError for a correction of another clip."""
         names = [camera.name for camera in self.motion.cameras]
         named = [replace(row, camera=names[0]) if not row.camera and len(names) == 1 else row for row in corrections]
         frames = {int(frame) for frame in self.motion.frames}

@@ -38,7 +38,7 @@ MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _SLOPE_NAMES = {SPEED: "per m/s of speed"}
 """Names, in the table, of slopes that do not have the name of their covariate."""
 _LEAST_SHARE = 0.01
-"""Minimum standard deviation of a camera's independent error, as a fraction of the sigma of its total error."""
+"""Minimum standard deviation of a camera's independent error, as a fraction of its total standard deviation."""
 _LEAST_SIGMA = 1e-9
 """Minimum standard deviation, and minimum magnitude of a value, by which another number is divided."""
 _FIELD = re.compile(r"\{(\w*)\}")
@@ -95,7 +95,7 @@ def design_of_names(pattern: str, names: Sequence[str]) -> pd.DataFrame:
     Parameters
     ----------
     pattern : str
-        Form of the names with the fields in braces, as in {animal}-{run}-{camera}; {} stands for anything.
+        Form of the names with the fields in braces, as in {animal}-{run}-{camera}. {} stands for any text.
     names : sequence of str
         Names of the clips.
 

@@ -68,7 +68,7 @@ def read_plan(texts: Sequence[str]) -> Plan:
     Raises
     ------
     InputError
-        If words cannot be used; the message lists all of them.
+        If words cannot be used. The message lists all of them.
     """
     values, problems = {}, []
     for word in " ".join(texts).split():

@@ -93,7 +93,7 @@ def run_extrinsics(
     Raises
     ------
     InputError
-        If inputs cannot be used; the message lists every problem.
+        If inputs cannot be used. The message lists every problem.
     """
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     inputs = [path for clip in clips for path in input_files(clip).values()]

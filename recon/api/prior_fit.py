@@ -86,7 +86,7 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If files or options cannot be used; the message lists all problems.
+        If files or options cannot be used. The message lists all problems.
     """
     output = output_file(settings.out, "prior fit", settings.overwrite, input_paths(settings))
     paths = list(dict.fromkeys(settings.poses))

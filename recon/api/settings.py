@@ -84,7 +84,7 @@ class FitSettings(Settings):
     Raises
     ------
     InputError
-        If settings are wrong; the message lists all problems.
+        If settings are wrong. The message lists all problems.
     """
 
     keypoints: Annotated[
@@ -366,7 +366,7 @@ def setting_with_relative_paths(folder: Path, name: str, value: T) -> T:
 
 
 def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
-    """Return a setting's value with `change` applied to each path; a value without paths is unchanged."""
+    """Return a setting's value with `change` applied to each path in the value."""
     if isinstance(value, list):
         return cast("T", [with_paths(name, element, change) for element in value])
     if isinstance(value, str) and name in SETTINGS and SETTINGS[name].is_file(value):

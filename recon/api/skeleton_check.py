@@ -32,7 +32,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
     Raises
     ------
     InputError
-        If the file does not describe a skeleton; the message names every problem.
+        If the file does not describe a skeleton. The message names every problem.
     """
     body = load_skeleton(name_or_path, subject)
     length, _, height = np.ptp(body.expected_points_m(), axis=0).tolist()

@@ -107,7 +107,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If clips or options cannot be used; the message lists all problems.
+        If clips or options cannot be used. The message lists all problems.
     """
     output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
     settings_by_clip, _, _, known_poses = collect_problems(

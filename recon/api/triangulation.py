@@ -149,14 +149,14 @@ def triangulate_files(settings: FitSettings, smooth: bool = False) -> Triangulat
     Parameters
     ----------
     settings
-        Settings of a fit; only those in `TRIANGULATION_SETTINGS` are read.
+        Settings of a fit, of which only `TRIANGULATION_SETTINGS` are read.
     smooth
         As in `triangulate`.
 
     Raises
     ------
     InputError
-        If files or settings cannot be used; the message lists all problems.
+        If files or settings cannot be used. The message lists all problems.
     """
     if len(settings.keypoints) < 2:
         expected = "one for each of two or more cameras; a single camera needs a skeleton (recon fit)"

@@ -167,7 +167,7 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
     Raises
     ------
     InputError
-        If the table does not fit the model; the message lists everything that is wrong.
+        If the table does not fit the model. The message lists everything that is wrong.
     """
     adapter = _adapter(model)
     try:
@@ -179,7 +179,7 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 
 
 MAX_UNPACKED = 1 << 30
-"""Maximum size of an unpacked archive, in bytes; a larger archive could fill the memory."""
+"""Maximum size of an unpacked archive, in bytes, because a larger archive could fill the memory."""
 MAX_ARRAYS = 1 << 16
 """Maximum number of arrays in an archive."""
 KINDS = "biuf"

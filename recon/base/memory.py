@@ -13,7 +13,7 @@ _MMAP_THRESHOLD = -3
 KEPT_BYTES = 1 << 28
 """Maximum amount of freed memory, in bytes, that the process keeps at the end of the heap."""
 LARGEST_BYTES = 1 << 25
-"""Minimum size, in bytes, of arrays that are returned to the system when freed; glibc accepts no larger setting."""
+"""Minimum size, in bytes, of arrays that are returned to the system when freed. glibc accepts no larger setting."""
 NEW_OBJECTS = 400_000
 """Number of new containers after which the garbage collector searches them for unused reference cycles.
 

@@ -5,7 +5,7 @@ the fields that lead to it, such as `solution.states`. Arrays with the same cont
 stored as planes of bytes, which compress better, and in single precision where that changes no bit (`_Layout`).
 
 Fields are plain values, paths, slices, tuples, mappings with strings as keys, arrays of numbers, tables of files
-(pydantic's models), and dataclasses, also of a subclass within this package; loaded values have the types that the
+(pydantic's models), and dataclasses, also of a subclass within this package. Loaded values have the types that the
 fields declare. A subclass is named by its tag, `record_tag`, never by its module, and the caller of `load_record` lists
 the classes. Values that a dataclass computes from its fields are not in the file.
 """
@@ -88,7 +88,7 @@ def load_record(
     Raises
     ------
     InputError
-        If the file is damaged or of another kind, or would take too much memory; all sizes are checked before anything
+        If the file is damaged or of another kind, or would take too much memory. All sizes are checked before anything
         is unpacked.
     """
     content = read_content(path, expected, MAX_UNPACKED)

@@ -212,7 +212,7 @@ class Settings:
     Raises
     ------
     InputError
-        If values cannot be used; the message lists all problems.
+        If values cannot be used. The message lists all problems.
     """
 
     if not TYPE_CHECKING:  # type checkers know the fields

@@ -4,18 +4,17 @@ Each corner is modelled as a point of the board that is moved by the view's pose
 the lens and the camera matrix. OpenCV minimises the squared errors. The residuals are computed by `Camera.project`, the
 model that the rest of the package uses, so that a difference between the two models would show as an error.
 
-A picture whose error (root mean square over its corners) exceeds `DROP_FACTOR` times the median over pictures is left
-out, and the remaining pictures are solved again, up to `ROUNDS` times. Errors of good pictures are within a factor of
-two of the median for all lenses; a picture beyond a factor of three has moved, bent or wrongly detected corners. Least
-squares are not robust, so that one such picture can change the focal length by more than the uncertainty from all the
-others. Errors below `DROP_FLOOR_PX` are typical of a good detector and never a reason to leave a picture out. The
-report lists the pictures that were left out, with their errors.
+A picture whose error (root mean square over its corners) exceeds `DROP_FACTOR` times the median over pictures probably
+has a board that moved or bent, or wrongly detected corners. It is left out, and the remaining pictures are solved
+again, up to `ROUNDS` times. Least squares are not robust, so one such picture can change the focal length by more than
+the uncertainty from all the others. Errors below `DROP_FLOOR_PX` are typical of a good detector, and are no reason to
+leave a picture out. The report lists the pictures that were left out, with their errors.
 
-Each quantity that is checked has two limits. Beyond the first there is a warning, beyond the second the calibration is
-refused. Three properties matter for a reconstruction. The first is the focal length: an error of 1 % changes every
+Each quantity that is checked has two limits. Beyond the first, there is a warning. Beyond the second, the calibration
+is refused. Three properties matter for a reconstruction. The first is the focal length. An error of 1 % changes every
 distance from the camera by 1 %, which is small compared with the uncertainty of an animal's size, 3 to 10 %. The second
-is the principal point: 1 % of the width corresponds to about 0.6 degrees. The third is that the lens model is valid in
-the whole picture, since the animal may be anywhere in it.
+is the principal point, where an error of 1 % of the width is about 0.6 degrees. The third is that the lens model is
+valid in the whole picture, since the animal may be anywhere in it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Find camera positions from which the pixels determine an angle or a joint well.
 
 The motion is a mean stride through the middle of the picture, which is the prior's mean pose, varied along its two
-directions of largest variance. No fit is needed: the expected uncertainty of a fit that finds this motion follows from
-the curvature of the cost at this motion (`recon.fit.posterior`).
+directions of largest variance. No fit is needed, because the expected uncertainty follows from the curvature of the
+cost at this motion (`recon.fit.posterior`).
 """
 
 from __future__ import annotations

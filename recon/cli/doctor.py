@@ -39,7 +39,7 @@ MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "t
 """Module of each distribution that another distribution can replace, such as opencv-python or a custom build."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
-"""Error of the sample, mm, above which the solver is broken. The usual error is half as large."""
+"""Error of the sample, mm, above which the solver is broken, about twice the error that `recon demo` prints."""
 SELF_TEST_S = 300.0
 _MODULE = "import sys; from recon.cli.app import main; sys.exit(main())"
 

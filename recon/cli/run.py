@@ -212,7 +212,7 @@ def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     Raises
     ------
     InputError
-        If inputs cannot be used; the message lists every problem.
+        If inputs cannot be used. The message lists every problem.
     """
     keypoints = run_settings.keypoints or run_settings.out / f"{run_settings.video.stem}_keypoints.csv"
     corrections = {} if run_settings.corrections is None else {"corrections": run_settings.corrections}
@@ -248,7 +248,7 @@ def run_video(
     Raises
     ------
     InputError
-        If a stage cannot be done; the results of earlier stages are kept.
+        If a stage cannot be done. The results of earlier stages are kept.
     """
     out, report_of_fit = job.run.out, {}
     with sole_writer(out):
@@ -408,7 +408,7 @@ def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job
     Raises
     ------
     InputError
-        If inputs cannot be used; the message lists all problems.
+        If inputs cannot be used. The message lists all problems.
     """
     videos = sorted(
         p for p in run_settings.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")

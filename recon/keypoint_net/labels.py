@@ -33,7 +33,7 @@ from recon.show.plain import picked
 
 SPLIT = "Which pictures"
 MAX_OUTSIDE_FRACTION = 0.1
-"""Largest fraction of the labels that may lie outside their pictures; more means that the pictures are wrong."""
+"""Fraction of the labels outside their pictures above which the labels must belong to other pictures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Labels:
         return known_points(self.xy_px)
 
     def scaled(self, scale: float) -> Labels:
-        """Return the labels with pictures and positions scaled by a factor; centres of pixels are at whole numbers."""
+        """Return the labels with pictures and positions scaled by a factor, with centres of pixels at whole numbers."""
         pictures = tuple(resize(picture, scale) for picture in self.pictures)
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
@@ -295,7 +295,7 @@ _OTHER = str.maketrans("lrLR", "rlRL")
 
 
 def _mirrored(name: str) -> Iterator[str]:
-    """Yield possible names of a keypoint's counterpart on the other side; either letter of "rl" can be the side."""
+    """Yield possible names of a keypoint's counterpart on the other side (either letter of "rl" can be the side)."""
     if (opposite := other_side(name)) != name:
         yield opposite
     for leg in _LEG.finditer(name):

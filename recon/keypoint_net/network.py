@@ -13,12 +13,13 @@ The raw likelihood is the probability within the tolerance of the point.
 
 A network is overconfident in pictures that it was trained on. Therefore the likelihoods are calibrated on the
 validation pictures. A logistic function of the raw likelihood's logit is fitted to whether points are correct, that is,
-within the tolerance of their labels. Of the points with a calibrated likelihood of 0.8, about 80 % should be correct.
+within the tolerance of their labels. About 80 % of the points with a calibrated likelihood of 0.8 should then be
+correct.
 
 The optional package torch is imported only in the functions that need it.
 
 `recon predict` reads a video and writes a keypoint file. The frames go through the network in batches while the next
-frames are decoded. Only a few batches of pictures are in memory at the same time; each point takes 12 bytes.
+frames are decoded. Only a few batches of pictures are in memory at the same time.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ SPREAD = 64.0
 DIFFERENCE = 64.0
 """Difference from the background, in grey levels, that becomes 1 in the network's input."""
 STRIDE = 4
-"""Pixels between neighbouring cells of the grid; cell (0, 0) is at pixel (0, 0)."""
+"""Distance between neighbouring cells of the grid, pixels. Cell (0, 0) is at pixel (0, 0)."""
 WIDTHS = (16, 32, 64, 128, 192)
 """Number of channels of the first stage at 1/2, 1/4, ... 1/32 of the picture's size."""
 BLOCKS = (0, 1, 2, 2, 2)
@@ -94,7 +95,7 @@ MIN_SIGMA = 0.15
 BLUR = 0.8
 """Standard deviation of the blur of the probability, in cells of the grid."""
 MAX_SPREAD_CELLS = 4.0
-"""Largest distance from a point, in cells, that `variance` uses; larger distances are clipped to this value."""
+"""Largest distance from a point, in cells, to which `variance` clips larger distances."""
 _REACH = 3
 """Number of cells on each side of a cell over which the blur extends."""
 OUTSIDE_SCORE = -1e4
@@ -117,7 +118,7 @@ THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more"
 
 
 def require_torch() -> ModuleType:
-    """Import and return the package torch; raise InputError with the command that installs it if it is missing."""
+    """Import and return the package torch, or raise InputError with the command that installs it."""
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -334,7 +335,7 @@ Calibration = tuple[float, float]
 
 
 def calibrated(raw: Array, calibration: Calibration | None) -> Array:
-    """Return calibrated likelihoods for raw likelihoods; NaN stays NaN."""
+    """Return calibrated likelihoods for raw likelihoods, which may be NaN."""
     if calibration is None:
         return np.clip(raw, 0.0, 1.0)
     slope, offset = calibration
@@ -488,7 +489,7 @@ def save_torch(content: dict[str, Any], path: Path) -> None:
 
 
 def model_file(folder: Path) -> Path:
-    """Return the path of a folder's network file; raise InputError if there is none."""
+    """Return the path of a folder's network file, or raise InputError if there is none."""
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
         expected = f"the {MODEL_FILE} of a folder written by `recon train`"
@@ -497,7 +498,7 @@ def model_file(folder: Path) -> Path:
 
 
 def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
-    """Load the network that `recon train` wrote into a folder; raise InputError if its file cannot be used."""
+    """Load the network that `recon train` wrote into a folder, or raise InputError if its file cannot be used."""
     path = model_file(folder)
     content = load_torch(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -523,7 +524,7 @@ MAX_PICKLE_BYTES = 1 << 22
 
 
 def load_torch(path: Path) -> dict[str, Any]:
-    """Load numbers and plain types from a torch file; raise InputError if it is damaged or of another kind."""
+    """Load numbers and plain types from a torch file, or raise InputError if the file is damaged or of another kind."""
     torch = require_torch()
     try:
         # torch writes zip archives, and raises almost any exception for other or damaged files.
@@ -658,7 +659,7 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
 
 
 def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[_Chunk]:
-    """Yield the frames of a video in batches; `keep` adds the original pictures."""
+    """Yield the frames of a video in batches, with the original pictures if `keep` is true."""
     width, height = info.size_px
     size = int(np.clip(MAX_BATCH_PIXELS / (width * height * scale**2), 1, 32))
     frames = timed_frames(video)

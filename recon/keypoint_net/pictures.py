@@ -311,7 +311,7 @@ T = TypeVar("T")
 
 
 def prefetched(items: Generator[T], count: int) -> Generator[T]:
-    """Yield the items of a generator that runs in a thread, up to `count` items ahead; no item may be None."""
+    """Yield the items of a generator that runs in a thread, up to `count` items ahead. No item may be None."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as executor:
         waiting = deque(executor.submit(next, items, None) for _ in range(count))
         try:

@@ -5,10 +5,10 @@ its likelihoods are calibrated on the validation pictures. In the last part, fro
 both, so that no label is wasted. In each part the learning rate falls along a cosine to almost 0; at the start of the
 run it warms up first. The final weights are a moving average of the optimiser's weights.
 
-The result of a run depends only on its settings, its labels and its device: augmentation depends on the seed and the
-step, and a checkpoint contains everything else. If the number of steps is given, a run that was stopped and resumed
-ends with exactly the same weights. If the number of minutes is given, the number of steps depends on the speed of the
-machine.
+The result of a run depends only on its settings, its labels and its device, because augmentation depends on the seed
+and the step, and a checkpoint contains everything else. If the number of steps is given, a run that was stopped and
+resumed ends with exactly the same weights. If the number of minutes is given, the number of steps depends on the speed
+of the machine.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ WARM_UP = 0.04
 EVALUATIONS = 30
 """Number of evaluations in a run."""
 MAX_AVERAGED_STEPS = 300.0
-"""Maximum number of steps over which the weights are averaged; the average is shorter at the beginning."""
+"""Maximum number of steps over which the weights are averaged. The average is shorter at the beginning."""
 TRAINING = "Training"
 
 
@@ -395,7 +395,7 @@ def _resumed(run: TrainingRun, out: Path) -> State:
 MAX_WORST_PICTURES = 6
 """Maximum number of pictures in worst.png."""
 LEAST_WIDTH_PX = 560
-"""Minimum width of a picture in worst.png, pixels; smaller pictures are enlarged."""
+"""Width below which a picture in worst.png is enlarged, pixels."""
 LABEL = (255, 255, 255)
 """Colour (blue, green, red) of labels in worst.png."""
 LINE = (60, 60, 230)

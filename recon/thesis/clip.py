@@ -28,7 +28,7 @@ from recon.thesis.start import parse_start_angles
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     """Reconstruct one side of the animal as a chain, frame by frame.
 
-    Frames that cannot be solved stay in the result, with a status that says so.
+    Frames that cannot be solved stay in the result, with the status not_converged or no_data.
 
     Raises
     ------

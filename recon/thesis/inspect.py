@@ -2,7 +2,7 @@
 
 The optimiser minimises half the squared norm of the residuals r, each divided by its standard deviation. J is their
 Jacobian. Robust terms enter r and J with the solver's weights, so that J'r is the gradient and J'J the curvature.
-docs/solver.md explains the columns of the tables; `recon.thesis.figures` draws the figures.
+docs/solver.md explains the columns of the tables. `recon.thesis.figures` draws the figures.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class SolverRecord:
     def sizes(self) -> dict[str, Array]:
         """Return squared norm and mean magnitude of the residuals, and mean magnitude and sparsity of the Jacobian.
 
-        Each array has a value for each frame, shape (T,); the keys are the names of the columns.
+        Each array has a value for each frame, shape (T,). The keys are the names of the columns.
         """
         table = np.full((4, len(self.motion.frames)), np.nan)
         for row, terms in self.terms.items():

@@ -173,7 +173,7 @@ class _Limit(Objective):
 
 @dataclass(frozen=True)
 class AngleRange(_Limit):
-    """Penalty (|angle - mean| - tolerance) / softness on angles outside their range (f2 for theta, f3 for phi)."""
+    """Penalty on angles outside their range, (|angle - mean| - tolerance) / softness (f2 for theta, f3 for phi)."""
 
     ranges: AngleRanges
 
@@ -190,8 +190,8 @@ class RateLimit(_Limit):
     If a relative angle changes by a within the interval dt, the tip moves along a chord of 2 r |sin(a / 2)|. "deadband"
     divides this chord by dt and penalises it only beyond the limit, so a link that flips is penalised. "printed" is the
     rate of change of the chord, r |cos(a / 2)| |a| / dt, two-sided. Two errors of the publication are corrected: its
-    missing da/dt and its squared limit. The excess is weighted like an angle over the interval: it is divided by
-    r softness / dt, so the length cancels.
+    missing da/dt and its squared limit. The excess is divided by r softness / dt, so that it is
+    weighted like an angle over the interval and the length cancels.
     """
 
     max_rate_rad_s: Array

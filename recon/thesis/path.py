@@ -29,7 +29,7 @@ ACCELERATION_LASTS_S = 0.05
 ERRORS_LAST_S = 0.06
 """Correlation time of the position errors in seconds, within which positions count as one measurement."""
 LEAST_SIGMA_M = 0.02
-"""Smallest standard deviation of a position in metres; the reference joint is not fixed on the animal."""
+"""Minimum standard deviation of a position in metres, because the reference joint is not fixed on the animal."""
 _FIRST_POSITION_M = 100.0
 """Standard deviation of the position before the first frame in metres, large enough to leave the position free."""
 _FIRST_SPEED_M_S = 30.0

@@ -71,7 +71,7 @@ class _FrameReport:
     data_share: Array
     """Fraction of the posterior precision of each unknown that comes from the pixels, shape (D,), 0 to 1.
 
-    It is NaN if data and priors together do not determine an unknown.
+    The fraction is NaN if data and priors together do not determine the unknown.
     """
     mean_weight: float
     """Mean weight of the detections, 0 to 1."""
@@ -264,7 +264,7 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
     )
     path: Path | None = fields.get("path")
-    # The frames were solved with the path held fixed. The path's error is therefore added: it moves all joints
+    # The frames were solved with the path held fixed. The path's error is therefore added. It moves all joints
     # together, by a fraction that depends on how tightly the root is tied to the path.
     if path is not None:
         R = T_world_camera[:3, :3]

@@ -35,7 +35,7 @@ from recon.thesis.start import estimate_travel, geometric_start, parse_start_ang
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's `least_squares` that mean that a tolerance was met."""
 MAX_SIZE = 10.0
-"""Ratio of base length and expected base length, in either direction, above which a pose counts as diverged."""
+"""Factor by which the base length may differ from its expected value before a pose counts as diverged."""
 _WIDE_MAX = 50.0
 """Largest factor by which the assumed noise is raised in the first search from a distant start."""
 _WIDE_UNSEEN = 10.0
@@ -45,7 +45,7 @@ _WIDE_TOLERANCE = 1e-3
 _FIRST_TOLERANCE = 1e-3
 """Tolerance of the first solution of all frames, from which the second solution starts."""
 _SECOND_TOLERANCE = 1e-5
-"""Tolerance of the second solution of all frames, since a smaller one moves joints by less than 0.1 mm."""
+"""Tolerance of the second solution of all frames."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
 """Angles in rad between the direction of travel and the headings from which the search in the first frame starts."""
 
@@ -136,7 +136,7 @@ class FrameProblem:
 
     chain: UnknownsChain
     terms: tuple[Objective, ...]
-    """Terms of the problem; the first is f1, the reprojection."""
+    """Terms of the problem, of which the first is f1, the reprojection."""
     frame: int
     """Index of the frame in the clip."""
     previous: ChainPose | None
