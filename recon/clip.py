@@ -210,7 +210,7 @@ class CleaningReport(Brief):
     notes: tuple[str, ...] = ()
     """Choices of the file's reader and of the cleaning, in plain sentences."""
     constant_px: tuple[float, float] | None = None
-    """Constant position, px, that the file stores for missing points, such as (-1, -1); None if there is none."""
+    """Constant position (px) that the file stores for missing points, such as (-1, -1); None if there is none."""
     left_out: LeftOut = field(default_factory=LeftOut)
     """Detections of the file that the fit does not use."""
 

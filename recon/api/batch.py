@@ -81,7 +81,7 @@ interrupted.
 """
 WRITE_EVERY_S = 0.5
 DYING_S = 5.0
-"""Time, s, for which a process may still use a clip's folder after its batch was killed."""
+"""Time (s) for which a process may still use a clip's folder after its batch was killed."""
 
 
 OnEvent = Callable[[Event, "Summary"], None]

@@ -47,7 +47,7 @@ _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
 MAX_SQUARE_M = 1.0
-"""Side of a calibration board's square, m, from which an Anipose session must be in a unit other than metres."""
+"""Side of a calibration board's square (m) from which an Anipose session must be in a unit other than metres."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Default names of the folders of 2D poses in an Anipose session, by key in config.toml, the preferred one first."""
 EXPERIMENT = "run", "animal", "group"

@@ -34,7 +34,7 @@ def epipolar_lines_px(
     row, joint
         Indices of the frame and of the keypoint.
     marks_px
-        Corrected positions, px, that replace the detections, keyed by index of the camera; None if the keypoint is
+        Corrected positions (px) that replace the detections, keyed by index of the camera; None if the keypoint is
         hidden.
 
     Returns

@@ -79,7 +79,7 @@ def run_extrinsics(
     overwrite
         Whether an existing file may be replaced.
     level_rad
-        Standard deviation, rad, of the cameras' angles from level, or from the given tilt; 0 means `LEVEL_RAD`.
+        Standard deviation (rad) of the cameras' angles from level, or from the given tilt; 0 means `LEVEL_RAD`.
     progress
         Called with the name of the stage and the fraction of it that is done.
 

@@ -99,7 +99,7 @@ class Calibration:
 
     @cached_property
     def rms_px(self) -> float:
-        """Return the root mean square distance, px, between projected and detected corners in the used pictures."""
+        """Return the root mean square distance (px) between projected and detected corners in the used pictures."""
         residual = np.concatenate([view.residual_px for view in self.used])
         return math.sqrt((residual**2).sum(axis=1).mean())
 

@@ -61,7 +61,7 @@ class Advice:
     share: Array
     """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
     first_place: tuple[float, float] | None = None
-    """Azimuth and elevation of the first camera, rad, in advice on a second camera."""
+    """Azimuth and elevation (rad) of the first camera in advice on a second camera."""
 
     @property
     def best(self) -> tuple[int, int]:

@@ -694,7 +694,7 @@ def frame_rate_finding(
 
 
 def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
-    """Return the mean differences between two motions, m, in the pose and in the position (`EFFECTS`).
+    """Return the mean differences (m) between two motions in the pose and in the position (`EFFECTS`).
 
     The pose is the markers relative to their mean, and the position is this mean.
     """

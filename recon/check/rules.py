@@ -233,7 +233,7 @@ def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
 
 
 def _span(body: Body) -> float:
-    """Return the root mean square distance of the markers from their mean, m, with all angles at 0."""
+    """Return the root mean square distance (m) of the markers from their mean with all angles at 0."""
     points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 

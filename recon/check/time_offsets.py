@@ -97,7 +97,7 @@ def solve_time_offsets(
     sources_apart
         Sources whose frames are those of each camera's own clock.
     later_frames
-        Time offset of each of the V cameras, frames, at which the search begins.
+        Time offset (frames) of each of the V cameras at which the search begins.
     solve
         Function that solves sources with the option `find_offsets`.
     sigma_px, keypoint_sigma_m

@@ -20,12 +20,12 @@ from recon.geometry.kinematics import ROOT, YAW
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
-"""Minimum distance from the camera, m, for which the image scale (px/m) is computed.
+"""Minimum distance (m) from the camera for which the image scale (px/m) is computed.
 
 Closer points are given the scale at this distance, so that the scale stays finite.
 """
 _SAME_CENTRE_M = 1e-6
-"""Maximum distance, m, between a camera and the scene's origin that counts as zero, to allow for rounding."""
+"""Maximum distance (m) between a camera and the scene's origin that counts as zero, to allow for rounding."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,7 @@ class ClipProblem:
 
     @property
     def keypoint_bias_m(self) -> float:
-        """Return the standard deviation, m, of the keypoint bias, which stays constant over a clip."""
+        """Return the standard deviation (m) of the keypoint bias, which stays constant over a clip."""
         return constants.KEYPOINT_BIAS_SHARE * self.keypoint_sigma_m
 
     @property

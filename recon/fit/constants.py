@@ -171,7 +171,7 @@ YAW_ACCELERATION_RAD_S2 = 40.0
 LATERAL_M_S = 0.5
 """Standard deviation of the root's velocity across the trunk, m/s, an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Standard deviation of the constant angle between the trunk and the direction of travel, rad, for several cameras.
+"""Standard deviation (rad) of the constant angle between the trunk and the direction of travel for several cameras.
 
 `python benchmarks/cameras.py --only several` lists the angles in the benchmark's real runs, and also fits without the
 angle.

@@ -45,7 +45,7 @@ BANDS = 2
 _FRAMES_AT_ONCE = 128
 """Number of frames whose terms are evaluated at once, few enough for the processor's cache."""
 _PIECE_S = 5.5
-"""Time between frames, s, at which they hardly influence each other, so that a long clip can be solved in pieces."""
+"""Time (s) between frames at which they hardly influence each other, so that a long clip can be solved in pieces."""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _MIN_EXTENSION_GAIN = 0.1
 """Minimum expected decrease of the cost for which a step is extended.

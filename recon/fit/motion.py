@@ -42,7 +42,7 @@ class Picture(Brief):
     T_reference_camera: Array
     """Transform from the camera to the motion's frame of reference, (4, 4), or (T, 4, 4) for a moving camera."""
     joints_camera_m: Array
-    """Joints in this camera's frame, m, at the times of its pictures, shape (T, J, 3); NaN without a pose."""
+    """Joints in this camera's frame (m) at the times of its pictures, shape (T, J, 3); NaN without a pose."""
     reprojected_px: Array
     """Reprojected keypoints, px, shape (T, J, 2); NaN without a pose."""
     sigma_px: Array
@@ -313,7 +313,7 @@ class Motion:
 
     @cached_property
     def trunk_m(self) -> float:
-        """Return the median length of the trunk over the frames, m, from rear to front joint; 0 without a pose."""
+        """Return the median length (m) of the trunk over the frames, from rear to front joint; 0 without a pose."""
         rear, front = (self.solution.joints_m[self.solved, joint] for joint in self.forward)
         return float(np.median(np.linalg.norm(front - rear, axis=-1))) if len(rear) else 0.0
 

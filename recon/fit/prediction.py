@@ -235,7 +235,7 @@ def log_evidence(information: Array, pull: Array, square: Array, sigma_m: Array,
         Precision of the deviations (T, J, 3, 3), 1/m^2, the precision times the deviations (T, J, 3), 1/m, and the
         squared errors without deviations (T, J).
     sigma_m, lasting_frames
-        Standard deviation, m, and duration, frames, of the deviations, (..., J) each.
+        Standard deviation (m) and duration (frames) of the deviations, (..., J) each.
     """
     total = np.zeros(np.shape(sigma_m))
     for t, (mean, covariance, _, _) in enumerate(_filtered(information, pull, sigma_m, lasting_frames)):

@@ -59,9 +59,10 @@ class ShapeFit:
     keypoint_sigma_m: float
     """Standard deviation of keypoints in a single frame about their fitted offsets, m, as one value for all markers."""
     noise_m: dict[str, float]
-    """Standard deviation of a keypoint in a single frame, m, for each marker of the left side and the middle."""
+    """Standard deviation (m) of a keypoint in a single frame for each marker of the left side and the middle."""
     spread_m: dict[str, float]
-    """Standard deviation of the keypoint bias along each axis, m, by marker; the bias is constant in a clip and camera.
+    """Standard deviation (m) of the keypoint bias along each axis, by marker; the bias is constant in a clip and
+    camera.
 
     The bias is given for each marker of the left side and the middle.
     """
@@ -160,7 +161,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
 
 
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:
-    """Return the standard deviation of each marker's keypoint bias, m, from the marker's mean residual in every view.
+    """Return the standard deviation (m) of each marker's keypoint bias from the marker's mean residual in every view.
 
     The part common to all markers of a view is removed. The expected spread counts as `_PRIOR_COUNT` views, because a
     few views are not enough to estimate it.

@@ -20,7 +20,7 @@ from recon.fit.least_squares import Estimate
 from recon.geometry.kinematics import ROOT, YAW
 
 _MISFIT_M = 0.15
-"""Distance of a joint of the mean pose from its ray, m, at which the robust loss is half the squared distance.
+"""Distance (m) of a joint of the mean pose from its ray at which the robust loss is half the squared distance.
 
 Swinging legs are about this far from the mean pose.
 """
@@ -189,7 +189,7 @@ def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
 
 
 APPROACH_HZ = 30.0
-"""Frame rate of the approach, Hz, to which clips with a higher rate are thinned."""
+"""Frame rate of the approach (Hz) to which clips with a higher rate are thinned."""
 _HEADINGS = 18
 """Number of headings that are tried, of which a fast fit tries half."""
 _APART_RAD = 0.5

@@ -95,7 +95,7 @@ def with_step(states: Array, step: Array, size: float, next_size: float) -> Arra
 
 
 REFERENCE_HZ = 90.0
-"""Frame rate, Hz, at which the weights of the priors are 1 for each frame."""
+"""Frame rate (Hz) at which the weights of the priors are 1 for each frame."""
 OUT_OF_SIGHT = 50.0
 """Loss, in units of c^2 / 2, of a detected joint that the camera cannot project, for example behind it."""
 POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
@@ -374,7 +374,7 @@ class Reprojection:
     number: int = 0
     """Index of the view, which the names of the view's own unknowns contain."""
     drift_m: Array | None = None
-    """Fixed movement of the markers per frame, m, at nominal size, shape (T, J, 3); None without a time offset."""
+    """Fixed movement (m) of the markers per frame at nominal size, shape (T, J, 3); None without a time offset."""
     px_per_m: Array | None = None
     """Fixed image scale at the animal's distance, pixels per metre, shape (T,); None without a `keypoint_bias`."""
     name: str = "reprojection"

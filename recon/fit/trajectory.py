@@ -51,7 +51,7 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, SIZE, extrinsic_corre
 MARGIN_S = 0.25
 """Time by which a segment extends beyond its first and last detections, s."""
 WINDOW_S = 1.0
-"""Approximate length, s, of the windows for which starts are found separately."""
+"""Approximate length (s) of the windows for which starts are found separately."""
 STARTS_END = 0.2
 """Fraction of the solver's time after which the starts are done, for the progress bar."""
 ROUNDS_END = 0.8

@@ -38,7 +38,7 @@ OUTLIER_SIGMAS = 3.5
 SIGMAS_PX = (0.3, 12.0)
 """Minimum and maximum of the estimated noise of a keypoint, as a standard deviation in pixels."""
 LEAST_CROSSING_RAD = np.radians(1.0)
-"""Minimum angle between two rays, rad, that determine a point."""
+"""Minimum angle (rad) between two rays that determine a point."""
 BRIDGED_S = 0.2
 """Maximum length of a gap that a spline fills, s."""
 _CAUCHY_ROUNDS = 4

@@ -49,7 +49,7 @@ class EndEffector:
     """Number of samples per frame."""
 
     def stride_s(self, frames_s: Array) -> tuple[float, float] | None:
-        """Return the start and end, s, of the first complete stride in the clip, or None without such a stride.
+        """Return the start and end (s) of the first complete stride in the clip, or None without such a stride.
 
         The stride is shifted to start at a frame. `frames_s` are the times of the frames, shape (F,).
         """

@@ -321,7 +321,7 @@ def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, floa
 
 
 def _mean_time(counted: Sequence[Stride], count: int) -> tuple[float, float]:
-    """Return the mean duration of strides, s, and its standard deviation, s, for `count` independent durations."""
+    """Return the mean duration of strides (s) and its standard deviation (s) for `count` independent durations."""
     durations_s = np.array([stride.duration_s for stride in counted])
     event_sigmas_s = np.array([stride.duty_sigma for stride in counted]) * durations_s
     return float(durations_s.mean()), float(np.hypot(durations_s.std() / count**0.5, np.median(event_sigmas_s)))

@@ -347,7 +347,7 @@ def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] =
     angle_rad : ndarray
         The angle, rad, shape (T,); NaN where unknown.
     errors : sequence of Errors
-        Independent errors of the angle, rad, with `sigma` of shape (T,).
+        Independent errors of the angle (rad) with `sigma` of shape (T,).
     **options
         As in `series_kinematics`.
     """

@@ -260,7 +260,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:
-    """Return the phase portrait of an angle between two times, s, which are included."""
+    """Return the phase portrait of an angle between two times (s), which are included."""
     s = angle.series
     # The margin allows for rounding errors of the times.
     is_inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)

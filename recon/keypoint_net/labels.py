@@ -485,7 +485,7 @@ def evaluate_2d(
     length_px : float
         Length of the animal, px.
     likelihood_min, tolerance_px : float
-        Smallest likelihood of a likely point, and largest distance, px, of a correct point from its label.
+        Smallest likelihood of a likely point, and largest distance (px) of a correct point from its label.
 
     Returns
     -------

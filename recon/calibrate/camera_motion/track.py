@@ -65,7 +65,7 @@ MIN_STILL = 0.4
 MAX_TORN = 1
 """Maximum number of old keyframes whose background may be below `MIN_STILL` if the camera only turned."""
 PICTURE_FLOOR_PX = 0.1
-"""Standard deviation, px, of the error that all points of a picture have in common and their scatter does not show."""
+"""Standard deviation (px) of the error that all points of a picture have in common and their scatter does not show."""
 MIN_PAIR_POINTS = 30
 """Minimum number of background points for a pair of pictures to be used in the estimate of the focal length."""
 
