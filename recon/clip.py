@@ -55,7 +55,7 @@ class Keypoints(Brief):
     fps: float | None = None
     """Frame rate of the video, Hz; None if unknown."""
     stated_fps: float | None = None
-    """Frame rate that the file states, Hz, if the user gave another one; otherwise None."""
+    """Frame rate (Hz) that the file states, if the user gave another one; otherwise None."""
     image_size_px: tuple[int, int] | None = None
     """Width and height of the picture, pixels; None if unknown."""
     individual: str | None = None
@@ -490,7 +490,7 @@ class View(Brief):
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
     def rotation_covariance_m2(self, points_m: Array) -> Array:
-        """Return the covariance (T, J, 3, 3), m^2, of points (T, J, 3) due to errors of the camera's rotation."""
+        """Return the covariance (T, J, 3, 3) in m^2 of points (T, J, 3) due to errors of the camera's rotation."""
         arm = points_m - self.centre_m[:, None]
         variance = np.zeros(len(arm)) if self.rotation_sigma_rad is None else self.rotation_sigma_rad**2
         perpendicular = np.sum(arm * arm, axis=-1)[..., None, None] * np.eye(3) - arm[..., :, None] * arm[..., None, :]

@@ -46,7 +46,7 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
 
 
 def worst_px(calibration: Calibration, truth: Camera) -> float:
-    """Return the largest distance, px, between the projections of a ray by the calibrated and the true camera."""
+    """Return the largest distance (px) between the projections of a ray by the calibrated and the true camera."""
     width, height = truth.image_size_px
     y, x = np.mgrid[0 : height - 1 : 31j, 0 : width - 1 : 31j]
     pixels = np.stack((x, y), axis=-1)

@@ -277,7 +277,7 @@ def print_circle() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """Front leg of a run, with a chain of the animal's size, joint angles (T, n), rad, and the frame rate."""
+    """Front leg of a run, with a chain of the animal's size, joint angles (T, n) in rad, and the frame rate."""
 
     name: str
     chain: SerialChain
@@ -454,7 +454,7 @@ class StrideData:
 
 
 def rates_by(method: Method, stride_data: StrideData) -> Array:
-    """Return the joint rates (T, n), rad/s, that a method without limits computes for a stride."""
+    """Return the joint rates (T, n) in rad/s that a method without limits computes for a stride."""
     chain = copy(stride_data.leg.chain)
     object.__setattr__(chain, "max_rate_rad_s", np.full(chain.n, 1e9))
     return np.array(

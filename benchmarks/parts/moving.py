@@ -42,7 +42,7 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1
-"""Standard deviation of the Gaussian that smooths the pan, s, because people do not follow an animal faster."""
+"""Standard deviation (s) of the Gaussian that smooths the pan, because people do not follow an animal faster."""
 WHITE_DEG, DRIFT_DEG_S = 0.05, 0.05
 SPEED_M_S = 10.0
 FAR_M = 10.0
@@ -197,7 +197,7 @@ def size_rows(run: Run) -> Iterator[dict]:
 
 
 def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
-    """Return the relative size at which the feet (T, F, 3), m, of a driven camera's view move least."""
+    """Return the relative size at which the feet (T, F, 3), m, move least in a driven camera's view."""
     centres = driven(run)["driven"].centre_m[:, None]
     stance = StanceVelocity(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
     sizes = np.geomspace(0.5, 2.0, 201)

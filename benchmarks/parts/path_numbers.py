@@ -50,7 +50,7 @@ class SolvedView:
     true_peak_m_s: float
 
     def peak(self, choice: tuple[float, float, float]) -> tuple[float, float]:
-        """Return the path's peak speed and the standard deviation, m/s, for one choice of the parameters."""
+        """Return the path's peak speed and the standard deviation (m/s) for one choice of the parameters."""
         names = ("ACCELERATION_M_S2", "ACCELERATION_LASTS_S", "ERRORS_LAST_S")
         with mock.patch.multiple(path, **dict(zip(names, choice, strict=True))):
             smooth = path.path_of(self.chain, self.states, self.covariance, self.fps)

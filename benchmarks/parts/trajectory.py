@@ -240,7 +240,7 @@ def fit(job: Job) -> Fit:
 
 
 def _distance_m(points_m: np.ndarray) -> np.ndarray:
-    """Return the distance (T,), m, of the middle of the points (T, J, 3) from the camera."""
+    """Return the distance of the middle of the points (T, J, 3) from the camera, shape (T,), m."""
     return np.linalg.norm(points_m.mean(axis=1), axis=-1)
 
 

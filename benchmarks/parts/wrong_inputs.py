@@ -679,7 +679,7 @@ def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
 
 
 def errors(off_m: np.ndarray) -> tuple[float, float]:
-    """Return the mean error of the pose, mm, and of the position, m, for joints with errors (T, J, 3), m."""
+    """Return the mean error of the pose (mm) and of the position (m) for joints with errors (T, J, 3), m."""
     centred = off_m - off_m.mean(axis=1, keepdims=True)
     return 1000 * float(np.linalg.norm(centred, axis=-1).mean()), float(
         np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()

@@ -273,11 +273,11 @@ class _Distances:
     usual_m: Array
     """Median of each distance over the frames, shape (K, K), m."""
     changes_m: Array
-    """Standard deviation of each distance over frames, (K, K), m, of its range without `TAIL_FRACTION` at each end."""
+    """Standard deviation of each distance, from its range without `TAIL_FRACTION` at each end, shape (K, K), m."""
     same_m: float
     """Standard deviation below which a distance counts as constant."""
     length_m: float
-    """Length of the animal: the largest median distance between two keypoints.
+    """Length of the animal, which is the largest median distance between two keypoints.
 
     The largest distance in any frame would be the distance to an outlier.
     """

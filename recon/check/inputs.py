@@ -463,7 +463,7 @@ LEAST_S = 0.25
 STILL_FRACTION = 0.95
 """Fraction of the frames in which the speed must be below `STILL_M_S` for an animal that stands still."""
 STILL_M_S = 0.3
-"""Largest speed of an animal that stands still, m/s, but at most one trunk length per second."""
+"""Largest speed (m/s) of an animal that stands still, but at most one trunk length per second."""
 STILL_RAD_S = 0.6
 """Largest median angular speed of the joints of an animal that stands still, rad/s."""
 STILL_TRUNKS = 0.5

@@ -169,7 +169,7 @@ The values come from the reconstructions behind the prior `running-cheetah`, as 
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Standard deviation of the root's angular acceleration about the vertical, rad/s^2."""
 LATERAL_M_S = 0.5
-"""Standard deviation of the root's velocity across the trunk, m/s, an angle of 0.05 rad at 10 m/s."""
+"""Standard deviation (m/s) of the root's velocity across the trunk, an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
 """Standard deviation (rad) of the constant angle between the trunk and the direction of travel for several cameras.
 
@@ -199,7 +199,7 @@ SLIP_M_S = 2.5
 SLIP_C = 2.0
 """Velocity of a foot, in units of `SLIP_M_S`, at which the robust loss saturates; a round number."""
 GROUND_HEIGHT_M = 0.12
-"""Standard deviation of the ground's height about z = 0, m, if the ground is known to be near z = 0."""
+"""Standard deviation (m) of the ground's height about z = 0 if the ground is known to be near z = 0."""
 GROUND_SLOPE = 0.02
 """Standard deviation of the ground's slope along x and along y, in metres per metre."""
 GROUND_FOOT_M = 0.04

@@ -113,7 +113,7 @@ def problems_at(
 def _segment_gain(
     clip: ClipProblem, problem: LeastSquares, estimate: Estimate, solution: TrajectorySolution, rows: slice
 ) -> Array:
-    """Return the gain (V, n, J), m^2, of each detection of a segment, summed over its n frames and joints."""
+    """Return the gain (V, n, J) in m^2 of each detection of a segment, summed over its n frames and joints."""
     states, size = estimate.states, solution.size
     (n, D), V, J = states.shape, len(clip.views), len(clip.body.markers)
     gains = np.empty((V, n, J))
@@ -154,7 +154,7 @@ def _gain_of_frames(
     noise_and_weight: tuple[Array, Array],
     correlation_frames: float,
 ) -> Array:
-    """Return the gain (N, J), m^2, of each detection in N frames of a view.
+    """Return the gain (N, J) in m^2 of each detection in N frames of a view.
 
     `points_m` (N, J, 3) are the markers, and `covariance_and_derivative` their blocks (N, J, 3, 3) of Z and of Q.
     """

@@ -39,11 +39,11 @@ from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.geometry.frames import level_from_camera, rigid
 
 _UNKNOWN_RAD = float(np.radians(10.0))
-"""Standard deviation of a camera's initial rotation about each axis, rad, if no poses are given; an assumption."""
+"""Standard deviation (rad) of a camera's initial rotation about each axis if no poses are given; an assumption."""
 _UNKNOWN_M = 1.0
-"""Standard deviation of a camera's initial position along each axis, m, if no poses are given; an assumption."""
+"""Standard deviation (m) of a camera's initial position along each axis if no poses are given; an assumption."""
 LEVEL_RAD = float(np.radians(5.0))
-"""Standard deviation of a camera's tilt and roll, rad, about stated values, or about level if none are stated."""
+"""Standard deviation (rad) of a camera's tilt and roll about stated values, or about level if none are stated."""
 _FIXED = 1e-6
 """Standard deviation, in the unknown's own unit, that is small enough to fix the unknown."""
 _SIZE_SIGMA = 1e-3

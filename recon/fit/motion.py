@@ -599,7 +599,7 @@ class Motion:
         return _sigmas(self._turned(self.solution.covariance_m2))
 
     def relative_covariance_m2(self, rows: slice = slice(None)) -> Array:
-        """Return the covariances (T, J, 3, 3), m^2, of the joints relative to their mean, in the frames `rows`."""
+        """Return the covariances (T, J, 3, 3) in m^2 of the joints relative to their mean, in the frames `rows`."""
         return self._turned(self.solution.relative_covariance_m2[rows])
 
     @property

@@ -598,7 +598,7 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
 def _joint_covariances(
     body: Body, states: Array, state_covariance: Array, size: float = 1.0, state_by_size: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return absolute and relative covariances of joints (T, J, 3, 3), m^2, and q (T, J, 3), m, of the module."""
+    """Return absolute and relative covariances of joints (T, J, 3, 3) in m^2, and the module's q (T, J, 3) in m."""
     T, J = len(states), len(body.markers)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):
@@ -615,7 +615,7 @@ def _joint_covariances(
 
 
 def _relative_variances(body: Body, states: Array, state_covariances: Sequence[Array]) -> Array:
-    """Return the traces (C, T, J), m^2, of the joints' covariances relative to the mean of the joints.
+    """Return the traces (C, T, J) in m^2 of the joints' covariances relative to the mean of the joints.
 
     `state_covariances` are C covariances (T, D, D) of the states.
     """
@@ -679,7 +679,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 DEGREES_OF_FREEDOM = 7.0
 """Degrees of freedom nu of Student's t, most likely for the errors of real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
-"""Variance, m^2, added to covariances, because the covariance of a pose relative to its own middle is singular."""
+"""Variance (m^2) added to covariances, because the covariance of a pose relative to its own middle is singular."""
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:

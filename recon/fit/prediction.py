@@ -205,7 +205,7 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
 def _likeliest_process(
     solution: Solution, residuals: list[_Residuals], information: Array, pull: Array, fps: float
 ) -> tuple[Array, Array, Array]:
-    """Return the deviations' standard deviation (J,), m, their duration (J,), frames, and the noise's factor (J,)."""
+    """Return the deviations' standard deviation (J,) in m, duration (J,) in frames, and the noise's factor (J,)."""
     with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
         noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     shares, lasting_s = np.array([(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]).T

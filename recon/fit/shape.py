@@ -33,7 +33,7 @@ Examples are sliding shoulders, and keypoints that are not at their joints. `pyt
 measures how many lengths are within the 90 % intervals.
 """
 POSED_OFFSET_SIGMA_M = 0.02
-"""Standard deviation of a keypoint's offset along each axis, m, if the poses are known and cannot absorb a part of it.
+"""Standard deviation (m) of a keypoint's offset along each axis if the poses are known and cannot absorb a part of it.
 """
 FIXED_SIZE_SIGMA = 1e-4
 """Relative standard deviation of the animal's size, so small that the size is fixed and only lengths change."""

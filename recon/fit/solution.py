@@ -46,7 +46,7 @@ POORER_SHARE = 0.8
 The weight of a good frame is the 90th percentile over the frames.
 """
 END_ON_RAD = np.radians(25)
-"""Angle between the line of sight and the trunk, rad, below which a frame gets the flag "ambiguous depth".
+"""Angle (rad) between the line of sight and the trunk below which a frame gets the flag "ambiguous depth".
 
 Only perspective then shows the depth of the trunk, and errors grow as the angle decreases.
 """
@@ -56,7 +56,7 @@ TESTED_S = 5.0
 Errors of the model persist, and over a longer time would look like evidence against the camera.
 """
 ALTERNATIVE_M = 0.1
-"""Mean distance between the joints of two solutions, m, above which a frame gets the flag "ambiguous depth"."""
+"""Mean distance (m) between the joints of two solutions above which a frame gets the flag "ambiguous depth"."""
 
 
 def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:

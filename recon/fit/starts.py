@@ -193,11 +193,11 @@ APPROACH_HZ = 30.0
 _HEADINGS = 18
 """Number of headings that are tried, of which a fast fit tries half."""
 _APART_RAD = 0.5
-"""Angle between two headings, rad, below which only the better one is a start."""
+"""Angle (rad) between two headings below which only the better one is a start."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
 """Factors on the noise during the approach, in the order in which they are used."""
 _SAME_M = 0.05
-"""Mean distance between the markers of two motions, m, below which they count as the same minimum."""
+"""Mean distance (m) between the markers of two motions below which they count as the same minimum."""
 ALTERNATIVE_COST = 20.0
 """Maximum extra cost at which a second solution is reported."""
 _GIVE_UP_FACTOR = 2.0

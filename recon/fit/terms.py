@@ -59,7 +59,7 @@ def time_offset(view: int) -> str:
 
 
 def offset_values(offsets_frames: Array) -> dict[str, Array]:
-    """Return the cameras' time offsets (V,), frames, as values of shared unknowns by name."""
+    """Return the cameras' time offsets (V,) in frames as values of shared unknowns by name."""
     return {time_offset(i): np.array([frames]) for i, frames in enumerate(offsets_frames)}
 
 

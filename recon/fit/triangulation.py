@@ -225,7 +225,7 @@ def _rays_cross(views: Sequence[View], points: Array, is_used: Bools) -> Bools:
 
 
 def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
-    """Return the points' covariances (T, J, 3, 3), m^2, increased if errors are larger than the noise explains."""
+    """Return the points' covariances (T, J, 3, 3) in m^2, increased if errors are larger than the noise explains."""
     weighted = by_point * is_used[..., None, None]
     normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
     scale = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-12)[..., None, None]

@@ -317,7 +317,7 @@ class ClipAnalysis(Brief):
         return self._stride_over(effector.foot, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
 
     def _stride_over(self, foot: str, span_s: tuple[float, float], at: Literal["end effector", "return"]) -> Stride:
-        """Return a stride of a foot between two times, s, whose length is that of the body's path."""
+        """Return a stride of a foot between two times (s), as long as the body's horizontal displacement."""
         series = self.reference_motion.series
         begin, end = (
             np.array([np.interp(at_s, series.time_s, series.value[:, axis]) for axis in (0, 1)]) for at_s in span_s

@@ -35,7 +35,7 @@ from recon.base.arrays import Array, Brief, Index
 from recon.gait.spline import MIN_POINTS, Curve, cubic_spline
 
 MAX_GAP_S = 0.2
-"""Longest time between two frames with a value, s, over which missing frames are interpolated."""
+"""Longest time (s) between two frames with a value over which missing frames are interpolated."""
 OVERSAMPLING = 10
 ORDERS = (0, 1, 2)
 """Orders of the derivatives: value, rate and acceleration."""

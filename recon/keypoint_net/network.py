@@ -440,7 +440,7 @@ class TrainedNetwork:
     def _stage_points(
         self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return points (B, K, 2), px, raw likelihoods (B, K), and variances along each axis (B, K), px^2.
+        """Return points (B, K, 2) in px, raw likelihoods (B, K), and variances along each axis (B, K) in px^2.
 
         `near_px` holds the centres (B, K, 2) of the second stage's windows.
         """
