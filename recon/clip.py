@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 CORNER_PX = 1.0
 """Maximum x and y, in pixels, of a constant position in the picture's corner that may stand for missing points."""
-CONSTANT_SHARE = 0.005
+MIN_CONSTANT_FRACTION = 0.005
 """Minimum fraction of a file's points at one position for this position to stand for missing points."""
 CONSTANT_KEYPOINTS = 3
 """Minimum number of keypoints at a position that stands for missing points, because one keypoint may be stuck."""
@@ -376,7 +376,7 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
     points, names = keypoints.xy_px[keypoints.present], np.nonzero(keypoints.present)[1]
     corner = (points <= CORNER_PX).all(axis=1) & (keypoints.confidence[keypoints.present] != 0)
     values, value_index, counts = np.unique(points[corner], axis=0, return_inverse=True, return_counts=True)
-    if not len(values) or counts.max() < max(CONSTANT_SHARE * len(points), 2 * CONSTANT_KEYPOINTS):
+    if not len(values) or counts.max() < max(MIN_CONSTANT_FRACTION * len(points), 2 * CONSTANT_KEYPOINTS):
         return None
     commonest = int(np.argmax(counts))
     x, y = values[commonest].tolist()

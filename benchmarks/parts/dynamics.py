@@ -58,7 +58,7 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
     d, rows, impulses = found.dynamics, [], force.sum() / fps
     if d is None or found.gait is None:
         return []
-    start_s, (starts, ends, drawn) = found.motion.frames[0] / fps, method._drawn(found.gait)
+    start_s, (starts, ends, drawn) = found.motion.frames[0] / fps, method._draw(found.gait)
     for foot, joint in FEET.items():
         down, up = stance[joint]
         at_s = np.arange(down, up + 1) / fps
@@ -108,7 +108,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
     gait, rows = found.gait, []
     if gait is None or found.dynamics is None or not gait.strides or len(gait.tracks.feet) < 4:
         return []
-    starts, ends, impulses = method._drawn(gait)
+    starts, ends, impulses = method._draw(gait)
     feet = [stride.foot for stride in gait.strides]
     for stride in gait.strides:
         time_s = np.linspace(stride.start_s, stride.end_s, 200)

@@ -76,11 +76,11 @@ class NameMap:
 
         A built-in map accepts any spelling of a name's side and words, such as left_carpus, LeftCarpus and carpus_L.
         """
-        return self.names.get(name, self._by_words.get(_written(name), otherwise))
+        return self.names.get(name, self._by_words.get(_side_and_words(name), otherwise))
 
     @cached_property
     def _by_words(self) -> dict[tuple[str | None, ...], str]:
-        return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
+        return {_side_and_words(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
         """Return the number of the wanted names that are present after the map has been applied to `names`."""
@@ -282,7 +282,7 @@ def _likeness(a: str, b: str) -> float:
     """Return the similarity of two keypoint names from 0 to 1; 0 for names of different sides."""
     if side_of(a) != side_of(b):
         return 0.0
-    if _written(a) == _written(b):
+    if _side_and_words(a) == _side_and_words(b):
         return 1.0
     words_a, words_b = _words(a), _words(b)
     if ({*words_a} ^ {*words_b}) & {"front", "back"}:
@@ -290,7 +290,7 @@ def _likeness(a: str, b: str) -> float:
     return SequenceMatcher(None, "".join(words_a), "".join(words_b), autojunk=False).ratio()
 
 
-def _written(name: str) -> tuple[str | None, ...]:
+def _side_and_words(name: str) -> tuple[str | None, ...]:
     """Return the side and the words of a keypoint name in a fixed order, in lower case."""
     return side_of(name), *sorted(_words(name))
 

@@ -21,7 +21,7 @@ from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.base.threads import one_thread
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride, validity_text
 from recon.gait.gait import STRIDE_WORDS, WHOLE_CLIP, Gait, Stride, rejection_text
@@ -182,7 +182,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     if count := len(analysis.not_measured):
         yield (
             f"{count} of {len(analysis.skeleton_angles)} angles come mostly from the prior (less than "
-            f"{percent(MEASURED_SHARE)} of their precision from the pixels) and are grey in figures: "
+            f"{percent(MEASURED_FRACTION)} of their precision from the pixels) and are grey in figures: "
             f"{', '.join(analysis.not_measured)}."
         )
     if gait is not None and len(motion.foot_names) < 4:

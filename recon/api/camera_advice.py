@@ -18,7 +18,7 @@ from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Settings, input_paths
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
-from recon.fit.motion import MEASURED_SHARE
+from recon.fit.motion import MEASURED_FRACTION
 from recon.io.writing import write_rows
 from recon.show.plain import picked, to_json
 from recon.show.plots.configurations import camera_advice as advice_figure
@@ -52,18 +52,18 @@ def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
         camera = "the camera" if len(advice_by_camera) == 1 else f"camera {number}"
         share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
         yield (
-            f"Put {camera} {direction_text(*advice.place)}, "
-            f"{advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
+            f"Put {camera} {direction_text(*advice.position)}, "
+            f"{advice.distance_m * np.sin(advice.position[1]):.2g} m above its "
             f"middle and {advice.distance_m:.3g} m away: {percent(share)} of the precision of {advice.target} "
             f"comes from the pixels, ±{in_words(sigma, advice.unit)}."
         )
     first = advice_by_camera[0]
     worst = np.unravel_index(int(np.argmax(first.sigma)), first.sigma.shape)
-    place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
+    position = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
     sigma = float(first.sigma[worst])
     precision = f"±{in_words(sigma, first.unit)}" if np.isfinite(sigma) else "the animal is not in the picture"
-    yield f"The worst position for one camera is {direction_text(*map(float, place))}: {precision}."
-    if advice_by_camera[-1].share.max() < MEASURED_SHARE:
+    yield f"The worst position for one camera is {direction_text(*map(float, position))}: {precision}."
+    if advice_by_camera[-1].share.max() < MEASURED_FRACTION:
         yield f"No position shows {first.target} well: more of the precision comes from the prior than from the pixels."
 
 
@@ -126,8 +126,8 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
     setup = picked(settings, "hfov_deg", "distance_m", "cameras")
     wanted = settings.angle or settings.joint
     advice_by_camera = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
-    places = [_places(number, advice) for number, advice in enumerate(advice_by_camera, start=1)]
-    table = pd.concat(places)
+    tables = [_position_table(number, advice) for number, advice in enumerate(advice_by_camera, start=1)]
+    table = pd.concat(tables)
     best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in advice_by_camera]
     report = {
         "schema": {"name": "recon.camera_advice", "version": 1},
@@ -138,8 +138,8 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
         "image_size_px": PICTURE_PX,
         "distance_m": advice_by_camera[0].distance_m,
         "cameras": [
-            camera_places.drop(columns="camera").iloc[row].to_dict()
-            for camera_places, row in zip(places, best, strict=True)
+            camera_table.drop(columns="camera").iloc[row].to_dict()
+            for camera_table, row in zip(tables, best, strict=True)
         ],
         "words": [*in_sentences(advice_by_camera)],
     }
@@ -150,10 +150,10 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
     return report
 
 
-def _places(number: int, advice: Advice) -> pd.DataFrame:
+def _position_table(number: int, advice: Advice) -> pd.DataFrame:
     """Return a table of camera positions, in which the precision is NaN where the camera does not see the animal."""
     elevation, azimuth = (grid.ravel() for grid in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
-    places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
+    positions = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()
     known = {f"sigma_{advice.unit}": sigma, "data_share": advice.share.ravel()}
-    return pd.DataFrame({"camera": number} | places | known)
+    return pd.DataFrame({"camera": number} | positions | known)

@@ -37,7 +37,7 @@ SPEED = "speed_m_s"
 MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _SLOPE_NAMES = {SPEED: "per m/s of speed"}
 """Names, in the table, of slopes that do not have the name of their covariate."""
-_LEAST_SHARE = 0.01
+_MIN_SIGMA_FRACTION = 0.01
 """Minimum standard deviation of a camera's independent error, as a fraction of its total standard deviation."""
 _LEAST_SIGMA = 1e-9
 """Minimum standard deviation, and minimum magnitude of a value, by which another number is divided."""
@@ -272,7 +272,7 @@ def joint_posterior(
     """
     from_prior = np.divide(size_sigmas**2, prior_sigmas, out=np.zeros(len(values)), where=prior_sigmas > 0)
     from_pictures = np.maximum(size_sigmas**2 - from_prior**2, 0.0)
-    least = np.maximum(_LEAST_SHARE * sigmas, _LEAST_SIGMA)
+    least = np.maximum(_MIN_SIGMA_FRACTION * sigmas, _LEAST_SIGMA)
     independent = np.maximum(sigmas**2 - run_sigmas**2, least**2)
     usual = float(np.average(values, weights=1 / independent))
     independent = independent + from_pictures * usual**2

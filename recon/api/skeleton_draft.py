@@ -60,9 +60,9 @@ A median deviation would call every distance constant in an animal that stands f
 """
 TAIL_SIGMAS = 3.29
 """Width of a normal distribution without `TAIL_FRACTION` at each end, in standard deviations."""
-KEYPOINT_SHARE = 0.03
+KEYPOINT_SIGMA_FRACTION = 0.03
 """`keypoint_sigma_m` of a draft, as a fraction of the animal's length."""
-MARKER_SHARE = 0.025
+MARKER_SIGMA_FRACTION = 0.025
 """`marker_sigma_m` of a draft, as a fraction of the animal's length.
 
 A draft has its markers where the detector sees them, which is a little off the joints. Its segments are rigid, so the
@@ -327,7 +327,9 @@ def draft_from_points(
         f"{quantity(1000 * distances.same_m, 1, 'mm')} are kept constant. "
         "Look at it with recon skeleton check, and give its segments names.",
     ]
-    keypoint_sigma_m, bias_m = (share * distances.length_m for share in (KEYPOINT_SHARE, MARKER_SHARE))
+    keypoint_sigma_m, bias_m = (
+        share * distances.length_m for share in (KEYPOINT_SIGMA_FRACTION, MARKER_SIGMA_FRACTION)
+    )
     marker_sigma_m = math.hypot(bias_m, _bending_m(parts, distances))
     head = [labels[rear], labels[front]], round(keypoint_sigma_m, 5), round(marker_sigma_m, 5), SIZE_SIGMA
     text = head_text(comments, title, "the geometry", **by_name(("forward", *HEAD), head))

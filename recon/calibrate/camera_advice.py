@@ -60,7 +60,7 @@ class Advice:
     """Median standard deviation over the frames, shape (E, A), in `unit`; infinite if the camera sees no marker."""
     share: Array
     """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
-    first_place: tuple[float, float] | None = None
+    first_position: tuple[float, float] | None = None
     """Azimuth and elevation (rad) of the first camera in advice on a second camera."""
 
     @property
@@ -73,7 +73,7 @@ class Advice:
         return int(row), int(column)
 
     @property
-    def place(self) -> tuple[float, float]:
+    def position(self) -> tuple[float, float]:
         """Return the azimuth and elevation of the best position, rad."""
         row, column = self.best
         return float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
@@ -117,8 +117,10 @@ def advise(
     distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
     advices, shape = list[Advice](), (len(ELEVATIONS_RAD), len(AZIMUTHS_RAD))
     for number in range(cameras):
-        first_place = advices[0].place if advices else None
-        fixed_cameras = [camera_at(replace(lens, name="first"), middle, *first_place, distance)] if first_place else []
+        first_position = advices[0].position if advices else None
+        fixed_cameras = (
+            [camera_at(replace(lens, name="first"), middle, *first_position, distance)] if first_position else []
+        )
         grid = np.empty((*shape, 2))
         for done, (row, column) in enumerate(np.ndindex(shape)):
             position = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
@@ -127,7 +129,7 @@ def advise(
                 grid[row, column] = precision_of(body, prior, states, [*fixed_cameras, candidate], target)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
         unit = "rad" if target in body.state_names[4:] else "m"
-        advices.append(Advice(target or "all joints", unit, distance, grid[..., 0], grid[..., 1], first_place))
+        advices.append(Advice(target or "all joints", unit, distance, grid[..., 0], grid[..., 1], first_position))
     return advices
 
 

@@ -19,11 +19,11 @@ from recon.check.inputs import MIN_COUNT, SLIDE_LEGS_S, SLIDE_RATIO, STANDING_QU
 from recon.check.track_checks import mean_of_known
 from recon.clip import frame_ranges
 
-LENGTH_SHARE = 0.1
+MIN_LENGTH_CHANGE = 0.1
 """Smallest change of a bone's length that counts as a fault, as a fraction of the length."""
 LENGTH_SPREADS = 5.0
 """Smallest change of a bone's length that counts as a fault, in units of the length's usual deviation."""
-DRIFT_SHARE = 0.08
+MIN_LENGTH_DRIFT = 0.08
 """Smallest change of all lengths together that counts as a fault, as a fraction of the lengths."""
 DRIFT_FRAMES = 5
 """Number of frames of the running median that smooths the common change of all lengths."""
@@ -105,10 +105,10 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
     known = np.isfinite(common)
     if known.sum() >= 2 * DRIFT_FRAMES:
         low, high = np.quantile(common[known], [0.02, 0.98])
-        yield Measure("lengths_drift", float((high - low) / DRIFT_SHARE), None, {"share": float(high / low - 1)})
+        yield Measure("lengths_drift", float((high - low) / MIN_LENGTH_DRIFT), None, {"share": float(high / low - 1)})
     deviation = np.abs(relative / common[:, None] - 1)
     usual = 1.4826 * np.nanmedian(deviation, axis=0)
-    score = np.nan_to_num(deviation / np.maximum(LENGTH_SHARE, LENGTH_SPREADS * usual))
+    score = np.nan_to_num(deviation / np.maximum(MIN_LENGTH_CHANGE, LENGTH_SPREADS * usual))
     # The second largest value is used because one frame may be an outlier.
     peaks = np.sort(score, axis=0)[-2] if len(score) > 1 else score[-1]
     e = int(np.argmax(peaks))

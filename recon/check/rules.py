@@ -43,14 +43,14 @@ EXPLAINED_DETECTORS = 3.0
 This limit is needed because the noise that a fit estimates can hide a misfit, for example if the frames are in random
 order.
 """
-UNEXPLAINED_SHARE = 0.1
+MAX_EXPLAINED_OUTLIERS = 0.1
 """Fraction of outliers above which a motion unlike the prior's is reported as wrong, not only as another gait.
 
 A gait that the prior does not contain, such as a run with a prior fitted to walks, has hardly more outliers.
 """
-AMBIGUOUS_SHARE = 0.1
+MAX_AMBIGUOUS_FRACTION = 0.1
 """Fraction of frames with a second solution above which the second solution is reported."""
-KEYPOINT_SHARE = 1 / 3
+MIN_OUTLIER_FRACTION = 1 / 3
 """Minimum fraction of a keypoint's detections that must be outliers for the keypoint to be reported."""
 KEYPOINT_LEAST = 10
 """Minimum number of a keypoint's detections that must be outliers for the keypoint to be reported."""
@@ -156,7 +156,7 @@ def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
     counted = [source.cleaning.keypoints for source in motion.sources]
     used = np.array([sum(by_name[name]["used"] for by_name in counted if name in by_name) for name in motion.names])
     outlier_counts = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
-    rows = np.flatnonzero(outlier_counts > np.maximum(KEYPOINT_SHARE * used, KEYPOINT_LEAST))
+    rows = np.flatnonzero(outlier_counts > np.maximum(MIN_OUTLIER_FRACTION * used, KEYPOINT_LEAST))
     if len(rows):
         names, share = tuple(motion.names[j] for j in rows), float(outlier_counts[rows].sum() / used[rows].sum())
         yield finding("keypoints_do_not_fit", keypoints=names, share=share, used=int(used[rows].sum()))
@@ -299,7 +299,7 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
         weight = min(segment.prior_weight for segment in solution.segments)
         share = _outliers(motion)[1]
-        if share > UNEXPLAINED_SHARE:
+        if share > MAX_EXPLAINED_OUTLIERS:
             yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=share)
             return
         numbers = {"prior": solution.prior, "misfit": misfit, "limit": constants.MISFIT_LEVEL, "weight": weight}
@@ -382,7 +382,7 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if a second solution explains many frames nearly as well."""
     is_ambiguous = np.array(["ambiguous depth" in flags for flags in motion.flags])
     rows = is_ambiguous & (np.nan_to_num(motion.alternative_m) > ALTERNATIVE_M)
-    if rows.sum() > AMBIGUOUS_SHARE * len(rows):
+    if rows.sum() > MAX_AMBIGUOUS_FRACTION * len(rows):
         distance_m = float(motion.alternative_m[rows].max())
         yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=distance_m)
 

@@ -21,7 +21,7 @@ MAX_SIGMA_RAD = np.radians(10.0)
 """Largest accepted standard deviation of the upward direction, as for a camera that is assumed to be level, rad."""
 POSTURE_RAD = np.radians(15.0)
 """Standard deviation over clips of the angle between up and the mean direction from the feet to the body, rad."""
-FOOT_SHARE = 1 / 15
+FOOT_SIGMA_FRACTION = 1 / 15
 """Standard deviation of standing feet's height above the ground, as a fraction of the body's height above the feet.
 
 For a cheetah, it equals `GROUND_FOOT_M`.
@@ -107,7 +107,7 @@ def _fit_tilted_plane(
         Weight of each position, which is larger for slower feet, shape (N,).
     tall_m
         Height of the body above the feet, m. Positions far from the plane lose their weight. The distance at which they
-        lose it decreases from about this height to `FOOT_SHARE` of it.
+        lose it decreases from about this height to `FOOT_SIGMA_FRACTION` of it.
     correlation_frames
         Number of frames within which errors count only once.
 
@@ -124,7 +124,7 @@ def _fit_tilted_plane(
     rows = np.stack([np.ones_like(height), *across], axis=-1)
     posture_precision = np.diag([0.0, *np.full(2, np.tan(POSTURE_RAD) ** -2.0)])
     plane, normal, weight = np.array([np.quantile(height, 0.25), 0.0, 0.0]), np.eye(3), slow
-    for width_m in tall_m * np.geomspace(1.0, FOOT_SHARE, 12):
+    for width_m in tall_m * np.geomspace(1.0, FOOT_SIGMA_FRACTION, 12):
         weight = slow / (1.0 + ((height - rows @ plane) / (3 * width_m)) ** 2) ** 2
         weighted_rows = rows.T * weight / (correlation_frames * width_m**2)
         normal = weighted_rows @ rows + posture_precision

@@ -56,7 +56,7 @@ _MAX_EXTENSION = 4.0
 """Maximum factor by which a step is extended."""
 _TRIAL_ITERATIONS = 4
 """Number of iterations after which a search stops if its cost is above the limit `useful_cost`."""
-_STEP_SHARES = (1.0, 0.5, 0.2)
+_STEP_FRACTIONS = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
 
@@ -299,7 +299,7 @@ class LeastSquares:
         while damping <= _MOST_DAMPING:
             try:
                 states_step, shared_step, slope = step(normals(), damping, self.ahead)
-                for share in _STEP_SHARES:
+                for share in _STEP_FRACTIONS:
                     trial = self._moved(current, states_step, shared_step, share)
                     if trial.cost < current.cost:
                         next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _T = TypeVar("_T")
-MEASURED_SHARE = 0.5
+MEASURED_FRACTION = 0.5
 """Minimum information fraction, 0 to 1, at which a quantity counts as measured.
 
 More of its precision then comes from the pixels than from the prior.

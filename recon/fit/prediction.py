@@ -38,7 +38,7 @@ DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0, 8.0
 """Candidates for the standard deviation of a keypoint's deviations, relative to the detections' noise."""
 LASTING_S = 0.03, 0.08, 0.25, 1.0, 4.0
 """Candidates for the duration of a keypoint's deviations, s."""
-NOISE_SHARES = 0.35, 0.5, 0.7, 1.0
+NOISE_FRACTIONS = 0.35, 0.5, 0.7, 1.0
 """Candidates for the variance of the detections' noise about the deviations, relative to the fit's variance."""
 SHARED_EVIDENCE_WEIGHT = 1.0
 """Weight of the mean evidence of all keypoints in the choice for one keypoint, relative to its own evidence."""
@@ -216,12 +216,12 @@ def _likeliest_process(
         [
             log_evidence(information / share, pull / share, square / share, sigma_m, lasting_frames)
             - seen * np.log(share)
-            for share in NOISE_SHARES
+            for share in NOISE_FRACTIONS
         ]
     ).reshape(-1, len(noise_m))
     best = np.argmax(evidence + SHARED_EVIDENCE_WEIGHT * evidence.mean(axis=1, keepdims=True), axis=0)
     noise_number, number = np.divmod(best, len(shares))
-    return shares[number] * noise_m, fps * lasting_s[number], np.array(NOISE_SHARES)[noise_number]
+    return shares[number] * noise_m, fps * lasting_s[number], np.array(NOISE_FRACTIONS)[noise_number]
 
 
 def log_evidence(information: Array, pull: Array, square: Array, sigma_m: Array, lasting_frames: Array) -> Array:

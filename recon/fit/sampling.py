@@ -80,9 +80,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
             steps = window.unwhiten(white[window.rows_with_following]) - by_others @ common_steps
             steps = np.sqrt(clip.correlation_frames) * steps + by_size[..., None] * (sizes - solution.size)
             drawn[:, first + rows.start : first + rows.stop] = states[rows] + np.moveaxis(steps, 2, 0)
-    return [
-        _drawn(clip, solution, drawn_states, size) for drawn_states, size in zip(drawn, sizes.tolist(), strict=True)
-    ]
+    return [_draw(clip, solution, drawn_states, size) for drawn_states, size in zip(drawn, sizes.tolist(), strict=True)]
 
 
 def sample_joints(
@@ -126,7 +124,7 @@ def sample_joints(
     return np.stack([draw.joints_m for draw in draws(clip, solution, count, seed)])
 
 
-def _drawn(clip: ClipProblem, solution: TrajectorySolution, states: Array, size: float) -> TrajectorySolution:
+def _draw(clip: ClipProblem, solution: TrajectorySolution, states: Array, size: float) -> TrajectorySolution:
     posed = np.isfinite(states).all(axis=1)
     joints_m, in_world = np.full(solution.joints_m.shape, np.nan), states.copy()
     joints_m[posed] = clip.in_world(clip.body.tree.pose(states[posed]).points_m, size)

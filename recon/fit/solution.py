@@ -38,9 +38,9 @@ from recon.geometry.kinematics import ROOT, YAW
 
 _FRAMES_AT_ONCE = 4096
 """Number of frames that are rounded to single precision at once, to limit the memory."""
-POOR_SHARE = 1 / 3
+MIN_JOINT_FRACTION = 1 / 3
 """Minimum weight of a frame's detections, as a fraction of the number of joints, without the flag "data poor"."""
-POORER_SHARE = 0.8
+MIN_WEIGHT_FRACTION = 0.8
 """Minimum weight of a frame's detections, relative to a good frame's, without the flag "data poor".
 
 The weight of a good frame is the 90th percentile over the frames.
@@ -470,7 +470,8 @@ def _frame_flags(
     flagged = {
         "no data": ~np.isfinite(joints_m[:, 0, 0]) | (detected == 0),
         "diverged": out_of_sight,
-        "data poor": (detected > 0) & (trusted < max(POOR_SHARE * weight.shape[2], POORER_SHARE * usual_trusted)),
+        "data poor": (detected > 0)
+        & (trusted < max(MIN_JOINT_FRACTION * weight.shape[2], MIN_WEIGHT_FRACTION * usual_trusted)),
         "ambiguous depth": end_on_alone | (alternative_m > ALTERNATIVE_M),
     }
     return tuple(tuple(name for name, frames in flagged.items() if frames[t]) for t in range(len(joints_m)))

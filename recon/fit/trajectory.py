@@ -56,7 +56,7 @@ STARTS_END = 0.2
 """Fraction of the solver's time after which the starts are done, for the progress bar."""
 ROUNDS_END = 0.8
 """Fraction of the solver's time after which the rounds are done and the posterior begins, for the progress bar."""
-FLATTENED_SHARE = 0.1
+FLATTENED_FRACTION = 0.1
 """Fraction of the time between starts and posterior that step 3 takes, for the progress bar."""
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses in step 3, in the order in which they are used."""
@@ -250,7 +250,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
         interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
     )
     segment = _solve_flattened(clip, SegmentFit.unsolved(clip, rows, estimate), temperatures)
-    rounds_began = STARTS_END + (ROUNDS_END - STARTS_END) * FLATTENED_SHARE
+    rounds_began = STARTS_END + (ROUNDS_END - STARTS_END) * FLATTENED_FRACTION
     progress("whole clip", rounds_began)
     if options.refine_cameras:  # the ground under a motion seen by misplaced cameras would keep them misplaced
         segment = solve_round(replace(clip.without_ground(), shape=None), segment)

@@ -27,7 +27,7 @@ from recon.base.errors import InputError, Problem
 from recon.clip import frame_ranges
 from recon.fit import constants
 from recon.fit.belt import belt_path_m, relative_to_belt
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
@@ -365,9 +365,9 @@ class ClipAnalysis(Brief):
     def not_measured(self) -> tuple[str, ...]:
         """Return the names of the fit's angles whose precision comes mostly from the prior, not from the detections.
 
-        The detections provide less than the fraction `MEASURED_SHARE` of the precision of these angles.
+        The detections provide less than the fraction `MEASURED_FRACTION` of the precision of these angles.
         """
-        return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_SHARE)
+        return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_FRACTION)
 
     @cached_property
     def why_no_speed(self) -> str | None:

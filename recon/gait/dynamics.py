@@ -332,7 +332,7 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 """Mean force over a stance, relative to the peak."""
 
 
-def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
+def _draw(gait: Gait) -> tuple[Array, Array, Array]:
     """Return D random draws of the touch-down and lift-off, s, and the impulse, body weights s, of S stances.
 
     Each array has the shape (D, S). The first draw has the central value of every distribution.
@@ -383,7 +383,7 @@ def _forces(gait: Gait) -> tuple[list[StanceForce], dict[str, Array]]:
     The columns are the expected force and the ends of its 90 % interval, body weights. The force is NaN in stances that
     the clip cuts, and in stances that are too short to be real.
     """
-    starts, ends, impulses = _drawn(gait)
+    starts, ends, impulses = _draw(gait)
     time_s, rows = gait.tracks.time_s, []
     durations_s = np.where([stance.begins and stance.ends for stance in gait.stances], ends - starts, np.nan)
     peaks = impulses / (MEAN_OF_PEAK * durations_s)

@@ -29,7 +29,7 @@ import numpy as np
 
 from recon.base.arrays import Array, mean
 from recon.base.numbers import percent
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait.gait import Gait, Stride
 from recon.gait.kinematics import JointKinematics
@@ -465,7 +465,7 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
         return "the method does not report how much of each limb the cameras see"
     for foot in feet:
         joints = next(limb for limb in motion.limbs.values() if motion.names.index(motion.foot_names[foot]) in limb)
-        if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_SHARE:
+        if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_FRACTION:
             return f"the limb of {foot} comes mostly from the prior: pixels determine {percent(share)} of its position"
     for foot in feet:
         if (count := sum(stride.foot == foot for stride in gait.strides)) < LEAST_STRIDES:

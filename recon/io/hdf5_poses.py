@@ -101,14 +101,15 @@ def _fixed_frame(group: h5py.Group) -> _Table:
     """Return a table in pandas' fixed layout, which has its axes, and an array for the columns of each type."""
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
-    place_of = {label: column for column, label in enumerate(columns)}  # columns with the same label are rejected later
+    # columns with the same label are rejected later
+    column_of = {label: column for column, label in enumerate(columns)}
     cells = np.full((len(index), len(columns)), np.nan)
     for block in range(int(attribute(group, "nblocks"))):
         _, items = _axis(group, f"block{block}_items")
         dataset = member(group, f"block{block}_values")
         if not _is_empty(dataset):  # stored as (C, T), and transposed if an attribute says so
             values = numbers(dataset)
-            cells[:, [place_of[label] for label in items]] = values if attribute(dataset, "transposed") else values.T
+            cells[:, [column_of[label] for label in items]] = values if attribute(dataset, "transposed") else values.T
     return levels, columns, index, cells
 
 

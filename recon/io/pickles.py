@@ -44,7 +44,7 @@ def plain_pickle(content: bytes) -> Plain:
         for opcode, argument, _ in pickletools.genops(content):
             if opcode.name not in PLAIN_PICKLES:
                 raise ValueError(f"a pickled Python object ({opcode.name} {argument or ''}".rstrip() + ")")
-            _require_place(opcode.name, argument, content)
+            _require_small_index(opcode.name, argument, content)
         return pickle.loads(content)
     except (ArithmeticError, AttributeError, LookupError, TypeError, EOFError, pickle.UnpicklingError):
         raise ValueError("a damaged pickle") from None
@@ -63,7 +63,7 @@ def plain_parts_of_pickle(content: bytes) -> Plain:
     _require_small(content)
     try:
         for opcode, argument, _ in pickletools.genops(content):
-            _require_place(opcode.name, argument, content)
+            _require_small_index(opcode.name, argument, content)
         return _ScalarUnpickler(io.BytesIO(content)).load()
     except (ArithmeticError, AttributeError, LookupError, TypeError, EOFError, pickle.UnpicklingError):
         raise ValueError("a damaged pickle") from None
@@ -104,7 +104,7 @@ def _require_small(content: bytes) -> None:
         raise ValueError(f"a pickle of {len(content)} bytes")
 
 
-def _require_place(name: str, argument: int | str | None, content: bytes) -> None:
+def _require_small_index(name: str, argument: int | str | None, content: bytes) -> None:
     """Raise ValueError for a memo index so large that memory would be allocated for all smaller ones."""
     if name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(content):
         raise ValueError("a damaged pickle")

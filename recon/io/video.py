@@ -47,7 +47,7 @@ MAX_BLACK = 24
 """Largest brightness in a black bar, 0 to 255, because compressed black is not quite 0."""
 MIN_BRIGHTNESS = 80
 """Smallest mean brightness of the lines between two black bars, each line by its brightest pixel, 0 to 255."""
-BAR_SHARE = 0.02
+MIN_BAR_FRACTION = 0.02
 """Smallest width of a black bar, as a fraction of the picture's width, or of its height for bars at top and bottom."""
 BAR_PX = 2
 """Largest difference in width between two equal black bars, and largest width of an edge that is no bar, in pixels."""
@@ -96,7 +96,7 @@ def black_bars(picture: Image, axis: int) -> int:
         return 0
     ends = int(lit[0]), len(brightness) - 1 - int(lit[-1])
     is_even = abs(ends[0] - ends[1]) <= BAR_PX
-    return min(ends) if is_even and min(ends) > max(BAR_SHARE * len(brightness), BAR_PX) else 0
+    return min(ends) if is_even and min(ends) > max(MIN_BAR_FRACTION * len(brightness), BAR_PX) else 0
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:

@@ -547,7 +547,7 @@ MAX_BATCH_PIXELS = 2**20
 """Maximum number of pixels in a batch, at the network's scale."""
 BATCHES_AHEAD = 2
 """Number of batches of video frames to decode ahead of the network."""
-LOST_SHARE = 0.01
+MAX_LOST_FRACTION = 0.01
 """Largest fraction of a video's stated frames that may be missing before the video counts as damaged.
 
 If fewer are missing, the number in the header counts as wrong.
@@ -648,7 +648,7 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {of_chunk[-1]}", min(1.0, count / total))
         lost = (stated := info.stated_frames or 0) - count
-        if not settings.partial and lost > max(LOST_FRAMES, LOST_SHARE * stated):
+        if not settings.partial and lost > max(LOST_FRAMES, MAX_LOST_FRACTION * stated):
             expected = f"{stated} frames, as the file states; --partial accepts fewer"
             raise InputError(Problem(video, "frames", f"{count} decodable frames", expected))
     numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*results, strict=True))

@@ -65,7 +65,7 @@ MAX_BYTES = 2**28
 """Maximum memory for a video's pictures, bytes."""
 STILL_LEVELS = 12.0
 """Largest difference of a still pixel from the background, in grey levels."""
-STILL_SHARE = 0.6
+MIN_STILL_FRACTION = 0.6
 """Fraction of still pixels in a picture above which the camera counts as still."""
 MOVED_LEVELS = 22.0
 """Difference from the background, in grey levels of any colour, above which a pixel belongs to the animal."""
@@ -263,7 +263,7 @@ def background_of(pictures: Sequence[Image]) -> Image | None:
     for rows in np.array_split(np.arange(len(background)), max(1, background.size * len(picked) // 2**24)):
         background[rows] = np.median(np.stack([p[rows] for p in picked]), axis=0).astype(np.uint8)
     still_shares = [float((cv2.absdiff(p, background).max(axis=2) < STILL_LEVELS).mean()) for p in picked]
-    return background if float(np.median(still_shares)) >= STILL_SHARE else None
+    return background if float(np.median(still_shares)) >= MIN_STILL_FRACTION else None
 
 
 def backgrounds(labels: Labels, left_out: Integers) -> tuple[Image | None, ...]:

@@ -179,7 +179,7 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, se
     order = [*range(6), *(joint.dofadr[0] for joint in joints)]
     bodies = [model.joint(leg.joints[-1]).bodyid[0] for leg in robot.legs.values()]
     data, n = mujoco.MjData(model), len(states)
-    coordinates = _places(model, robot, states)
+    coordinates = _coordinates(model, robot, states)
     velocities = np.zeros((n, model.nv))
     accelerations = np.zeros((n, model.nv))
     velocities[:, order], accelerations[:, order] = rates, second_rates
@@ -210,14 +210,14 @@ def _apart(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
     """Return the deepest penetration of two parts as a negative distance (K,) in metres, or 0 if no parts touch."""
     mujoco = require_mujoco(motion.robot.source)
     data, distances = mujoco.MjData(model), np.zeros(len(time_s))
-    for k, coordinates in enumerate(_places(model, motion.robot, motion.states(time_s))):
+    for k, coordinates in enumerate(_coordinates(model, motion.robot, motion.states(time_s))):
         data.qpos[:] = coordinates
         mujoco.mj_fwdPosition(model, data)
         distances[k] = min((float(c.dist) for c in data.contact), default=0.0)
     return distances
 
 
-def _places(model: MjModel, robot: Quadruped, states: Array) -> Array:
+def _coordinates(model: MjModel, robot: Quadruped, states: Array) -> Array:
     """Return MuJoCo's coordinates (K, nq) of states (K, 6 + J) of the robot's tree."""
     places = np.zeros((len(states), model.nq))
     places[:, :3] = states[:, :3]
@@ -334,7 +334,7 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     torques = CubicSpline(knots, balanced(motion, model, motion.time_s[0] + knots)[:, 6:])(time % lasts)
     states, rates = motion.states(motion.time_s[0] + time), motion.states(motion.time_s[0] + time, 1)
     off_m = np.zeros(len(time))
-    begin = _places(model, robot, motion.states(motion.time_s[0] + np.array([0.0, STEP_S])))
+    begin = _coordinates(model, robot, motion.states(motion.time_s[0] + np.array([0.0, STEP_S])))
     data.qpos[:] = begin[0]
     mujoco.mj_differentiatePos(world, data.qvel, STEP_S, *begin)
     for k, (state, rate, torque) in enumerate(zip(states, rates, torques, strict=True)):

@@ -244,7 +244,7 @@ class _Joints(FileTable):
     knee: _Joint
 
 
-class _JointPlace(FileTable):
+class _LegTable(FileTable):
     hip_m: tuple[Length, Length, Length]
     knee_bends: Literal["backwards", "forwards"] = "backwards"
     swing: str
@@ -253,10 +253,10 @@ class _JointPlace(FileTable):
 
 
 class _Legs(FileTable):
-    LF: _JointPlace
-    RF: _JointPlace
-    LH: _JointPlace
-    RH: _JointPlace
+    LF: _LegTable
+    RF: _LegTable
+    LH: _LegTable
+    RH: _LegTable
 
 
 class _RobotFile(FileTable):

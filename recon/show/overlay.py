@@ -34,7 +34,7 @@ PAPER, INK, FAINT, SHADOW = (27, 21, 18), (235, 235, 235), (110, 104, 98), (0, 0
 DETECTION, OUTLIER, FLAGGED = (255, 255, 255), (40, 60, 235), (60, 200, 255)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SHIFT = 4
-STRIP_SHARE = 0.3
+STRIP_HEIGHT = 0.3
 """Height of the strip with the three views, relative to the height of a 16:9 picture of the same width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
 """Fractions of the strip's width for the three views; the key to the colours takes the remaining width."""
@@ -205,7 +205,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
     """Return the width and height in pixels of the result of `draw_frame`, both even as codecs require."""
     width, height = size_px
-    strip = round(STRIP_SHARE * width * 9 / 16)
+    strip = round(STRIP_HEIGHT * width * 9 / 16)
     return width + width % 2, height + strip + (height + strip) % 2
 
 
@@ -348,7 +348,7 @@ def _draw_caption(
 
 
 def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:
-    height = round(STRIP_SHARE * width * 9 / 16)
+    height = round(STRIP_HEIGHT * width * 9 / 16)
     unit = width / 1920
     pad, foot = round(18 * unit), round(44 * unit)
     boxes, left = {}, 0.0

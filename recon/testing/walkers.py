@@ -7,7 +7,7 @@ import numpy as np
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array
 
-STANCE_SHARE = 0.62
+STANCE_FRACTION = 0.62
 """Fraction of the stride for which a foot of the walking person stands."""
 ROOT_HEIGHT_M, ANKLE_HEIGHT_M = 0.8, 0.055
 
@@ -15,7 +15,7 @@ ROOT_HEIGHT_M, ANKLE_HEIGHT_M = 0.8, 0.055
 def walking_person(frames: int, fps: float, speed_m_s: float = 1.0, strides_hz: float = 0.9) -> Array:
     """Return states (T, D) of a `human-25` that walks along x on the ground z = 0.
 
-    The knees are slightly bent. A foot stands flat for `STANCE_SHARE` of the stride, and the two links of the leg
+    The knees are slightly bent. A foot stands flat for `STANCE_FRACTION` of the stride, and the two links of the leg
     follow it.
     """
     body = load_skeleton("human-25")
@@ -28,9 +28,9 @@ def walking_person(frames: int, fps: float, speed_m_s: float = 1.0, strides_hz: 
     states[:, 0], states[:, 2] = speed_m_s * (time_s - time_s.mean()), ROOT_HEIGHT_M
     for side, lag in (("l", 0.0), ("r", 0.5)):
         phase = strides_hz * time_s + lag
-        swing = np.clip(phase % 1.0 - STANCE_SHARE, 0.0, None) / (1 - STANCE_SHARE)
+        swing = np.clip(phase % 1.0 - STANCE_FRACTION, 0.0, None) / (1 - STANCE_FRACTION)
         eased = (1 - np.cos(np.pi * swing)) / 2
-        steps = np.floor(phase) + eased + STANCE_SHARE / 2 - lag
+        steps = np.floor(phase) + eased + STANCE_FRACTION / 2 - lag
         ankle_m = np.stack(
             [
                 speed_m_s / strides_hz * (steps - strides_hz * time_s),

@@ -9,7 +9,7 @@ import numpy as np
 
 from recon.base.arrays import median
 from recon.base.numbers import percent
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.stances import interval_text
 from recon.geometry.frames import level_axes
@@ -48,7 +48,7 @@ def _base_length(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
     nominal, sigma = base_length(solution.chain, FrameOptions.from_settings(motion.settings))
     share = median([r.data_share[solution.chain.base_index] for r in solution.reports if r is not None])
-    return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
+    return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_FRACTION)}
 
 
 def summary(motion: Motion) -> dict[str, Any]:

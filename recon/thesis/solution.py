@@ -21,7 +21,7 @@ from recon.thesis.start import Travel
 
 Status = Literal["converged", "not_converged", "no_data"]
 
-FEW_POINTS_SHARE = 0.75
+FEW_POINTS_FRACTION = 0.75
 """Fraction of a frame's joints that are detected, below which the frame is flagged "few points"."""
 GOOD_FRACTION = 1 / 3
 """Fraction of detected joints times the detections' mean weight below which a frame is flagged "data poor"."""
@@ -336,7 +336,7 @@ def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
     is_flagged: dict[str, Any] = {
         "no data": [report is None for report in reports],
         "diverged": [report is not None and not report.in_view for report in reports],
-        "few points": [report is not None for report in reports] & (present < FEW_POINTS_SHARE * J),
+        "few points": [report is not None for report in reports] & (present < FEW_POINTS_FRACTION * J),
         "data poor": present * trust < GOOD_FRACTION * J,
         "outliers": (distance_px > OUTLIER_SIGMAS * sigma_px).any(axis=1),
         "not converged": [status == "not_converged" for status in solution.status],

@@ -23,9 +23,9 @@ LENS = Camera.from_hfov(60.0, (1920, 1080))
 SIDE, ABOVE = (np.pi / 2, 0.0), (np.pi / 2, np.radians(85))
 
 
-def seen_from(place, body=BODY, distance_m=4.0, **what):
+def seen_from(position, body=BODY, distance_m=4.0, **what):
     middle = body.tree.pose(STATES).points_m.mean(axis=(0, 1))
-    return precision_of(body, PRIOR, STATES, [camera_at(LENS, middle, *place, distance_m)], **what)
+    return precision_of(body, PRIOR, STATES, [camera_at(LENS, middle, *position, distance_m)], **what)
 
 
 def test_the_camera_looks_at_the_middle_and_stands_upright():
@@ -43,7 +43,7 @@ def test_the_camera_looks_at_the_middle_and_stands_upright():
 
 def test_theta_is_visible_from_the_side_and_phi_from_above():
     sagittal, transverse = {"target": "theta_1"}, {"target": "phi_1"}
-    theta, phi = ([seen_from(place, **what) for place in (SIDE, ABOVE)] for what in (sagittal, transverse))
+    theta, phi = ([seen_from(position, **what) for position in (SIDE, ABOVE)] for what in (sagittal, transverse))
     assert theta[0][1] > 0.7
     assert phi[0][1] < 0.02
     assert phi[1][1] > 5 * phi[0][1]
@@ -82,12 +82,12 @@ def test_best_position_has_the_least_sigma_and_a_second_camera_lowers_it(monkeyp
     monkeypatch.setattr("recon.calibrate.camera_advice.AZIMUTHS_RAD", few)
     monkeypatch.setattr("recon.calibrate.camera_advice.ELEVATIONS_RAD", ELEVATIONS_RAD[:2])
     (one,) = advise(BODY, PRIOR, "theta_1")
-    assert one.place == (few[1], ELEVATIONS_RAD[0])
+    assert one.position == (few[1], ELEVATIONS_RAD[0])
     assert one.sigma[one.best] == one.sigma.min()
     assert one.share[one.best] == one.share.max()
     monkeypatch.setattr("recon.calibrate.camera_advice.ELEVATIONS_RAD", ELEVATIONS_RAD[:1])
     both = advise(BODY, PRIOR, "theta_1", cameras=2)
-    assert [advice.first_place for advice in both] == [None, one.place]
+    assert [advice.first_position for advice in both] == [None, one.position]
     assert both[1].sigma.max() < one.sigma.min()
     assert one.distance_m == pytest.approx(4 * length_m(BODY))
 

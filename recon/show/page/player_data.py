@@ -17,7 +17,7 @@ from recon.animal.body import side_of
 from recon.animal.naming import both_sides
 from recon.base.arrays import Array, Integers
 from recon.check.codes import sentences
-from recon.fit.motion import MEASURED_SHARE, Motion, Picture
+from recon.fit.motion import MEASURED_FRACTION, Motion, Picture
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.stances import INTERVAL, interval_of
@@ -247,7 +247,7 @@ def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bo
     shares, panels = motion.data_shares, dict[str, dict[Any, tuple[Array, Array, bool]]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
         title = both_sides(name).replace("_rad", "").replace("_", " ")
-        values = np.degrees(angle), np.degrees(sigma), not shares[name] < MEASURED_SHARE
+        values = np.degrees(angle), np.degrees(sigma), not shares[name] < MEASURED_FRACTION
         panels.setdefault(title, {})[side_of(name)] = values
     return panels
 

@@ -30,7 +30,7 @@ from recon.base.arrays import Array, Bools, Index, median
 from recon.base.numbers import percent, quantity
 from recon.calibrate.board_calibration import Calibration, coverage
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
-from recon.fit.motion import MEASURED_SHARE
+from recon.fit.motion import MEASURED_FRACTION
 from recon.gait.stances import Plane
 from recon.geometry.kinematics import ROOT
 from recon.show.plots import style
@@ -401,13 +401,14 @@ def _frame(axes: Axes) -> None:
 
 _ROW_MM, _REST_MM = 3.3, 34.0
 _SHARES = (
-    f"fraction of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly from the prior"
+    "fraction of the precision that comes from the pixels;  "
+    f"grey: less than {MEASURED_FRACTION:g}, mostly from the prior"
 )
 
 
 def share_colours() -> ListedColormap:
-    """Return colours for the fraction of the precision from the pixels, grey below `MEASURED_SHARE`, then blue."""
-    low = round(256 * MEASURED_SHARE)
+    """Return colours for the fraction of the precision from the pixels, grey below `MEASURED_FRACTION`, then blue."""
+    low = round(256 * MEASURED_FRACTION)
     greys, blues = mpl.colormaps["Greys"](np.linspace(0.1, 0.45, low)), mpl.colormaps["Blues"](np.linspace(0.5, 1, 256))
     return ListedColormap([*greys, *blues[:: -(-256 // (256 - low))]])
 
@@ -433,7 +434,7 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "", whol
         text_style = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": style.SMALL}
         for row, (label, middle) in enumerate(zip(axes.get_yticklabels(), medians, strict=True)):
             text = percent(middle) if np.isfinite(middle) else "–"
-            colour = "k" if middle >= MEASURED_SHARE else style.GREY
+            colour = "k" if middle >= MEASURED_FRACTION else style.GREY
             axes.text(1.01, row, text, color=colour, **text_style)
             label.set_color(colour)
         axes.set_xlabel(f"time (s);  right: median over {'these frames' if whole is None else 'the whole clip'}")
@@ -472,13 +473,13 @@ def _grid(axes: Axes, advice: Advice) -> None:
     rows, columns = advice.share.shape
     axes.imshow(advice.share, cmap=share_colours(), vmin=0, vmax=1, aspect="auto", origin="lower")
     for (row, column), share in np.ndenumerate(advice.share):
-        sigma, colour = float(advice.sigma[row, column]), "w" if share > (1 + MEASURED_SHARE) / 2 else "k"
+        sigma, colour = float(advice.sigma[row, column]), "w" if share > (1 + MEASURED_FRACTION) / 2 else "k"
         text = f"{percent(share)}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
         axes.text(column, row, text, ha="center", va="center", fontsize=style.SMALL, color=colour)
     row, column = advice.best
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))
-    if advice.first_place is not None:
-        azimuth, elevation = advice.first_place
+    if advice.first_position is not None:
+        azimuth, elevation = advice.first_position
         other_cell = np.argmin(np.abs(AZIMUTHS_RAD - azimuth)), np.argmin(np.abs(ELEVATIONS_RAD - elevation))
         axes.plot(other_cell[0] + 0.38, other_cell[1] + 0.32, "k+", ms=7, mew=1.6)
     axes.set_xticks(range(columns), [f"{d}°\n{ROUND.get(int(d), '')}" for d in degrees], fontsize=style.SMALL)

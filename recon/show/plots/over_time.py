@@ -25,7 +25,7 @@ from matplotlib.ticker import MaxNLocator
 
 from recon.base.arrays import Array, Bools
 from recon.base.numbers import decimals, percent, plus_minus, quantity
-from recon.fit.motion import MEASURED_SHARE
+from recon.fit.motion import MEASURED_FRACTION
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait
 from recon.gait.kinematics import JointKinematics
@@ -280,8 +280,8 @@ def phase_portraits(
     """Draw phase portraits, in degrees and degrees per second, with a panel for each angle on one page.
 
     `closed` has the degree of closure of each angle by name, and `shares` the fraction of its precision that comes from
-    the pixels. The path of an angle is grey if this fraction is below `MEASURED_SHARE`. Bands are the 90 % intervals of
-    angle and rate. Each panel has its own axes.
+    the pixels. The path of an angle is grey if this fraction is below `MEASURED_FRACTION`. Bands are the 90 % intervals
+    of angle and rate. Each panel has its own axes.
     """
     count = len(portraits)
     width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
@@ -297,7 +297,7 @@ def phase_portraits(
             if value is not None:
                 angle, plane = _percent(value.angle, value.angle_sigma), _percent(value.plane, value.plane_sigma)
                 heading += f"\n{angle} / {plane} %"
-            is_unseen = share < MEASURED_SHARE
+            is_unseen = share < MEASURED_FRACTION
             axes.set_title(heading, fontsize=style.SMALL, pad=3, color=style.GREY if is_unseen else "k")
             _draw(axes, portrait, None if is_unseen else colours)
         for axes in panels[count:]:
@@ -309,7 +309,7 @@ def phase_portraits(
         if shares:
             marks += (
                 "\nfrom pixels: fraction of the angle's precision, over the whole clip;  "
-                f"grey: less than {percent(MEASURED_SHARE)}, mostly from the prior"
+                f"grey: less than {percent(MEASURED_FRACTION)}, mostly from the prior"
             )
         figure.supxlabel(f"angle (deg)\n{marks}", fontsize=8)
         figure.supylabel("rate (deg/s)", fontsize=8)
@@ -328,7 +328,7 @@ def clearest_portraits(
     portraits
         Phase portrait of each angle by name, whose order the result keeps.
     shares
-        Fraction of each angle's precision that comes from the pixels. Angles below `MEASURED_SHARE` are left out,
+        Fraction of each angle's precision that comes from the pixels. Angles below `MEASURED_FRACTION` are left out,
         unless no angle would remain.
     count
         Largest number of portraits.
@@ -342,7 +342,7 @@ def clearest_portraits(
         )
         return float(np.ptp(known)) / max(sigma_rad, _EXACT_RAD) if len(known) else 0.0
 
-    seen = [name for name in portraits if not shares.get(name, 1.0) < MEASURED_SHARE] or [*portraits]
+    seen = [name for name in portraits if not shares.get(name, 1.0) < MEASURED_FRACTION] or [*portraits]
     best = sorted(seen, key=clarity, reverse=True)[:count]
     return {name: portrait for name, portrait in portraits.items() if name in best}
 

@@ -17,7 +17,7 @@ from recon.fit.motion import Motion, Picture
 from recon.show.plain import by_name
 from recon.show.sections.section import Line
 
-BEST_SHARE = 0.9
+BEST_FRACTION = 0.9
 """Fraction of the detections, those with the smallest errors, that `mean_best_90_percent` averages."""
 OF_JOINT = ("outliers", "mean_error_px", "noise_px", "mean_weight")
 """Fields of a keypoint's entry in report.json that are null unless the keypoint was fitted."""
@@ -27,7 +27,7 @@ def counts(motion: Motion) -> dict[str, Any]:
     """Return a motion's numbers of keypoints and detections, and its reprojection errors."""
     distance_px, present = (_stacked(motion, field) for field in ("distance_px", "present"))
     errors = finite(distance_px)
-    best = np.sort(errors)[: math.ceil(BEST_SHARE * len(errors))]
+    best = np.sort(errors)[: math.ceil(BEST_FRACTION * len(errors))]
     by_joint = np.array([mean(errors_of_joint) for errors_of_joint in np.moveaxis(distance_px, -1, 0)])
     worst = int(np.nanargmax(by_joint)) if len(errors) else None
     used = int(present.any(axis=(0, 1)).sum())

@@ -11,7 +11,7 @@ import numpy as np
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.base.arrays import mean, median
 from recon.base.numbers import decimals, length_text, percent, plus_minus
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import MEASURED_FRACTION, Motion
 from recon.fit.result import SolvedShape, TrajectorySolution
 from recon.gait.kinematics import point_kinematics
 from recon.gait.series import frame_jitter_m, jitter_errors
@@ -150,7 +150,7 @@ def given_size(motion: Motion) -> str:
 
 def size_sources(solution: TrajectorySolution) -> list[str]:
     """Return the measurements that determine the animal's size better than the prior does."""
-    is_measured = _size_share(solution) >= MEASURED_SHARE
+    is_measured = _size_share(solution) >= MEASURED_FRACTION
     return [SIZE_SOURCES[source] for source in solution.size_from if source in SIZE_SOURCES and is_measured]
 
 
