@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -61,16 +62,29 @@ def _read(config: Path | None, options: Mapping[str, Any]) -> FitSettings:
     return read_settings(None, options) if config is None else read_config(config, options)
 
 
+_WITHOUT_CAMERA = ("individual", "rename", "fps", "skeleton", "subject", "detector", "size", "height_m", "prior")
+"""Settings by which keypoint files and the skeleton can be checked before the camera is known."""
+
+
 def _problems_of_files(config: Path | None, options: Mapping[str, Any], wrong: Container[str]) -> Iterable[Problem]:
     """Return the problems with a fit's files, if the values of the settings `wrong` cannot be used."""
-    from recon.api.clip_inputs import prepare
+    from recon.api.clip_inputs import prepare, read_clips, read_model
     from recon.io.formats import read_keypoints
 
-    try:
-        rest = _read(config, {name: value for name, value in options.items() if name not in wrong})
-    except InputError:
-        rest = None
-    if rest is None or "method" in wrong:  # the rest does not determine the skeleton or the cameras
-        read = (partial(read_keypoints, path, options.get("individual")) for path in options.get("keypoints") or ())
-        return problems_of(lambda: collect_problems(*read))
-    return [problem for problem in problems_of(lambda: prepare(rest)) if problem.field not in wrong]
+    usable = {name: value for name, value in options.items() if name not in wrong}
+    if "method" not in wrong:  # the method determines the skeletons
+        with suppress(InputError):
+            rest = _read(config, usable)
+            return [problem for problem in problems_of(lambda: prepare(rest)) if problem.field not in wrong]
+    known = {name: value for name, value in usable.items() if name in _WITHOUT_CAMERA}
+    checks: list[Callable[[], object]] = []
+    for path in options.get("keypoints") or ():
+        try:
+            clip = FitSettings(keypoints=(path,), hfov_deg=60.0, image_size_px=(1, 1), **known)
+            checks += [partial(read_clips, clip), *([] if "method" in options else [partial(read_model, clip)])]
+        except InputError:
+            checks.append(partial(read_keypoints, path, options.get("individual")))
+    problems: dict[tuple[str | Path, str], Problem] = {}
+    for problem in problems_of(lambda: collect_problems(*checks)):
+        problems.setdefault((problem.file, problem.field), problem)  # a missing --fps is stated once for all files
+    return [problem for problem in problems.values() if problem.field not in wrong]

@@ -584,6 +584,11 @@ def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
 
 def test_all_missing_required_options_are_named():
     refused(["fit"], ("KEYPOINTS", "keypoints", "nothing"), ("--camera", "camera", "nothing"), NO_OUT)
+    no_rate = ("--fps", "fps", ["nothing", "whole_cam1.csv"])
+    two = [SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv"]
+    refused(["fit", *two], no_rate, ("--camera", "camera", "nothing"), NO_OUT)
+    zebra = ("--skeleton", "name or file", "'zebra'")
+    refused(["fit", two[0], "--skeleton", "zebra"], no_rate, zebra, ("--camera", "camera", "nothing"), NO_OUT)
 
 
 @pytest.mark.usefixtures("no_playback", "frames_solved_once")
