@@ -59,7 +59,7 @@ class PlanTable:
     animals_known: int | None
     """Number of animals that the variances come from; None if the variances were given."""
     rows: pd.DataFrame
-    """Runs, strides, cameras, animals in each group (0: more than 1000), clips, power and smallest effect."""
+    """Table of runs, strides, cameras, animals in a group (0 for more than 1000), clips, power and smallest effect."""
 
 
 def read_plan(texts: Sequence[str]) -> Plan:
@@ -68,7 +68,7 @@ def read_plan(texts: Sequence[str]) -> Plan:
     Raises
     ------
     InputError
-        If words cannot be used. The message lists all of them.
+        If words of the strings cannot be used. The message lists all of these words.
     """
     values, problems = {}, []
     for word in " ".join(texts).split():

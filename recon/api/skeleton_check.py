@@ -114,7 +114,7 @@ def _remarks(body: Body) -> Iterator[str]:
 
 
 def feet_remarks(body: Body) -> Iterator[str]:
-    """Yield remarks on a skeleton's feet: on missing feet, and on unusual positions in the expected pose."""
+    """Yield remarks on missing feet of a skeleton, and on unusual positions of its feet in the expected pose."""
     point_m = dict(zip(body.markers, body.expected_points_m(), strict=True))
     rear, front = (point_m[marker] for marker in body.forward)
     if not body.feet:

@@ -48,7 +48,7 @@ FRONT = ("neck_base", "withers", "l_shoulder", "nose")
 FEWEST_FRAMES = 20
 """Minimum number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID_SIGMA = 0.01
-"""Standard deviation of the distance of two keypoints, in lengths of the animal, up to which it counts as constant."""
+"""Maximum standard deviation of the distance of two keypoints, in lengths of the animal, for a constant distance."""
 NOISE_FACTOR = 2.0
 """Limit for constant distances as a multiple of the keypoints' noise, used instead of `RIGID_SIGMA` if it is larger."""
 TOO_MUCH = 0.02

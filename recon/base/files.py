@@ -239,8 +239,8 @@ def _move_in(source: Path, target: Path) -> None:
 def relative_path(folder: Path, path: str | Path) -> str:
     """Return a path relative to a folder, to be written into a file in that folder.
 
-    The two files can then be moved together, and the text does not reveal where they were. A path on another drive
-    stays absolute.
+    The folder and the file at the path can then be moved together, and the text does not reveal where they were. A path
+    on another drive stays absolute.
     """
     try:
         return encodable(Path(os.path.relpath(path, folder.absolute())).as_posix())

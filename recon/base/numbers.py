@@ -1,7 +1,7 @@
 """Format numbers with their uncertainty and unit, in the same way in every text and figure.
 
-A number has as many digits as its uncertainty supports: an uncertainty keeps one digit, or two if it begins with 1. The
-ends of an interval keep two digits of its half width if this begins with 3.5 or less.
+A number has as many decimals as its uncertainty. An uncertainty has one significant digit, or two if the first is 1.
+The ends of an interval are rounded like its half width, which has two significant digits if they are 35 or less.
 """
 
 from __future__ import annotations

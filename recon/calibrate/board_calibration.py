@@ -268,7 +268,7 @@ class _CalibrationCheck:
         return "warning" if self._beyond(self.warn) else "ok"
 
     def _beyond(self, bound: float) -> bool:
-        """Return whether the value is beyond a bound: False for a NaN bound, otherwise True for a NaN value."""
+        """Return whether the value is beyond a bound. NaN is beyond every bound, and nothing is beyond a NaN bound."""
         return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
 
     def __str__(self) -> str:

@@ -18,7 +18,7 @@ from recon.ik.cost_study import CHAOTIC_GROWTH, TURNS
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
-"""Smallest closure of a joint's angle over a stride, in percent, at which the outcome of a method is "closes"."""
+"""Minimum closure over a stride, in percent, that every joint's angle needs for the outcome "closes"."""
 LEAST_CLOSURE = "least_closure_angle_percent"
 OFF_PATH_M = 0.02
 """Distance of the foot from the stride's path, in metres, above which a method counts as failed."""

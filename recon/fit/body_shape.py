@@ -122,7 +122,7 @@ class Shape:
 
     @cached_property
     def _markers_of_offsets(self) -> list[tuple[int, int, int, Array]]:
-        """Return each marker with an unknown offset: its index, segment, first column, and the signs of the axes."""
+        """Return index, segment, first column and signs of the axes for each marker with an unknown offset."""
         tree, indices = self.body.tree, {segment.name: i for i, segment in enumerate(self.body.tree.segments)}
         return [
             (j, indices[marker.segment], 3 * self.offsets.index(self.leader(marker.name)), self._mirror(marker.name))
@@ -131,7 +131,7 @@ class Shape:
         ]
 
     def leader(self, name: str) -> str:
-        """Return the name of the left counterpart of a segment or marker, whose unknowns it shares, or its own name."""
+        """Return the name of the left counterpart for a segment or marker on the right, or the name unchanged."""
         return other_side(name) if name in self._followers else name
 
     @cached_property

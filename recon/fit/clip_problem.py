@@ -112,7 +112,7 @@ class ClipProblem:
     shape: FreeShape | None = None
     """Unknown lengths and keypoint offsets of `body`; None if they are known."""
     solves_shape: bool = True
-    """Whether the fit estimates an unknown shape, or its errors only add to the uncertainty."""
+    """Whether the fit estimates an unknown shape. If it does not, the errors of the shape add to the uncertainty."""
     shape_scale: tuple[float, float] = (1.0, 1.0)
     """Factors on the expected standard deviations of lengths and of keypoint offsets.
 

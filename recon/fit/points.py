@@ -140,7 +140,7 @@ class _NormalEquations(NamedTuple):
     gradient: Array
     """Gradient of the cost with respect to the states, shape (N, D)."""
     size_hessian: Array
-    """Curvature between the size's logarithm and each state and, last, of the size itself, shape (N, D + 1)."""
+    """Mixed curvature of the size's logarithm and each state, then the curvature of the size, shape (N, D + 1)."""
     size_gradient: Array
     """Gradient of each frame's cost with respect to the size's logarithm, shape (N,)."""
 

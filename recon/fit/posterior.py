@@ -91,7 +91,7 @@ The number is smaller, because lengths and offsets add many derivatives to each 
 _BIAS_ROUNDS = 10
 """Number of rounds of expectation-maximisation for the spread of the keypoint bias."""
 _PRIOR_COUNT = 8
-"""Weight of the expected variance of the keypoint bias in its estimate, as an equivalent number of unknowns."""
+"""Weight of the expected variance of the keypoint bias in the estimated variance, as a number of unknowns."""
 _NOISE_ROUNDS = 2
 """Maximum number of rounds that estimate the noise of detections about their keypoint bias."""
 _MAX_EXPLAINED = 0.05

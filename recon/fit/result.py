@@ -149,10 +149,10 @@ class Ground:
     slope: Array
     sigma_m: float
     near_zero: bool | None = None
-    """Whether the ground was assumed to be near z = 0; None if no file states it."""
+    """Whether the ground was assumed to be near z = 0; None if no file states where the ground is."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
-        """Return the ground in the world, from a scene that is scaled by a size and moved to an origin (3,), m."""
+        """Transform the ground from a scene to the world, which scales the scene and moves it to an origin (3,), m."""
         height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
@@ -216,7 +216,7 @@ class SolvedShape(Brief):
     expected_lengths_m: Array
     """Lengths in the skeleton or in the subject's file, m, shape (L,)."""
     offsets_m: Array
-    """Keypoints minus markers in the frames of the markers' segments, with the estimated size, m, shape (J, 3)."""
+    """Offsets of keypoints from markers, m, in the frames of the segments, with the estimated size, shape (J, 3)."""
     offsets_sigma_m: Array
     """Standard deviations of the offsets, m, shape (J, 3)."""
     expected_offsets_m: Array

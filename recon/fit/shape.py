@@ -38,7 +38,8 @@ POSED_OFFSET_SIGMA_M = 0.02
 FIXED_SIZE_SIGMA = 1e-4
 """Relative standard deviation of the animal's size, so small that the size is fixed and only lengths change."""
 _PRIOR_COUNT = 8
-"""Weight of the expected spread of a keypoint's bias in its estimate, as an equivalent number of views."""
+"""Weight of the expected spread of a keypoint's bias in the estimate of this spread, as an equivalent number of views.
+"""
 ROUNDS = 8
 """Maximum number of rounds of solving the clips and changing the shape."""
 CLOSE_ENOUGH = 0.05
@@ -193,10 +194,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
 
 
 def _reduced(shape: Shape, clip: ClipProblem, segment: SegmentFit) -> tuple[Array, Array]:
-    """Return the curvature (K, K) and gradient (K,) of a segment's cost with respect to the shape alone.
-
-    The states are eliminated.
-    """
+    """Return the curvature (K, K) and gradient (K,) of a segment's cost for the shape, with the states eliminated."""
     states, problem = segment.estimate.states, segment.problem
     normal = problem.normal(states, segment.estimate.shared)
     K = len(shape)

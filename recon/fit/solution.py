@@ -39,11 +39,11 @@ from recon.geometry.kinematics import ROOT, YAW
 _FRAMES_AT_ONCE = 4096
 """Number of frames that are rounded to single precision at once, to limit the memory."""
 MIN_JOINT_FRACTION = 1 / 3
-"""Minimum weight of a frame's detections, as a fraction of the number of joints, without the flag "data poor"."""
+"""Sum of a frame's weights, relative to the number of joints, below which the frame has the flag "data poor"."""
 MIN_WEIGHT_FRACTION = 0.8
-"""Minimum weight of a frame's detections, relative to a good frame's, without the flag "data poor".
+"""Sum of a frame's weights, relative to a good frame, below which the frame has the flag "data poor".
 
-The weight of a good frame is the 90th percentile over the frames.
+The sum of a good frame is the 90th percentile over the frames.
 """
 END_ON_RAD = np.radians(25)
 """Angle (rad) between the line of sight and the trunk below which a frame gets the flag "ambiguous depth".
@@ -418,7 +418,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
 
 
 def _size_error_of_bias(clip: ClipProblem) -> float:
-    """Return the relative standard deviation of the size due to keypoints that lie off their markers independently."""
+    """Return the relative standard deviation of the size due to independent offsets of keypoints from markers."""
     body = clip.body
     state = np.zeros((1, body.n_state))
     state[0, ANGLES] = clip.prior.mean

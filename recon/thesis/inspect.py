@@ -187,12 +187,12 @@ class SolverRecord:
 
     @property
     def active(self) -> dict[str, Array]:
-        """Return the numbers (T,) of angles outside their "ranges", and of "rates" above their limits."""
+        """Return the numbers (T,) of angles outside their ranges ("ranges") and rates above their limits ("rates")."""
         return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
 
     @property
     def _is_beyond(self) -> dict[str, Bools]:
-        """Return masks (T, 2 A) of angles outside their "ranges", and of "rates" above their limits."""
+        """Return masks (T, 2 A) of angles outside their ranges ("ranges") and rates above their limits ("rates")."""
         return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:

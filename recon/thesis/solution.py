@@ -214,14 +214,14 @@ class FrameSolution(Solution):
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """Return by how much angles exceed their ranges in rad, shape (T, 2 A); NaN without a pose."""
+        """Return the excess of angles over their ranges, rad, shape (T, 2 A); NaN without a pose."""
         return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """Return by how much chord rates since the previous solved frame exceed their limits in rad/s, shape (T, 2 A).
+        """Return the excess of chord rates since the previous solved frame over their limits, rad/s, shape (T, 2 A).
 
-        Values are negative below the limit, and NaN for the first frame and frames without a pose.
+        The excess is negative below the limit, and NaN for the first frame and frames without a pose.
         """
         angles = self._angles_rad
         rows = np.flatnonzero(np.isfinite(angles[:, 0]))
