@@ -201,7 +201,7 @@ def test_files_name_classes_by_tags(fixture: str, request: pytest.FixtureRequest
     ],
 )
 def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
-    """Motions of schema version 2 name classes by modules that no longer exist."""
+    """Motions of schema version 2 are read, although they name classes by modules that no longer exist."""
     motion = Motion.load(FILES / "motions-version-2" / method)
     assert motion.solution.method == method
     assert motion.solution.size == pytest.approx(size, abs=1e-12)
@@ -211,7 +211,7 @@ def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: li
 
 
 def test_motions_of_schema_version_3(small_trajectory: Motion, tmp_path: Path) -> None:
-    """Motions of schema version 3 have every array unpacked."""
+    """Motions of schema version 3, in which every array is unpacked, are read."""
     path = small_trajectory.save(tmp_path)
     rewritten(path, as_version_3)
     with np.load(path) as arrays:

@@ -387,7 +387,7 @@ def test_every_setting_is_listed():
 
 
 def test_settings_without_an_option_are_in_the_docs():
-    """`recon settings` prints the help and default of every setting."""
+    """docs/commands.md lists every setting without an option, whose help and default `recon settings` prints."""
     text = (Path(__file__).parents[1] / "docs" / "commands.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"`([a-z-]+)`", text.partition("## Settings without an option")[2]))
     for info in SETTINGS.values():
@@ -517,7 +517,7 @@ def test_every_help_has_an_example_in_a_paragraph_of_its_own():
 
 @pytest.mark.parametrize("value", ["auto", True, False])
 def test_a_playback_is_written_for_short_clips_always_or_never(tmp_path, value):
-    """`playback` is set by option, in config.toml and in Python."""
+    """`playback` is auto, true or false by option, in config.toml and in Python."""
     text = str(value).lower()
     assert read_settings(None, {**GIVEN, "playback": text}) == FitSettings(**GIVEN, playback=value)
     assert read_settings(saved(tmp_path, playback=value), {}).playback is value

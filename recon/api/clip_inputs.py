@@ -344,7 +344,7 @@ def cleaned_source(
     camera, track = clip_camera
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None
-    shift, per_frame = math.floor(later_frames), file.fps / fps  # the frames of the clip are those of the first camera
+    shift, per_frame = math.floor(later_frames), file.fps / fps  # a clip's frames are the first camera's
 
     def file_frame(frame: int | None) -> int | None:
         return None if frame is None else math.ceil((frame - shift) * per_frame)

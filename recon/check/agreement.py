@@ -1,8 +1,8 @@
 """Test whether the cameras of a clip agree, by comparing each camera's detections with points seen by the others.
 
 The rays of the cameras are compared by their error ratios (`recon.check.sights`). The test uses no body and no fitted
-pose, so it also detects a camera that pulls the fit away from the others. The cameras' poses are those of the fit,
-which may have refined them.
+pose, so it also detects a camera that pulls the fit away from the others. The cameras' poses come from the fit, which
+may have refined them.
 
 If error ratios are too high, an exchange of two cameras' files is tried first, because it explains the errors of two
 cameras at once (`_exchanged_pair`). Cameras are then left out one by one until the others agree (`_agreeing_group`).

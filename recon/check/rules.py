@@ -368,7 +368,7 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
 
 
 def _has_rough_lengths(motion: Motion) -> bool:
-    """Return whether the lengths are those of a generic skeleton, such as `quadruped`, for no particular species."""
+    """Return whether the lengths come from a generic skeleton, such as `quadruped`, for no particular species."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is not None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return False

@@ -95,7 +95,7 @@ def solve_time_offsets(
     Parameters
     ----------
     sources_apart
-        Sources whose frames are those of each camera's own clock.
+        Sources whose frames are numbered by each camera's own clock.
     later_frames
         Time offset (frames) of each of the V cameras at which the search begins.
     solve

@@ -487,7 +487,7 @@ def _add_detections(
 def _own_unknowns(columns: Mapping[str, slice], every_camera: Sequence[PointRows]) -> tuple[Integers, Array]:
     """Return the columns (P,) of the cameras' own unknowns without keypoint bias, and the derivatives (N, J, 2V, P).
 
-    The derivatives are those of the two coordinates of each detection in each of the V cameras.
+    The derivatives belong to the two coordinates of each detection in each of the V cameras.
     """
     names = {name for points in every_camera for name in points.by_shared if name in columns}
     own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))

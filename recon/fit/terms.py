@@ -279,8 +279,8 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 class PoseMixture:
     """Term that keeps the pose likely under a mixture of Gaussians, -log sum_k w_k N(z; mean_k, cov_k).
 
-    A temperature of 1 or more flattens the mixture. The rows are those of a Gaussian with the mixture's gradient. Its
-    precision is the mean of the components' precisions, weighted by their posterior probabilities.
+    A temperature of 1 or more flattens the mixture. The rows belong to a Gaussian with the mixture's gradient. The
+    Gaussian's precision is the mean of the components' precisions, weighted by their posterior probabilities.
     """
 
     prior: MotionPrior

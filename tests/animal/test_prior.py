@@ -100,7 +100,7 @@ def test_recovers_poses(body, prior):
 
 
 def test_recovers_dynamics(prior):
-    """The fitted dynamics are those of the swing, at two frame rates.
+    """The fitted dynamics agree with the dynamics of the swing at two frame rates.
 
     The acceleration of a swing is minus the square of its frequency times the angle. The ridge, which adds to the unit
     variance of the regressors, reduces it.

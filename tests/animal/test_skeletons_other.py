@@ -372,7 +372,7 @@ def test_built_in_skeletons_have_no_remarks(name):
     no_feet = ["feet: none. Contacts with the ground and gait need them."]
     assert check["remarks"] == (no_feet if name == "mouse-top" else [])
     assert check["prior"] == {"cheetah-24": "running-cheetah"}.get(name, "none")
-    base_length = check["kind"] == "chain"  # a chain's unknowns are those of the frame method
+    base_length = check["kind"] == "chain"  # for a chain, unknowns of the frame method
     assert check["unknowns"] - base_length == load_skeleton(name).n_state
     assert sum(len(part["angles"]) for part in check["parts"]) == load_skeleton(name).n_state - 4
     if check["kind"] == "chain":

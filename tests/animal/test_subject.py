@@ -132,7 +132,7 @@ def test_command(runs, tmp_path):
     assert (length_m - low) / bones["trunk"]["sigma_m"] == pytest.approx(1.645, rel=0.1)
     assert 0.3 < bones["trunk"]["data_share"] < 1
     found = load_skeleton("cheetah-24", out)
-    # The filmed animal is that of `phantom`, which is smaller than the skeleton.
+    # The filmed animal is from `phantom`, and smaller than the skeleton.
     assert said["size"] == pytest.approx(_mean_factor(body()), abs=0.03)
     assert found.size_sigma == pytest.approx(said["size_sigma"], abs=1e-4)
     assert run("subject", "fit", config, "--out", tmp_path / "lengths.toml").code == 0

@@ -119,7 +119,7 @@ def test_folder_of_a_clip_has_a_valid_name(tmp_path):
 
 
 def test_video_whose_name_is_not_utf_8_is_refused(tmp_path):
-    """OpenCV would crash on the name of a video that is not UTF-8."""
+    """A video whose name is not UTF-8 is refused, because OpenCV would crash."""
     from recon.io.video import probe
 
     path = tmp_path / f"{LATIN_1}.mp4"

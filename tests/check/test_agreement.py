@@ -62,7 +62,7 @@ def test_agreeing_cameras_have_no_finding(n):
     assert notes(found)[0].max_level == 1.6
     for camera in notes(found):
         assert camera.points == truth_m()[..., 0].size
-        assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise includes that of the keypoints
+        assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise includes the noise of the keypoints
     if n > 2:
         assert max(camera.turn_rad for camera in notes(found)) < np.radians(0.3)
         assert {camera.late_frames for camera in notes(found)} <= {-0.25, 0.0, 0.25}

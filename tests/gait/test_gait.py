@@ -105,7 +105,7 @@ def test_footfall_order():
 
 
 def test_events_of_still_feet():
-    """Stances enclose the times in which feet stand still, tightly."""
+    """Stances begin and end within 20 ms of the times at which feet begin and cease to stand still."""
     phase, duty = PATTERNS["trot"]
     moved = pose_tracks(runner(phase, duty), FPS)
     whole = [s for s in stances(moved) if s.begins and s.ends and s.foot == "LF"]

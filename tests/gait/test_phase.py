@@ -123,7 +123,7 @@ def test_deviation_of_a_closure_by_hand():
     """The standard deviation of a closure agrees with a value computed by hand.
 
     The ends of a full turn have independent errors of sigma: D = 100 - 100 |n| / 0.6 with n normal of sqrt(2) sigma,
-    and the standard deviation of |n| is that of n times sqrt(1 - 2 / pi).
+    and the standard deviation of |n| is sqrt(1 - 2 / pi) times the standard deviation of n.
     """
     sigma, error_time_s = 0.006, 0.05
     time_s = np.linspace(0.0, 0.8, 201)

@@ -136,7 +136,7 @@ def test_analysis(said, folder, whole_results):
 
 @pytest.mark.slow
 def test_new_species(said, folder):
-    """The sample animal has the lengths of the skeleton."""
+    """A pipeline for a new species finds the sample animal's size and poses, since the skeleton has its lengths."""
     for name in ("several_cameras", "one_clip"):
         with (folder / f"{name}.toml").open("a", encoding="utf-8") as file:
             file.write("fast = true\n")

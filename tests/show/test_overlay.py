@@ -270,7 +270,7 @@ def test_every_still_has_its_animal(folder):
 
 
 def test_rings_are_drawn_at_the_detections(overlay):
-    """Rings are on the skeleton if joints are exactly at their detections."""
+    """A ring of the detections' colour is drawn at a detection."""
     (picture,) = draw_tiles(overlay, [0])
     xy = overlay.reprojected_px[0]
     low, high = np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)

@@ -159,7 +159,7 @@ def test_trail_follows_the_root_and_does_not_bridge_the_gap(recording: Recording
 
 
 def test_the_overview_is_filled_by_all_points() -> None:
-    """The overview shows a path of 14 m and a camera 10 m to its side."""
+    """A path of 14 m and a camera 10 m to its side fill the overview to between three quarters and its edge."""
     points = np.array([[-7.0, 0, 0], [7, 0, 0], [-7, 0, 1], [7, 0, 1], [0, -10, 2]])
     eye, target = fitting_eye(points, np.eye(3))
     ahead = (target - eye) / np.linalg.norm(target - eye)
@@ -244,7 +244,7 @@ def test_series_have_the_units_of_plots(recording: Recording, world_motion: Moti
 
 
 def test_no_legend_covers_its_lines() -> None:
-    """Three names in a legend take three tenths of the height above the lines."""
+    """The axis leaves three tenths of its height above the lines for a legend with three names."""
     values = np.array([[0.0, 2.0, np.nan], [1.0, 7.0, 3.0]])
     axis: Any = time_view(TimePlot("a", "A", "bcd", [(0, 0, 0)] * 3, values)).properties["ScalarAxis"]
     low, high = axis.range.as_arrow_array().to_pylist()[0]

@@ -457,7 +457,7 @@ def equilibrium(
 
     The search applies Newton's method to forces and moments, with the absolute values of the stiffness's eigenvalues.
     `start` is T_world_body (4, 4). `free` holds the indices of the free coordinates among x, y, z, roll, pitch and yaw.
-    The other parameters are those of `wrench`.
+    The other parameters are the same as in `wrench`.
 
     Returns
     -------
