@@ -130,7 +130,7 @@ class IkSettings(Settings):
         return self.folder / "ik" if self.out is None else self.out
 
     def problems(self) -> Iterator[Problem]:
-        """Yield a problem for a missing task, and for each pair of settings that exclude each other."""
+        """Yield a problem for a missing task, for the method `EXTENDED` without a cost, and for an alpha of 0."""
         if self.has_no_task and not (self.compare or self.costs):
             yield Problem("options", "task", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:

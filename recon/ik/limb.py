@@ -173,7 +173,7 @@ def cost_of(limb: Limb, text: str) -> Cost:
     Raises
     ------
     InputError
-        If the text names no cost.
+        If a part of the text does not name a cost, or its weight is not a number.
     """
     costs, weights, problems = [], [], []
     for part in text.split(","):

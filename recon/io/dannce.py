@@ -154,7 +154,7 @@ class _File:
             if kind >> 16:  # the size of an element of up to 4 bytes shares a word with the type
                 size, kind, begin, step = kind >> 16, kind & 0xFFFF, position + 4, 8
                 if size > 4:
-                    raise ValueError("an element larger than the one that contains it")
+                    raise ValueError("a short element with more than 4 bytes")
             else:
                 begin = position + 8
                 step = 8 + (size if packed and kind == _COMPRESSED else (size + 7) // 8 * 8)

@@ -341,7 +341,7 @@ CONVERTED = tuple(f for f in FORMATS if f.writes)
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
 TRACKS_COMPARED = 8
-"""Largest number of animals of a file that are searched for tracks that never overlap in time."""
+"""Largest number of animals in a file among which tracks that never overlap in time are searched for."""
 LIKELIHOOD_MARGIN = 0.5
 """Amount by which scores that are not probabilities, such as SLEAP's, may lie outside 0 to 1."""
 

@@ -215,7 +215,13 @@ def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> object:
-    """Return an attribute, with bytes unchanged."""
+    """Return an attribute with bytes unchanged, or None if it is absent.
+
+    Raises
+    ------
+    ValueError
+        If the attribute is neither a number nor a text, or is too large.
+    """
     if not h5py.h5a.exists(holder.id, name.encode()):
         return None
     stored = h5py.h5a.open(holder.id, name.encode())

@@ -190,7 +190,7 @@ def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
 
 
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
-    """Search for the angles (n,) of the standing leg, and return None if there are none.
+    """Search for the angles (n,) of the standing leg in rad, and return None if the search fails.
 
     The search starts from the middle of the limits, then from random angles within the limits.
     """

@@ -396,7 +396,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def margin_rad(self) -> Array:
-        """Return the smallest distance of each joint from its limits in rad, (joints,), negative beyond a limit."""
+        """Return the smallest distance (joints,) of each joint from its limits in rad, negative beyond a limit."""
         lower, upper, _ = self.robot.limits()
         return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
 

@@ -213,7 +213,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield the first row of each run of frames with the same flags, and its frame numbers and flags as texts."""
+    """Yield the first row of each run of flagged frames with the same flags, and frame numbers and flags as texts."""
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)

@@ -448,7 +448,7 @@ _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
-    """Draw the uncertainty and the fraction of the precision that comes from the pixels by position of a camera.
+    """Draw the uncertainty, and the fraction of the precision that comes from the pixels, by a camera's position.
 
     Each further camera has a panel, which assumes that the cameras of the panels before it are there.
     """

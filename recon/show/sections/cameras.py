@@ -44,7 +44,7 @@ def _camera_data(motion: Motion, index: int) -> dict[str, Any]:
 
 
 def _estimated(motion: Motion, index: int) -> dict[str, Any]:
-    """Return the estimated start, position, rotation and focal length of a camera, as far as the fit estimated them."""
+    """Return the uncertainty of a camera's time offset, and its estimated pose correction and focal length factor."""
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution):
         return {"time_offset_sigma_frames": 0.0, "extrinsic_correction": None, "focal": None}

@@ -81,7 +81,7 @@ def side_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def cleaning_data(motion: Motion) -> dict[str, Any]:
-    """Return the numbers of points that were left out before the fit, by reason."""
+    """Return how points were cleaned before the fit, with the numbers of points left out by reason."""
     cleaning = motion.cleaning
     plain = {name: getattr(cleaning, name) for name in ("likelihood_min", "frames", "frames_dropped", "inserted")}
     return plain | {"total": {count: cleaning.total(count) for count in COUNTS[1:]}, "notes": cleaning.notes}

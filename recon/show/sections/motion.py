@@ -171,7 +171,7 @@ def prior_data(motion: Motion) -> dict[str, Any]:
 
 
 def prior_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield a line with the fractions of the pose's precision that come from the video and from the prior."""
+    """Yield lines with the fractions of the pose's precision due to video and prior, and on a missing learned prior."""
     name, share = data["name"], data["mean_data_share"]
     if name == NO_PRIOR:
         name = "the skeleton's own expectations"

@@ -56,7 +56,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def alternative_data(motion: Motion) -> dict[str, Any] | None:
-    """Return how far a second solution is from the pose, and its cost, or None if there is no second solution."""
+    """Return the distance of a second solution from the pose and its additional cost, or None if there is none."""
     apart_m = finite(motion.alternative_m)
     if not len(apart_m):
         return None

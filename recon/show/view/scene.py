@@ -106,7 +106,7 @@ class Log:
         self.fix(entity, kind.from_fields(**style))
 
     def points(self, entity: str, positions: Array, is_shown: Bools, **style: Any) -> None:
-        """Write points (T, N, 2 or 3), without those that are not shown (T, N)."""
+        """Write the points (T, N, 2 or 3) that the mask `is_shown` (T, N) selects."""
         kind, counts = rr.Points2D if positions.shape[-1] == 2 else rr.Points3D, is_shown.sum(axis=1)
         rows = np.flatnonzero((counts > 0) | changes(counts > 0))
         self.send(entity, kind.columns(positions=positions[is_shown]).partition(counts[rows]), rows)
@@ -219,7 +219,7 @@ def joint_limbs(motion: Motion) -> Integers:
 def limb_strips(
     points: Array, limbs: Mapping[str, Sequence[int]], is_shown: Bools, with_classes: bool = False
 ) -> rr.ComponentColumnList:
-    """Return lines along the limbs of joints (T, J, 2 or 3), interrupted by joints that are not shown (T, J).
+    """Return lines along the limbs of joints (T, J, 2 or 3), interrupted where the mask `is_shown` (T, J) is False.
 
     `with_classes` gives each line its limb's number as a class.
     """
