@@ -277,10 +277,9 @@ def parsed(source: str) -> ast.Module:
 
 @cache
 def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
-    """Return the imports of a source text, including imports in functions, and its calls if one may import by a string.
+    """Return the import statements of a source text, and all calls if the text may import a module by its name.
 
-    Imports are statements. Expressions make up most of a syntax tree, and are walked only if the text may import by a
-    string.
+    Imports in functions are included. Expressions make up most of a syntax tree, and are walked only for calls.
     """
     tree = parsed(source)
     if "import_module" in source or "__import__" in source:

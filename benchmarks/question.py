@@ -88,7 +88,7 @@ def run_part(script: str, arguments: Sequence[str]) -> str | None:
 
 
 def keep(question: str, name: str, part: Part, arguments: Sequence[str], output: str) -> None:
-    """Store the tables and sentences that a part printed in the results of a question."""
+    """Store in the results of a question the tables and sentences that a part printed."""
     path = RESULTS / f"{question}.json"
     results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     tables, sentences = read_markdown(output)

@@ -121,7 +121,7 @@ def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least
 
 
 def seen_point(points: AuditedPoints, rows: slice, rng: np.random.Generator, moving: float = 0.0) -> int | None:
-    """Choose a random point that is known in `rows` and moves there by more than a fraction of the animal's size."""
+    """Choose a random point that is known in `rows` and moves there by more than `moving` times the animal's size."""
     known = points.known[rows].all(axis=0)
     path = np.linalg.norm(points.positions[rows.stop - 1] - points.positions[rows.start], axis=1)
     choice = np.flatnonzero(known & (np.nan_to_num(path) > moving * points.extent) & ~(points.stands & (moving > 0)))

@@ -61,7 +61,10 @@ def measured() -> dict[str, Rows]:
 
 
 def holds(rows: Rows, model: float) -> list[bool]:
-    """Return for each bone whether the 90 % interval contains the true length; `model` is the model's own error."""
+    """Return for each bone whether the 90 % interval contains the true length.
+
+    `model` is the model's own standard deviation, relative to the length.
+    """
     return [abs(error) < radius(INTERVAL) * float(np.hypot(sigma, model)) for _, error, sigma in rows]
 
 

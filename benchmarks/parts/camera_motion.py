@@ -198,7 +198,7 @@ def rows(video: Path, cases: Sequence[str]):
 
 
 LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
-"""Focal lengths in the camera files, relative to the true one; the last mistakes 60 degrees for 90."""
+"""Focal lengths in the camera files, relative to the true one; the last is for 90 instead of 60 degrees."""
 LENS_HEADER = ("video", "pan", "file", "frames", "error of found length", "sigma", "worst °", "sigma of the worst °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",

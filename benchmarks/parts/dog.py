@@ -99,7 +99,7 @@ def marker_gait(clip: Clip) -> Gait:
 
 
 def lengths(clips: Sequence[Clip]) -> Rows:
-    """Measure how constant the distances from joint to parent, and within chest and pelvis, are over the clips."""
+    """Measure how much the distances from joint to parent, and within chest and pelvis, vary over the clips."""
     names = clips[0].names
     pairs = [(names[p], n) for n, p in zip(names, clips[0].parents, strict=True) if p >= 0]
     pairs += [

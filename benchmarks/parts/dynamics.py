@@ -127,7 +127,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
 
 
 def force_summary(*found: ClipAnalysis) -> str:
-    """Return as text the number of complete strides, how many intervals contain 1, and the mean force."""
+    """Return the number of strides, of intervals that contain one body weight, and the mean force, as text."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
         return "none"

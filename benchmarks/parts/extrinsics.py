@@ -161,8 +161,9 @@ def sizes(runs: Sequence[Run]) -> list[dict]:
 def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rng: np.random.Generator) -> View:
     """Replace the detections of a view by the truth's projections plus parts of the detector's deviations.
 
-    The parts are the lasting deviation, a keypoint's median over the clip, and the rest, which is shuffled if `random`,
-    or replaced by white noise of the same size.
+    Each of the arguments is 0 or 1. `lasting` adds the lasting deviation, the median over the clip for each keypoint.
+    `passing` adds the rest of the deviations, in random order over the frames if `random` is 1 as well. `random` alone
+    adds white noise as large as the rest.
     """
     projected, valid = view.project(run.truth_m)
     seen = view.present & valid & np.isfinite(run.truth_m[..., 0])

@@ -41,7 +41,7 @@ from recon.testing.gallop import project_clip, whole_gallop
 JITTER_PX = 3.0
 DEG = np.pi / 180
 DOG_CLIPS = (("walk00", 250), ("walk01", 800), ("walk02", 660), ("walk03", 300), ("walk04", 300), ("run00", 340))
-"""Clips, and the first of `DOG_FRAMES` frames in each, in which the dog moves."""
+"""Name of each clip, and the first of the `DOG_FRAMES` frames that are used, in which the dog moves."""
 DOG_FRAMES = 200
 TURN = np.array([[np.cos(40 * DEG), -np.sin(40 * DEG), 0], [np.sin(40 * DEG), np.cos(40 * DEG), 0], [0, 0, 1]])
 """Rotation of the world about the vertical between the first camera and the second."""
@@ -70,7 +70,7 @@ def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
 
 
 def displaced_camera(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
-    """Return a second camera: the given one, displaced as if the world turned by `turn` (3, 3) about a point (3,)."""
+    """Return the camera displaced as if the world turned by `turn` (3, 3) about a point (3,), metres."""
     assert camera.rotation is not None
     assert camera.translation_m is not None
     offset_m = camera.rotation @ (middle_m - turn @ middle_m)

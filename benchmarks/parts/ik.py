@@ -195,7 +195,7 @@ def print_alphas() -> None:
 
 
 def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
-    """Move along the null space to the optimum of the method's cost, or of the energy if it has none."""
+    """Move along the null space to the optimum of the method's cost, or of the energy without a cost."""
     cost = method.cost if isinstance(method, ExtendedJacobian) else rotational_energy(chain)
     return to_null_space_optimum(chain, q, cost)[0]
 

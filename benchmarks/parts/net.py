@@ -157,7 +157,6 @@ def speed(args: argparse.Namespace, out: Path) -> None:
 
 
 def _settings(video: Path, threads: int | None) -> PredictSettings:
-    """Return the settings of a prediction whose result is not written to a file."""
     return PredictSettings(video=video, model=Path(), out=Path(), threads=threads)
 
 

@@ -1,4 +1,4 @@
-"""Compare correct and wrong clips with the limits of the checks of stretch, halves, focal length and clocks.
+"""Compare correct and wrong clips with the limits of the checks for stretched pictures, halves, lenses and clocks.
 
     python benchmarks/parts/one_step_limits.py [FOLDER] [--views 8]
 

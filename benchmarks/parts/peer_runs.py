@@ -1,6 +1,6 @@
 """Run other programs that triangulate (`peer_programs.py`) in an environment of their own, build/peers.
 
-If they are missing, they are installed in the versions of `PINNED`; without a network there are no results.
+Missing programs are installed in the versions of `PINNED`. There are no results without a network.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PINNED = (
     "statsmodels==0.15.0",
 )
 PINNED_ALONE = ("pose2sim==0.10.49",)
-"""Program to install without its dependencies that only videos, detection and OpenSim need."""
+"""Program to install without dependencies, because those not in `PINNED` are for videos, detection and OpenSim."""
 PROGRAMS = "aniposelib", "pose2sim"
 
 Result = tuple[np.ndarray, float, str]

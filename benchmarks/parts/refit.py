@@ -3,9 +3,9 @@
     python benchmarks/parts/refit.py [FRAMES ...]
 
 A simulated run around one camera (`long_clips.py`) is fitted, one detection is moved by 40 px, and `refit_clip` fits
-again as `recon fix` does after each click. The second value is the processor time, which does not depend on other
-programs on the machine. "difference" is the mean distance between the joints of this fit and of a fit from scratch with
-the same correction.
+again as `recon fix` does after each click. The table has wall-clock times and, in brackets, processor times, which do
+not depend on other programs on the machine. "difference" is the mean distance between the joints of this fit and of a
+fit from scratch with the same correction.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Test the frame method on the project's gallop with exact truth, clean at three headings and noisy with five seeds.
+"""Test the frame method on the simulated gallop, without noise at three headings and with noise from five seeds.
 
 python benchmarks/parts/sample_gallop.py
 """

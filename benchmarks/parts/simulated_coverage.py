@@ -22,9 +22,9 @@ are the motion capture of `dog.py`, without a learned prior, or the runs of `cam
 The solution is the joint maximum of motion and distance. At smaller distances, the same pixels need smaller angles,
 which the prior prefers, although fewer motions fit. The marginal distribution of the distance accounts for this by the
 determinant of the normal equations. The column "mode" has the expected shift of the distance from this effect; ranks
-are also given without the shift. A motion drawn as widely as the uncertainty assumes (0.16 s) has four times the misfit
-of real motions, whose misfit needs --motion-s 0.04. The noise of real detections lasts for some frames, as with
---noise-s 0.035.
+are also given without the shift. A motion drawn as widely as the uncertainty assumes (0.16 s) has a larger misfit than
+real motions; --motion-s 0.04 gives the misfit of real motions. The noise of real detections lasts for some frames, as
+with --noise-s 0.035.
 """
 
 from __future__ import annotations

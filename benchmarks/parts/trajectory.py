@@ -349,7 +349,6 @@ def _frame_method(runs: Sequence[Path], metas: Sequence[dict]) -> dict:
 
 
 def _published_methods(runs: Sequence[Path], metas: Sequence[dict]) -> Iterator[dict]:
-    """Summarise the errors of the published methods for the named views."""
     for name in metas[0].get("published", {}):
         published = [meta["published"][name] for meta in metas]
         earlier = [p for p, run in zip(published, runs, strict=True) if not run.name.startswith("2019")]

@@ -3,7 +3,7 @@
     python benchmarks/parts/true_camera.py [--jobs 2] [--views 6]
 
 The clips of wrong_inputs.py (every view and pair of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of
-../shared/data; --views n: every n-th) are fitted with the wrong inputs that change nothing but the camera file. Where
+../shared/data; --views n: every n-th) are fitted with the wrong inputs that change nothing but the camera file. If
 the verdict is "use" although the error of pose or position is above the upper end of its stated interval, the same
 keypoints are fitted with the right file. No test can gain more than the right file does, because a test has to search
 for the right camera.
@@ -47,7 +47,7 @@ KINDS = {
 }
 """Cases of wrong_inputs.py with the keypoints of the right input and a wrong camera file."""
 CLEAR = 3.0
-"""Log-likelihood gain above which the right file would clearly win."""
+"""Log-likelihood gain above which the right file counts as clearly more likely."""
 
 
 def log_likelihood(motion: Motion) -> float:

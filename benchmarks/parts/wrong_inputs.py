@@ -503,7 +503,7 @@ def middle(n: int) -> Change:
 def beyond_edge(comes: bool) -> Change:
     """Return a change that removes the points beyond an edge, as if the animal came into the picture or left it.
 
-    The edge is at the animal's middle after a quarter of the clip if it comes, or after three quarters if it leaves.
+    The edge is at the animal's middle after a quarter of the clip if `comes`, otherwise after three quarters.
     """
 
     def change(clip: Clip, given: Given) -> Given:

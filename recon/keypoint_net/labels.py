@@ -309,7 +309,7 @@ PARTS = ("train", "validation", "test")
 MIN_BLOCKS = 10
 """Minimum number of blocks of consecutive pictures into which the labels are divided. Whole blocks are held out.
 
-Successive pictures look similar, so a single held-out picture would almost equal a picture of the training.
+Successive pictures look similar, so a single held-out picture would be almost the same as a training picture.
 """
 
 

@@ -426,7 +426,7 @@ USUAL_STEPS = 1000
 With `USUAL_PICTURES`, the network has an error of 1.1 px in `python benchmarks/net.py --only circle`.
 """
 USUAL_PICTURES = 40
-"""Number of labelled pictures of a useful network, in the benchmark of `USUAL_STEPS`."""
+"""Number of labelled pictures needed to train a useful network, as in the benchmark of `USUAL_STEPS`."""
 MEASURED_ERRORS = (
     (5, "on a rendered film of an animal 101 px long", "1.8 px"),
     (10, "on a rendered film of an animal 101 px long", "1.2 px"),
@@ -527,7 +527,6 @@ def _errors_of_part(
 
 
 def _write_suspicious(suspects: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write a table of the labels that are probably wrong, with the reasons."""
     digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
     table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
     for name, decimals in digits.items():

@@ -101,7 +101,7 @@ def render_frames(
 
 
 def _parts() -> list[tuple[str, str, float, float, float]]:
-    """Return all parts of the body in the form of `PARTS`, including those of the legs."""
+    """Return all parts of the body in the form of `PARTS`, including the parts of the legs."""
     parts = list(PARTS)
     for side in "lr":
         for leg, root in (("front", "shoulder"), ("back", "hip")):

@@ -182,7 +182,7 @@ class ForceErrors:
     rms_bw: float
     """RMS error in body weights of single feet's forces in stances that are complete in the clip."""
     timed_rms_bw: float
-    """RMS error in body weights as `rms_bw`, if the true times of touch-down and lift-off are given."""
+    """The error `rms_bw` in body weights if the true times of touch-down and lift-off are given."""
     inside: float
     """Fraction of the true forces within the analysis' 90 % intervals."""
 

@@ -48,7 +48,7 @@ def walking_person(frames: int, fps: float, speed_m_s: float = 1.0, strides_hz: 
 
 
 def running_mouse(frames: int, fps: float) -> Array:
-    """Return states (T, D) of a `mouse-top` on a curved path through an open field, with its back at 25 mm."""
+    """Return states (T, D) of a `mouse-top` on a curved path, with its back 25 mm above the ground."""
     body = load_skeleton("mouse-top")
     time_s, rng = np.arange(frames) / fps, np.random.default_rng(3)
     states = np.zeros((frames, body.n_state))

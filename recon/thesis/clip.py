@@ -77,7 +77,7 @@ class SolverSettings(Settings):
 
     @property
     def out_folder(self) -> Path:
-        """Return the folder of the outputs."""
+        """Return the folder for tables and figures, by default `solver` in the results folder."""
         return self.folder / FOLDER if self.out is None else self.out
 
 

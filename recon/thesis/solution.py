@@ -168,7 +168,7 @@ class FrameSolution(Solution):
 
     @property
     def posterior_factor(self) -> float:
-        """Return the factor, which grows with the priors' misfit, by which the poses' uncertainty is raised."""
+        """Return the factor on the poses' uncertainty, which grows with the priors' misfit."""
         return FRAME_BY_FRAME * max(1.0, self.prior_misfit)
 
     def reported(self, field: str) -> Array:
@@ -328,7 +328,6 @@ def _body_angles(
 
 
 def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
-    """Return the quality flags of each of the T frames."""
     (view,), reports, J = solution.views, solution.reports, len(solution.chain.joints)
     sigma_px, trust = solution.noise_px[0], solution.reported("mean_weight")
     present = view.present.sum(axis=1)

@@ -42,7 +42,7 @@ class Travel:
 
 
 def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: float) -> Travel:
-    """Return the heading and the speed in every frame, assuming a straight path for about one second at a time.
+    """Return the heading and the speed in every frame, assuming a straight path within about one second.
 
     Stretches without five joints in at least five frames get the heading of the nearest stretch that has them.
 
