@@ -66,7 +66,7 @@ class Run:
     note: str
     """Reason why the target was not reached: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
 
-    Along a path, the note states the first problem and the step at which it occurred. It is empty without a problem.
+    Along a path, the note states the first problem and its step. Without a problem, the note is empty.
     """
 
     @property

@@ -338,7 +338,7 @@ def _path_of(
 def stride_duration_range_s(gait: Gait) -> tuple[float, float]:
     """Return the shortest and longest possible duration of a stride if the clip has no complete one, in seconds.
 
-    Both are close to the stride duration that the gait suggests, if this is shorter than the clip. Otherwise, if no
+    Both durations are close to the one that the gait suggests, if it is shorter than the clip. Otherwise, if no
     foot lands twice, the stride lasts at least from the first touch-down to the end of the clip, to within half a
     frame.
     """

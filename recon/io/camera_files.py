@@ -477,8 +477,7 @@ def _read_file_storage(path: Path, text: str) -> Json:
 def _with_indented_lists(text: str) -> str:
     """Indent the lists of YAML below their keys, because OpenCV requires this indent and PyYAML does not write it."""
     lines: list[str] = []
-    indents: list[int] = []
-    """Indentation of each open list that was not indented."""
+    indents: list[int] = []  # indentation of each open list that was not indented
     key_indent = None
     for line in text.splitlines():
         indent, is_item = len(line) - len(line.lstrip(" ")), re.match(r" *-(\s|$)", line) is not None

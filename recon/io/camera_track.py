@@ -4,7 +4,7 @@
   deviation of a rotation, in any order. Other columns are ignored. Unit quaternion and translation take points from the
   world to the camera, X_camera = R X_world + t. The camera's position may be in x, y, z instead of tx, ty, tz: then the
   quaternion takes points from the camera to the world, X_world = R X_camera + (x, y, z).
-- COLMAP: images.txt with cameras.txt in the same folder, or that folder. Frame numbers are the last digits of the
+- COLMAP: images.txt with cameras.txt in the same folder, or the folder itself. Frame numbers are the last digits of the
   images' names. (0, 0) is the corner of the first pixel in COLMAP and its centre in recon, so half a pixel is
   subtracted.
 - OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' positions in UTM. Frame

@@ -296,7 +296,7 @@ _BY_DEEPLABCUT = (
 )
 """Names that DeepLabCut (3.0, 2026) assigns to the points in the network's order.
 
-They belong to another list, so the left front paw is called "neck".
+The names belong to another list, so the left front paw is called "neck".
 """
 ANIMAL3D = (
     "left_eye right_eye mouth_mid left_front_paw right_front_paw left_back_paw right_back_paw tail_base "

@@ -192,7 +192,7 @@ def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _stamp(text: str) -> tuple[datetime, float] | None:
-    """Return a time stamp without its fraction of a second, and the fraction, which may have many digits."""
+    """Return a time stamp without its fraction of a second, and the fraction, or None if the text is no time stamp."""
     match = re.fullmatch(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:[.,](\d+))?(Z|[+-]\d\d:?\d\d)?", text)
     if match is None:
         return None

@@ -90,8 +90,8 @@ class RetargetSettings(Settings):
     table, a figure and advice.
     """
     fit_limits: bool = False
-    """Change stride, duration and base path as little as needed for the robot to perform the motion, and those of
-    --samples; check the motion before and after. Needs MuJoCo (the extra robots).
+    """Change stride, duration and base path of the motion, and of the motions of --samples, as little as needed for
+    the robot to perform them, and check before and after. Needs MuJoCo (the extra robots).
     """
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False

@@ -110,7 +110,7 @@ def size_data(motion: Motion) -> dict[str, Any]:
 
 
 def _shape_data(shape: SolvedShape | None) -> dict[str, Any] | None:
-    """Return medians of the estimated lengths and keypoint offsets and of their standard deviations."""
+    """Return the number of estimated lengths, their median relative uncertainty, and the median keypoint offset."""
     if shape is None:
         return None
     return {

@@ -1,4 +1,4 @@
-"""Write a motion as a rerun recording for playback, and open the viewer on such a file.
+"""Write a motion as a rerun recording for playback, and open a recording in rerun's viewer.
 
 The recording has the following entities. Entities without "(static)" have a row per frame, which is empty if the frame
 has no pose. States and points that are often absent have rows only where they change, and ellipsoids have a new shape
