@@ -469,7 +469,7 @@ class _FileOfClip(NamedTuple):
 
 
 def _clip_key(draft: _Draft) -> tuple[Path, str, str]:
-    """Return the key that all files of one clip share: folder, name without the camera, and settings."""
+    """Return folder, name without the camera, and settings, which are equal for all files of one clip."""
     row = {name: value for name, value in draft.row.items() if name != "camera_name"}
     return draft.title.parent, draft.title.name.casefold(), repr(row)
 

@@ -320,7 +320,7 @@ def _scaled_to_height(body: Body, height_m: float) -> Body:
 def _cleaned(
     body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, later_frames: float
 ) -> Source:
-    """Return the source of a file as `cleaned_source` does, if the file has enough keypoints of the body."""
+    """Return the source of a file (`cleaned_source`), or raise InputError if it has too few keypoints of the body."""
     _, source = collect_problems(
         lambda: _require_keypoints_of(body, file),
         lambda: cleaned_source(settings, fps, file, clip_camera, later_frames),

@@ -491,7 +491,7 @@ def replaced_files(config: Path, options: Mapping[str, Any], settings: FitSettin
 
 
 def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
-    """Return the input files that the config.toml names, without those named by options."""
+    """Return the input files that config.toml names, except files that the options replace."""
     return {role: path for role, path in input_files(settings).items() if options.get(role.split()[0]) is None}
 
 

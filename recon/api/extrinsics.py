@@ -32,10 +32,7 @@ MAX_CHI_SQUARED = 16.0
 By chance, 1 camera in 70 exceeds this limit (chi-squared with 6 degrees of freedom).
 """
 MAX_TURN_SIGMA_DEG = 10.0
-"""Standard deviation of a camera's rotation, degrees, above which the clips do not determine its pose.
-
-The limit is measured by benchmarks/cameras.py.
-"""
+"""Standard deviation of a camera's rotation, degrees, above which its pose counts as unknown; an assumption."""
 LEAST_MOVED = 0.5
 """Minimum path of the animal in a picture, in body lengths. An animal that stands and sways moves less."""
 

@@ -258,7 +258,6 @@ class LabelSession:
         return LabelledFrames(self.video.stem, self.scorer, self.names, numbers, xy_px, **properties)
 
     def _write_pictures(self) -> None:
-        """Write the pictures of frames that are missing in the folder."""
         labels = self._labels()
         lacking = [f for f in self.frames if not (self.output.folder / labels.picture(f)).is_file()]
         if not lacking:

@@ -43,7 +43,7 @@ def damage_as_input_error(source: str | Path, expected: str, field: str = "conte
     """
     try:
         yield
-    except (InputError, AssertionError, NameError, ImportError):  # these exceptions are not the file's fault
+    except (InputError, AssertionError, NameError, ImportError):  # errors of the program, not of the file
         raise
     except UnicodeDecodeError as error:
         raise InputError(Problem(source, field, f"bytes that are not {error.encoding.upper()}", expected)) from None

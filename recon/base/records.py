@@ -80,7 +80,7 @@ def load_record(
     classes: Classes | None = None,
     older_versions: tuple[int, ...] = (),
 ) -> _Class:
-    """Return the object that `save_record` wrote, of a given class.
+    """Return the object of class `record_class` that `save_record` wrote.
 
     `expected` describes the file in messages, `classes` are the subclasses that the file may contain, and
     `older_versions` are further versions of the schema that can be read.

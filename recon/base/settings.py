@@ -1,7 +1,7 @@
 """Describe the settings of each command by one class, from which options, help and the Python interface follow.
 
-A setting is one field: its type limits its values, the text below it is its help, and an `Option` in its `Annotated`
-adds what else the command line needs.
+A setting is one field. The type of the field limits the values, and the text below the field is the help. An `Option`
+in `Annotated` adds what else the command line needs.
 
     class ViewSettings(Settings):
         folder: Annotated[Path, Option(argument="DIR")]

@@ -121,7 +121,6 @@ _COUNTS = "animals", "runs", "strides"
 
 
 def _value(value: float, low: float, high: float) -> tuple[str, str]:
-    """Return a value and the ends of its interval, as text."""
     text, _, ends = interval(value, low, high).partition(" (")
     return text, ends.rstrip(")")
 

@@ -59,7 +59,6 @@ class _Check:
     """Advice, unless the status is ok."""
 
     def to_dict(self) -> dict[str, str]:
-        """Return the fields for --json."""
         return {"name": self.name, "status": self.status, "found": self.state, "hint": self.hint}
 
 

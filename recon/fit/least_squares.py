@@ -93,8 +93,8 @@ class Estimate:
 class LeastSquares:
     """Least-squares problem of the terms (`recon.fit.terms`) of a clip, with unknowns that all frames share.
 
-    The attribute `shared` holds the free unknowns. The methods take their values as `shared`, by default the expected
-    values. `nuisance` unknowns stay at their expected values and count only in the posterior.
+    The attribute `shared` holds the free unknowns. The argument `shared` of the methods holds values of these unknowns,
+    by default the expected values. `nuisance` unknowns stay at their expected values and count only in the posterior.
     """
 
     tree: Tree

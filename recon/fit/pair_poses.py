@@ -1,13 +1,16 @@
 """Compare hypotheses about the poses of two cameras: well calibrated, turned about some of their axes, or moved.
 
-The detections of two cameras do not determine all errors of their poses. A turn of one camera about the vertical is
-visible only in the animal's apparent size, and it often remains unclear which of the two cameras is turned. The errors
-have heavy tails. About each axis of each camera, the rotation error is small, as after a good calibration, or much
-larger, with probability `constants.TURNED_SHARE`. One of the two cameras may also have been moved. A hypothesis states
-about which axes the cameras are turned, and whether one of them was moved. Under each hypothesis, the likelihood and
-the prior of the errors are Gaussian, so the marginal likelihood and the posterior of the errors have a closed form. The
-poses are then the mean over all hypotheses, which has the smallest expected error. If it is unclear which of the two
-cameras is turned, each is turned by half.
+The detections of two cameras do not determine all errors of the cameras' poses. For example, a turn of one camera about
+the vertical is visible only in the animal's apparent size, and it often remains unclear which of the two cameras is
+turned.
+
+**Hypotheses.** A hypothesis states about which axes the two cameras are turned, and whether one of the cameras was
+moved. The error of a rotation about an axis is either small, as after a good calibration, or much larger, with the
+probability `constants.TURNED_SHARE`.
+
+**Idea.** Under each hypothesis, the likelihood and the prior of the errors are Gaussian, so the marginal likelihood and
+the posterior of the errors have a closed form. The poses are then the mean over all hypotheses, which has the smallest
+expected error. If it is unclear which of the two cameras is turned, each is turned by half.
 """
 
 from __future__ import annotations

@@ -210,7 +210,7 @@ def curvature(
     """Return the curvature of a problem at its solution, with the nuisance unknowns free.
 
     The variance of the common keypoint bias is estimated from the detections. Either of two cameras may have been
-    turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`); `expected_precision` does not
+    turned or moved, which makes their poses more uncertain (`recon.fit.pair_poses`). `expected_precision` does not
     include this uncertainty. `normal` holds the problem's normal equations with the nuisance unknowns, if they have
     been computed already.
     """
@@ -241,7 +241,7 @@ def curvature(
 def _shared_curvature(
     problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None
 ) -> _SharedCurvature:
-    """Return the curvature of the shared unknowns of a problem without nuisance unknowns."""
+    """Return the curvature of the shared unknowns of a problem, in which the nuisance unknowns are already free."""
     shared = problem.expected() | dict(estimate.shared)
     normals = problem.normals(estimate.states, shared) if normal is None else lambda: [normal]
 
@@ -300,7 +300,7 @@ def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
 def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
     """Return the most likely factor, at least 1, on the expected variances of the shared unknowns in `columns`.
 
-    The factor is found by expectation-maximisation: the expected squares of the unknowns under their posterior give the
+    The factor is found by expectation-maximisation. The expected squares of the unknowns under their posterior give the
     factor, which in turn gives their posterior.
     """
     rest = np.delete(np.arange(len(g)), columns)
@@ -332,7 +332,7 @@ def _with_reestimated_noise(
         return problem, None
     equations, shared = _EquationsByNoise.of_problem(problem, estimate), dict(estimate.shared)
     counts = np.sum([term.view.present.sum(axis=1) for term in _reprojections(problem)], axis=0)
-    rows = densest_window(counts, 2 * problem.piece)  # a longer clip shows the noise in these frames as well
+    rows = densest_window(counts, 2 * problem.piece)  # enough frames to show the noise of a longer clip
     all_squares = problem.subset(("reprojection",)).squares(estimate.states, estimate.shared, rows)
     detections = 2 * int(counts[rows].sum())
     factor, scaled = 1.0, problem

@@ -175,7 +175,7 @@ class _Residuals:
         return np.asarray(self.weight * np.sum(self.error_px**2, axis=-1) / self.noise_px**2)
 
     def off_px(self, deviation: Array) -> Array:
-        """Return the errors (..., T, J, 2) that remain after deviations (..., T, J, 3), pixels, NaN if missing."""
+        """Return the errors in pixels, (..., T, J, 2), without deviations (..., T, J, 3) in m; NaN if missing."""
         remaining_px = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
         return np.where(self.weight[..., None] > 0, remaining_px, np.nan)
 

@@ -1,10 +1,13 @@
 """Fit the shape of one animal and the offsets of its detector to clips filmed by several cameras.
 
-All clips share the lengths of the body's segments, left equal to right, as factors on the skeleton's, and the distances
-of the detector's keypoints from the markers. Each clip is solved for a given shape. At its minimum the states are
-eliminated from the normal equations (`recon.fit.banded`), S = C - B' H^-1 B, and the shape takes the Gauss-Newton step
-of the sum over the clips and the prior of the shape. A few rounds of solving the clips and changing the shape lead to
-the minimum over all unknowns. The inverse of the summed curvature is the shape's covariance.
+**Input and output.** The clips show the same animal. `fit_shape` returns the lengths of the body's segments and the
+offsets of the detector's keypoints from the markers, with their covariance (`ShapeFit`). Lengths are factors on the
+lengths of the skeleton, and equal on the left and on the right.
+
+**Method.** Each clip is solved for a given shape. At the minimum, the states are eliminated from the normal equations
+(`recon.fit.banded`), S = C - B' H^-1 B. The shape then takes the Gauss-Newton step of the sum over all clips and the
+prior of the shape. A few rounds of solving the clips and changing the shape lead to the minimum over all unknowns. The
+inverse of the summed curvature is the covariance of the shape.
 """
 
 from __future__ import annotations
