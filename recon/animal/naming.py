@@ -196,7 +196,7 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
     """Return the names of the built-in maps that increase the number of wanted names, the best map first."""
     wanted = {*wanted}
     shares = {name: load_names(name).common(names, wanted) for name in builtin_maps()}
-    better = [name for name, share in shares.items() if share > len({*names} & wanted)]
+    better = [name for name, fraction in shares.items() if fraction > len({*names} & wanted)]
     return sorted(better, key=lambda name: -shares[name])
 
 

@@ -154,11 +154,11 @@ def _mixture(
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
     with warnings.catch_warnings(action="ignore"):  # repeated poses can leave a cluster empty
         _, nearest = kmeans2(scaled, components, _K_MEANS_ITERATIONS, minit="++", rng=rng)
-    share = np.eye(components)[nearest]
+    fraction = np.eye(components)[nearest]
     for _ in range(_EM_ITERATIONS):
-        density = log_densities(poses, *_mixture_parameters(poses, share, shrink, extra))
-        share = np.exp(density - logsumexp(density, axis=1, keepdims=True))
-    return _mixture_parameters(poses, share, shrink, extra)
+        density = log_densities(poses, *_mixture_parameters(poses, fraction, shrink, extra))
+        fraction = np.exp(density - logsumexp(density, axis=1, keepdims=True))
+    return _mixture_parameters(poses, fraction, shrink, extra)
 
 
 def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array) -> tuple[Array, Array, Array]:

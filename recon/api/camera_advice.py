@@ -50,11 +50,11 @@ def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
     """Yield sentences on the best position of the camera, or of the first and the second camera."""
     for number, advice in enumerate(advice_by_camera, start=1):
         camera = "the camera" if len(advice_by_camera) == 1 else f"camera {number}"
-        share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
+        fraction, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
         yield (
             f"Put {camera} {direction_text(*advice.position)}, "
             f"{advice.distance_m * np.sin(advice.position[1]):.2g} m above its "
-            f"middle and {advice.distance_m:.3g} m away: {percent(share)} of the precision of {advice.target} "
+            f"middle and {advice.distance_m:.3g} m away: {percent(fraction)} of the precision of {advice.target} "
             f"comes from the pixels, ±{in_words(sigma, advice.unit)}."
         )
     first = advice_by_camera[0]

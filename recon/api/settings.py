@@ -233,8 +233,8 @@ class FitSettings(Settings):
         if match:
             hfov_deg, sigma_deg = map(float, match.groups())
             # The focal length is proportional to the cotangent of half the angle.
-            share = math.radians(sigma_deg) / math.sin(math.radians(hfov_deg)) if 0 < hfov_deg < 180 else None
-            values |= {"focal_sigma": values.get("focal_sigma", share), "hfov_deg": hfov_deg}
+            fraction = math.radians(sigma_deg) / math.sin(math.radians(hfov_deg)) if 0 < hfov_deg < 180 else None
+            values |= {"focal_sigma": values.get("focal_sigma", fraction), "hfov_deg": hfov_deg}
         return arguments
 
     @classmethod

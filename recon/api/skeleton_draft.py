@@ -328,7 +328,7 @@ def draft_from_points(
         "Look at it with recon skeleton check, and give its segments names.",
     ]
     keypoint_sigma_m, bias_m = (
-        share * distances.length_m for share in (KEYPOINT_SIGMA_FRACTION, MARKER_SIGMA_FRACTION)
+        fraction * distances.length_m for fraction in (KEYPOINT_SIGMA_FRACTION, MARKER_SIGMA_FRACTION)
     )
     marker_sigma_m = math.hypot(bias_m, _bending_m(parts, distances))
     head = [labels[rear], labels[front]], round(keypoint_sigma_m, 5), round(marker_sigma_m, 5), SIZE_SIGMA

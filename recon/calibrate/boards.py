@@ -255,8 +255,8 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
     is_video, sizes = _is_video(files[0]), dict[str, tuple[int, int]]()
     problems, names_without, views_found = list[Problem](), list[str](), list[BoardView]()
     sharpness, outlines = list[float](), list[Array]()
-    for name, share, image in _frames(files[0]) if is_video else _images(files):
-        progress("looking for the board", share)
+    for name, fraction, image in _frames(files[0]) if is_video else _images(files):
+        progress("looking for the board", fraction)
         if image is None:
             problems.append(Problem(name, "file", "OpenCV cannot read this picture", ", ".join(IMAGE_SUFFIXES)))
             continue

@@ -154,8 +154,8 @@ def precision_of(
     result = posterior(problem, body, estimate, max(constants.ERROR_TIME_S * FPS, 1.0))
     if target in body.state_names[4:]:
         column = body.state_names[3:].index(target)
-        sigma, share = np.sqrt(result.angle_variance[0][:, column]), result.angle_data_share[:, column]
-        return float(np.median(sigma)), float(np.median(share))
+        sigma, fraction = np.sqrt(result.angle_variance[0][:, column]), result.angle_data_share[:, column]
+        return float(np.median(sigma)), float(np.median(fraction))
     markers = slice(None) if target is None else [body.markers.index(target)]
     variance = np.trace(result.relative_covariance_m2[:, markers], axis1=2, axis2=3).mean(axis=1)
     return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[markers]))

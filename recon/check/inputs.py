@@ -342,8 +342,8 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
     for a, b in combinations(sources, 2):
         identical, in_both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
         if _exceeds_chance(identical, in_both):
-            names, share = (a.camera.name, b.camera.name), float(identical.sum() / in_both.sum())
-            yield finding("same_keypoints", cameras=names, share=share)
+            names, fraction = (a.camera.name, b.camera.name), float(identical.sum() / in_both.sum())
+            yield finding("same_keypoints", cameras=names, share=fraction)
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
@@ -391,8 +391,8 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
     is_moving = travel > 0
     is_straight = is_moving & (bend < np.minimum(MAX_BEND_PX, MAX_BEND_STEPS * travel))
     if _exceeds_chance(is_straight, is_moving):
-        share = float(is_straight.sum() / is_moving.sum())
-        return [finding("detections_interpolated", camera=camera, share=share)]
+        fraction = float(is_straight.sum() / is_moving.sum())
+        return [finding("detections_interpolated", camera=camera, share=fraction)]
     is_curved, is_cubic = bend[1:-1] > CURVED_PX, np.zeros_like(is_moving[1:-1])
     if len(xy_px) > _CUBIC_FRAMES:
         fourth_px = np.linalg.norm(np.diff(xy_px, 4, axis=0), axis=-1)

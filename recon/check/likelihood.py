@@ -235,8 +235,8 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
     clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
     views = [
-        replace(half_view, confidence=half_view.confidence * share, offset_frames=0.0)
-        for half_view, share in zip((baseline.view, mirrored), shares, strict=True)
+        replace(half_view, confidence=half_view.confidence * fraction, offset_frames=0.0)
+        for half_view, fraction in zip((baseline.view, mirrored), shares, strict=True)
     ]
     projected, sigma_px = np.full(mirrored.xy_px.shape, np.nan), np.full(mirrored.confidence.shape, np.nan)
     for rows in (slice(first, stop) for first, stop in frame_ranges(posed)):

@@ -109,9 +109,9 @@ def many_outliers(motion: Motion) -> Iterator[Finding]:
     used = sum(int(picture.present.sum()) for picture in motion.pictures)
     gross = sum(source.cleaning.left_out.count(GROSS_REASON) for source in motion.sources)
     count = _outliers(motion)[0] + gross
-    share = count / max(used + gross, 1)
-    if share > MANY_OUTLIERS:
-        yield finding("many_outliers", count=count, share=share)
+    fraction = count / max(used + gross, 1)
+    if fraction > MANY_OUTLIERS:
+        yield finding("many_outliers", count=count, share=fraction)
 
 
 def detections_not_explained(motion: Motion) -> Iterator[Finding]:
@@ -158,8 +158,8 @@ def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
     outlier_counts = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
     rows = np.flatnonzero(outlier_counts > np.maximum(MIN_OUTLIER_FRACTION * used, KEYPOINT_LEAST))
     if len(rows):
-        names, share = tuple(motion.names[j] for j in rows), float(outlier_counts[rows].sum() / used[rows].sum())
-        yield finding("keypoints_do_not_fit", keypoints=names, share=share, used=int(used[rows].sum()))
+        names, fraction = tuple(motion.names[j] for j in rows), float(outlier_counts[rows].sum() / used[rows].sum())
+        yield finding("keypoints_do_not_fit", keypoints=names, share=fraction, used=int(used[rows].sum()))
 
 
 def camera_taken_level(motion: Motion) -> Iterator[Finding]:
@@ -193,11 +193,11 @@ def many_left_out(motion: Motion) -> Iterator[Finding]:
         return
     used, rejected = (sum(source.cleaning.total(name) for source in motion.sources) for name in ("used", "rejected"))
     unlikely, outliers = sum(map(_unlikely, motion.sources)), _outliers(motion)[0]
-    share = (rejected + outliers) / max(used + rejected, 1)
-    if share > MANY_FRAMES:
+    fraction = (rejected + outliers) / max(used + rejected, 1)
+    if fraction > MANY_FRAMES:
         counts = {"of low likelihood": unlikely, "outliers": outliers, "far outside": rejected - unlikely}
         reasons = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count)
-        yield finding("many_left_out", share=share, reasons=reasons)
+        yield finding("many_left_out", share=fraction, reasons=reasons)
 
 
 def _unlikely(source: Source) -> int:
@@ -298,9 +298,9 @@ def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
     if any(segment.unlike_prior for segment in solution.segments) and not is_rate_explained:
         misfit = max(segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None)
         weight = min(segment.prior_weight for segment in solution.segments)
-        share = _outliers(motion)[1]
-        if share > MAX_EXPLAINED_OUTLIERS:
-            yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=share)
+        fraction = _outliers(motion)[1]
+        if fraction > MAX_EXPLAINED_OUTLIERS:
+            yield finding("motion_unexplained", prior=solution.prior, misfit=misfit, share=fraction)
             return
         numbers = {"prior": solution.prior, "misfit": misfit, "limit": constants.MISFIT_LEVEL, "weight": weight}
         yield finding("motion_unlike_prior", **numbers)

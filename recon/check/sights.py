@@ -76,8 +76,8 @@ def _shifted(values: Array, frames: float) -> Array:
     rows = np.arange(T) - np.array([[whole], [whole + 1]])
     inside = ((rows >= 0) & (rows < T)).reshape(2, T, *[1] * (values.ndim - 1))
     first, second = np.where(inside, values[rows.clip(0, T - 1)], np.nan)
-    share = frames - whole
-    return (1 - share) * first + share * second if share else first
+    fraction = frames - whole
+    return (1 - fraction) * first + fraction * second if fraction else first
 
 
 def sights_of(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> list[Sight]:

@@ -153,12 +153,12 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
             moved_others = np.delete(moved, k)
             typical = float(np.nanmedian(moved_others)) if np.isfinite(moved_others).any() else 0.0
             # In coarse coordinates, the position of a foot does not change until the body has passed over it.
-            share = (
+            fraction = (
                 MIN_FOOT_MOVEMENT
                 if points.stands[k] and points.resolution > COARSE_STEP * points.extent
                 else MIN_MOVEMENT
             )
-            least = max(MIN_ROUNDING_STEPS * points.resolution, share * points.extent)
+            least = max(MIN_ROUNDING_STEPS * points.resolution, fraction * points.extent)
             if typical > least and stop - first > worst[0]:
                 worst, point = (stop - first, first - 1, stop), k
     if point >= 0:
@@ -271,8 +271,8 @@ def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     changes = _speed_changes(points.positions * scale, points.follows)
     if np.isfinite(changes).sum() >= LEAST_CHANGES:
-        gain, share = missing_gain(changes)
-        yield Measure("frames_dropped", gain, None, {"share": share})
+        gain, fraction = missing_gain(changes)
+        yield Measure("frames_dropped", gain, None, {"share": fraction})
 
 
 def _speed_changes(tracks: Array, follows: Bools) -> Array:
@@ -438,9 +438,9 @@ def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
     if len(up) < MIN_COUNT:
         return
     direction = np.median(up, axis=0)
-    share = direction[1] / max(float(np.linalg.norm(direction)), 1e-9)
+    fraction = direction[1] / max(float(np.linalg.norm(direction)), 1e-9)
     if np.linalg.norm(direction) > 0.1 * points.extent:
-        yield Measure("keypoints_y_up", float(share))
+        yield Measure("keypoints_y_up", float(fraction))
 
 
 def mean_of_known(values: Array) -> Array:

@@ -29,7 +29,7 @@ def _error_table(result: dict[str, Any]) -> Table:
 
     def add_row(name: str, score: dict[str, Any], last: bool = False) -> None:
         cells = [str(score["points"]), percent(score["found"]), f"{score['rmse_px']:.2f}", f"{score['median_px']:.2f}"]
-        cells += [percent(share) for share in (*score["pck_px"].values(), *score["pck_relative"].values())]
+        cells += [percent(fraction) for fraction in (*score["pck_px"].values(), *score["pck_relative"].values())]
         row = (cell.replace("nan %", "-").replace("nan", "-") for cell in cells)
         table.add_row(Text(name), *row, end_section=last)
 

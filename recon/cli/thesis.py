@@ -65,4 +65,4 @@ def _solver_lines(summary: dict[str, Any]) -> Iterator[str]:
     total = sum(costs.values()) or 1.0
     parts = {name: costs.get(term, 0.0) / total for name, term in PUBLISHED.items()}
     parts["priors and other terms"] = max(1.0 - sum(parts.values()), 0.0)
-    yield f"Fractions of the cost: {', '.join(f'{name} {percent(share)}' for name, share in parts.items())}."
+    yield f"Fractions of the cost: {', '.join(f'{name} {percent(fraction)}' for name, fraction in parts.items())}."

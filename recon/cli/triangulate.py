@@ -61,9 +61,9 @@ def _lines(out: Path, summary: Mapping[str, Any]) -> Iterator[str | Table]:
     yield table_of("camera", numbers=("median error, px", "detections", "left out as outliers"), rows=rows)
     for name, camera in summary["cameras"].items():
         if camera["left_out"] > MANY_LEFT_OUT * max(camera["compared"], 1):
-            share = camera["left_out"] / camera["compared"]
+            fraction = camera["left_out"] / camera["compared"]
             yield (
-                f"{percent(share)} of the detections of {name} disagree with the other cameras. "
+                f"{percent(fraction)} of the detections of {name} disagree with the other cameras. "
                 "recon fit tests which camera is turned, late or exchanged."
             )
     if not summary["knows_up"]:

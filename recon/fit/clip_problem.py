@@ -407,8 +407,8 @@ class ClipProblem:
     def _single_length_sigmas(self) -> Array:
         """Return the relative standard deviations (L,) of the lengths, which a fit of one camera cannot estimate."""
         assert self.shape is not None
-        share = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
-        return np.full(len(self.shape.lengths), share)
+        fraction = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
+        return np.full(len(self.shape.lengths), fraction)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
         """Return the prior standard deviation of each camera's position, smaller if the animal is close, (V,), m."""

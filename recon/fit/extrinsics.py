@@ -262,9 +262,9 @@ def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
     """Return the rigid transform (4, 4) that maps points a (N, 3) to points b (N, 3), robust to outliers."""
     weight, R, t = np.ones(len(a)), np.eye(3), np.zeros(3)
     for _ in range(rounds):
-        share = weight / weight.sum()
-        R = Rotation.align_vectors(b - share @ b, a - share @ a, share)[0].as_matrix()
-        t = share @ b - R @ (share @ a)
+        fraction = weight / weight.sum()
+        R = Rotation.align_vectors(b - fraction @ b, a - fraction @ a, fraction)[0].as_matrix()
+        t = fraction @ b - R @ (fraction @ a)
         distance_m = np.linalg.norm(a @ R.T + t - b, axis=1)
         weight = 1.0 / (1.0 + (distance_m / max(float(np.median(distance_m)), 1e-6)) ** 2)
     return rigid(R, t)

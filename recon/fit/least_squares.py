@@ -299,11 +299,11 @@ class LeastSquares:
         while damping <= _MOST_DAMPING:
             try:
                 states_step, shared_step, slope = step(normals(), damping, self.ahead)
-                for share in _STEP_FRACTIONS:
-                    trial = self._moved(current, states_step, shared_step, share)
+                for fraction in _STEP_FRACTIONS:
+                    trial = self._moved(current, states_step, shared_step, fraction)
                     if trial.cost < current.cost:
-                        next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
-                        if share < 1.0:
+                        next_damping = max(damping * (0.2 if fraction == 1.0 else 0.6), _LEAST_DAMPING)
+                        if fraction < 1.0:
                             return trial, False, next_damping
                         # If the cost fell by more than half the slope, it curves less than its quadratic model.
                         beyond = current.cost - trial.cost + 0.5 * slope

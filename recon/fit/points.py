@@ -93,13 +93,13 @@ def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
     """Return states (T, D) of the expected pose, turned about the vertical and moved to fit the points."""
     states = np.zeros((len(targets), body.n_state))
     states[:, PITCH:] = body.mean_rad
-    share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
+    fraction = (weight / weight.sum(axis=1, keepdims=True))[..., None]
     model = body.tree.pose(states[:1], size).points_m
-    a = (model - (share * model).sum(axis=1, keepdims=True)) * share
-    b = targets - (share * targets).sum(axis=1, keepdims=True)
+    a = (model - (fraction * model).sum(axis=1, keepdims=True)) * fraction
+    b = targets - (fraction * targets).sum(axis=1, keepdims=True)
     cross = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(axis=1)
     states[:, YAW] = np.arctan2(cross, (a[..., :2] * b[..., :2]).sum(axis=(1, 2)))
-    states[:, ROOT] = (share * (targets - body.tree.pose(states, size).points_m)).sum(axis=1)
+    states[:, ROOT] = (fraction * (targets - body.tree.pose(states, size).points_m)).sum(axis=1)
     return states
 
 

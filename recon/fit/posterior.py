@@ -591,8 +591,8 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     joints that cannot move relative to the mean.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
-    return np.clip(share, 0.0, 1.0)
+        fraction = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
+    return np.clip(fraction, 0.0, 1.0)
 
 
 def _joint_covariances(

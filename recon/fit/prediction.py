@@ -214,9 +214,9 @@ def _likeliest_process(
     seen = np.sum([residual.weight for residual in residuals], axis=(0, 1))
     evidence = np.array(
         [
-            log_evidence(information / share, pull / share, square / share, sigma_m, lasting_frames)
-            - seen * np.log(share)
-            for share in NOISE_FRACTIONS
+            log_evidence(information / fraction, pull / fraction, square / fraction, sigma_m, lasting_frames)
+            - seen * np.log(fraction)
+            for fraction in NOISE_FRACTIONS
         ]
     ).reshape(-1, len(noise_m))
     best = np.argmax(evidence + SHARED_EVIDENCE_WEIGHT * evidence.mean(axis=1, keepdims=True), axis=0)

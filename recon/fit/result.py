@@ -104,11 +104,11 @@ class Verdict(Brief):
         verdict_line = f"{self.level}: {self.reason}"
         if self.pose_m is None or self.pose_of_trunk is None or self.position_m is None:
             return (verdict_line,)
-        share = f"{percent(self.pose_of_trunk.expected)} of the trunk's length"
+        fraction = f"{percent(self.pose_of_trunk.expected)} of the trunk's length"
         prefix = "apart from that, " if self.warned else ""
         return (
             verdict_line,
-            f"{prefix}pose error {self.pose_m.in_words}, {share}; position error {self.position_m.in_words}",
+            f"{prefix}pose error {self.pose_m.in_words}, {fraction}; position error {self.position_m.in_words}",
         )
 
 

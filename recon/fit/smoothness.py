@@ -105,8 +105,8 @@ def _second_difference_variance(marginal: Array) -> Array:
 def _penalty_gradient(states: Array, weight: Array) -> Array:
     """Return the gradient (T, D) of half the squared second differences times weights (D,)."""
     pull, gradient = _second_difference(states) * weight**2, np.zeros_like(states)
-    for first, share in enumerate(_DIFFERENCE):
-        gradient[first : first + len(pull)] += share * pull
+    for first, coefficient in enumerate(_DIFFERENCE):
+        gradient[first : first + len(pull)] += coefficient * pull
     return gradient
 
 

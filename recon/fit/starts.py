@@ -164,8 +164,8 @@ def constant_velocity(
         normal = np.sum(transposed @ curvature @ motion, axis=1) + prior + 1e-9 * np.eye(6)
         gradient = np.sum(transposed @ pull, axis=1)[..., 0] + x @ prior
         x = x - _solution(normal, gradient[..., None])[..., 0]
-    share = np.where(seen, 1.0 - 1.0 / (1.0 + miss**2), 0.0)
-    return share.sum(axis=(1, 2)) / max(int(seen.sum()), 1) + (x[:, 3] < 0), x
+    fraction = np.where(seen, 1.0 - 1.0 / (1.0 + miss**2), 0.0)
+    return fraction.sum(axis=(1, 2)) / max(int(seen.sum()), 1) + (x[:, 3] < 0), x
 
 
 def _solution(matrix: Array, right: Array) -> Array:

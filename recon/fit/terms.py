@@ -327,15 +327,15 @@ class PoseMixture:
         pull = deviation @ self._precision
         level = 0.5 * np.sum(deviation * pull, axis=2).T + self._offset
         least = level.min(axis=1, keepdims=True)
-        share = np.exp(-(level - least) / self.temperature)
-        total = share.sum(axis=1)
+        fraction = np.exp(-(level - least) / self.temperature)
+        total = fraction.sum(axis=1)
         weight = self.weight * REFERENCE_HZ / self.fps
         cost = weight * (least[:, 0] - self.temperature * np.log(total))
         if not jacobian:
             return cost, _ZERO[:0], _ZERO[:0]
-        share *= weight / total[:, None]
-        gradient = np.sum(share.T[..., None] * pull, axis=0)
-        precision = (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
+        fraction *= weight / total[:, None]
+        gradient = np.sum(fraction.T[..., None] * pull, axis=0)
+        precision = (fraction @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
         return cost, gradient, precision
 
 
@@ -395,8 +395,8 @@ class Reprojection:
         points, parts = self.point_rows(span), self._parts(span)
         (N, J), D = points.residual.shape[:2], span.pose.jacobian.shape[-1]
         slots = []
-        for part, share in parts:
-            by_point = points.by_point if share == 1.0 else points.by_point * share
+        for part, fraction in parts:
+            by_point = points.by_point if fraction == 1.0 else points.by_point * fraction
             slots.append((by_point @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D))
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = points.by_shared
@@ -406,8 +406,10 @@ class Reprojection:
             }
         if span.rotations is not None:
             by_common_bias, joints = np.zeros((N, J, 2, J, 3)), np.arange(J)
-            for part, share in parts:
-                by_common_bias[:, joints, :, joints] += (points.by_point * share @ span.rotations[part]).swapaxes(0, 1)
+            for part, fraction in parts:
+                by_common_bias[:, joints, :, joints] += (points.by_point * fraction @ span.rotations[part]).swapaxes(
+                    0, 1
+                )
             by_shared = by_shared | {COMMON_KEYPOINT_BIAS: by_common_bias.reshape(N, 2 * J, 3 * J)}
         return TermRows(points.cost, points.residual.reshape(N, 2 * J), rows, by_shared)
 
@@ -461,7 +463,7 @@ class Reprojection:
     def _scene(self, span: Span) -> Scene:
         """Return the markers at the times of the view's pictures, and the view with its camera corrected."""
         parts = self._parts(span)
-        points_m = reduce(np.add, (share * span.pose.points_m[part] for part, share in parts))
+        points_m = reduce(np.add, (fraction * span.pose.points_m[part] for part, fraction in parts))
         frames = slice(span.first, span.first + len(points_m))
         delay = span.shared.get(time_offset(self.number))
         if delay is not None and self.drift_m is not None:
@@ -491,8 +493,10 @@ class Reprojection:
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
         """Return the frames of the span between which each picture was taken, and their interpolation weights."""
-        share, count = self.view.offset_frames, len(span.states)
-        return [(slice(0, count - 1), 1.0 - share), (slice(1, count), share)] if share else [(span.own_rows, 1.0)]
+        fraction, count = self.view.offset_frames, len(span.states)
+        return (
+            [(slice(0, count - 1), 1.0 - fraction), (slice(1, count), fraction)] if fraction else [(span.own_rows, 1.0)]
+        )
 
     def weights(self, points_m: Array) -> Array:
         """Return the robust weights (T, J) of detections, 0 to 1, for markers (T, J, 3), m; NaN if missing."""

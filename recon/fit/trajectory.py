@@ -215,7 +215,7 @@ def _with_one_shape(clip: ClipProblem, segments: list[SegmentFit]) -> tuple[Clip
     shares = counts / counts.sum()
     mean = {
         name: np.sum(
-            [share * segment.estimate.shared[name] for share, segment in zip(shares, shaped, strict=True)], axis=0
+            [fraction * segment.estimate.shared[name] for fraction, segment in zip(shares, shaped, strict=True)], axis=0
         )
         for name in (LENGTHS, COMMON_KEYPOINT_BIAS)
         if name in shaped[0].estimate.shared

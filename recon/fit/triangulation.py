@@ -112,11 +112,11 @@ def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangula
 
 def _at_frame_times(view: View) -> View:
     """Return a view whose keypoints are interpolated to the clip's frame times."""
-    share = view.offset_frames
-    if not share:
+    fraction = view.offset_frames
+    if not fraction:
         return view
     earlier = np.concatenate([np.full_like(view.xy_px[:1], np.nan), view.xy_px[:-1]])
-    xy_px = share * earlier + (1.0 - share) * view.xy_px
+    xy_px = fraction * earlier + (1.0 - fraction) * view.xy_px
     confidence = np.where(np.isfinite(xy_px[..., 0]), view.confidence, 0.0)
     return replace(view, xy_px=xy_px, confidence=confidence, offset_frames=0.0)
 

@@ -367,7 +367,7 @@ class ClipAnalysis(Brief):
 
         The detections provide less than the fraction `MEASURED_FRACTION` of the precision of these angles.
         """
-        return tuple(name for name, share in self.motion.data_shares.items() if share < MEASURED_FRACTION)
+        return tuple(name for name, fraction in self.motion.data_shares.items() if fraction < MEASURED_FRACTION)
 
     @cached_property
     def why_no_speed(self) -> str | None:

@@ -212,11 +212,11 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     shares = motion.body.mass
     if not shares or gait is None or motion.side is not None:
         return None
-    share, sigma = np.array([shares[s.name] for s in motion.body.tree.segments]).T
-    share, sigma = share / share.sum(), sigma / share.sum()
+    fraction, sigma = np.array([shares[s.name] for s in motion.body.tree.segments]).T
+    fraction, sigma = fraction / fraction.sum(), sigma / fraction.sum()
     rods_m = _rods(motion)
     rod_middles_m = rods_m.mean(axis=2)
-    centre_m = np.einsum("tsk,s->tk", rod_middles_m, share)
+    centre_m = np.einsum("tsk,s->tk", rod_middles_m, fraction)
     apart_m = rod_middles_m - centre_m[:, None]
     end_rows = [motion.upright.names.index(name) for name in motion.forward_names]
     by_pose = [Errors(np.mean(e.sigma[:, end_rows], axis=1), e.correlation_s) for e in errors]
@@ -231,7 +231,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     flat_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
     rod_motion = series_kinematics(motion.time_s, flat_rods_m, oversampling=1)
     value, rate = (values.reshape(len(values), -1, 3) for values in (rod_motion.value, rod_motion.rate))
-    end_shares = np.repeat(share / 2, 2)
+    end_shares = np.repeat(fraction / 2, 2)
     internal = 0.5 * np.sum(rate**2, axis=2) @ end_shares
     momentum = np.einsum("nsk,s->nk", np.cross(value, rate), end_shares)
     end_joints = _nearest(motion, rods_m)
@@ -353,7 +353,7 @@ def _draw(gait: Gait) -> tuple[Array, Array, Array]:
     is_fore = np.array([foot.endswith("F") for foot in feet])
     pair_sum = np.stack([factor[:, is_fore == pair].sum(axis=1) for pair in is_fore], axis=1)
     # The feet of a pair share the pair's impulse in proportion to random factors.
-    share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / pair_sum
+    fraction = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / pair_sum
     stride_s, stride_sigma_s = np.array([gait.stride_time(s.start_s, s.end_s) for s in stances]).reshape(count, 2).T
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)
     foot_rows = np.array([feet.index(s.foot) for s in stances], dtype=int)
@@ -371,7 +371,7 @@ def _draw(gait: Gait) -> tuple[Array, Array, Array]:
         change = inflation * (typical + spread * noise[:, i] - drawn_s[:, i]) / (inflation * variance[i] + spread**2)
         starts[:, i] -= start_sigma[i] ** 2 * change
         ends[:, i] += end_sigma[i] ** 2 * change
-    return starts, np.maximum(ends, starts + 0.3 * (end - start)), share[:, foot_rows] * period
+    return starts, np.maximum(ends, starts + 0.3 * (end - start)), fraction[:, foot_rows] * period
 
 
 _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
@@ -454,9 +454,9 @@ def validity_text(gait_name: str) -> str:
     if "gallop" in gait_name:
         return validated
     words = "an unknown gait" if gait_name == "unknown" else f"a {gait_name}"
-    share, sigma = OTHER_FORE
+    fraction, sigma = OTHER_FORE
     return (
-        f"{validated} For {words}, the fore feet are assumed to carry {100 * share:.0f} ± {percent(sigma)} of the "
+        f"{validated} For {words}, the fore feet are assumed to carry {100 * fraction:.0f} ± {percent(sigma)} of the "
         "weight, and forces may be further off than their intervals say."
     )
 

@@ -134,7 +134,7 @@ class Evaluation(Brief):
             for t, s in self.pck
         ]
         result["inside"] = {
-            interval: [{"level": level, "share": share} for level, share in zip(LEVELS, shares, strict=True)]
+            interval: [{"level": level, "share": fraction} for level, fraction in zip(LEVELS, shares, strict=True)]
             for interval, shares in self.inside.items()
         }
         return to_plain(result, digits=17)
@@ -205,16 +205,16 @@ def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     start = 1 if len(truth.frames) and truth.frames[0] == 1 and not (len(pose.frames) and pose.frames[0] == 1) else 0
     position = pose.frames / pose.fps * truth.fps + start
     whole = np.where(np.abs(position - np.rint(position)) < WHOLE_FRAME, np.rint(position), np.floor(position))
-    share = np.where(whole == np.rint(position), np.maximum(position - whole, 0), position - whole)
-    share = np.where(share < WHOLE_FRAME, 0.0, share)
+    fraction = np.where(whole == np.rint(position), np.maximum(position - whole, 0), position - whole)
+    fraction = np.where(fraction < WHOLE_FRAME, 0.0, fraction)
     row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
     first = np.array([row_of.get(int(frame), -1) for frame in whole])
-    second = np.array([row_of.get(int(frame), -1) for frame in whole + (share > 0)])
+    second = np.array([row_of.get(int(frame), -1) for frame in whole + (fraction > 0)])
     inside = (first >= 0) & (second >= 0)
     rates = f"{truth.fps:g} frames per second, and {pose.fps:g} in {pose.source}"
     if not inside.any():
         raise InputError(Problem(str(truth.source), "fps", f"{rates}, with no time in common", "a common time"))
-    weight = share[inside, None, None]
+    weight = fraction[inside, None, None]
     start_m, end_m = truth.xyz_m[first[inside]], truth.xyz_m[second[inside]]
     xyz_m = np.where(weight > 0, start_m + weight * (end_m - start_m), start_m)
     note = f"The reference has {rates}. Positions are compared at equal times, with "

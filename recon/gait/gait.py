@@ -381,8 +381,11 @@ def name_gait(
         longest_s = [max(s.duration_s for s in all_stances if s.foot == foot) for foot in FEET]
         if name != "unknown" and median(longest_s) > 0.5 * period:
             name, criterion = "unknown", f"{criterion}; but the feet stand for more than half of the period"
-    if name in ("walk", "trot", "pace") and 1 - DUTY_MAJORITY < (share := float(np.mean(duties > 0.5))) < DUTY_MAJORITY:
-        criterion += f"; above 0.5 in {percent(share)} of strides: undecided between walk and run"
+    if (
+        name in ("walk", "trot", "pace")
+        and 1 - DUTY_MAJORITY < (fraction := float(np.mean(duties > 0.5))) < DUTY_MAJORITY
+    ):
+        criterion += f"; above 0.5 in {percent(fraction)} of strides: undecided between walk and run"
         name = "unknown"
     return _GaitName(name, criterion, phase, *duty)
 

@@ -304,8 +304,10 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
     """Return the norms (N,) of vectors (N, d) and their standard deviations, sqrt(sum((v_k / |v|)^2 sigma_k^2))."""
     norm = np.linalg.norm(vector, axis=1)
     # At rest the direction is unknown, so the mean over all directions is used.
-    share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
-    return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))
+    fraction = np.divide(
+        vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0
+    )
+    return norm, np.sqrt(np.sum((fraction * sigma) ** 2, axis=1))
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:

@@ -465,8 +465,10 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
         return "the method does not report how much of each limb the cameras see"
     for foot in feet:
         joints = next(limb for limb in motion.limbs.values() if motion.names.index(motion.foot_names[foot]) in limb)
-        if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_FRACTION:
-            return f"the limb of {foot} comes mostly from the prior: pixels determine {percent(share)} of its position"
+        if (fraction := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_FRACTION:
+            return (
+                f"the limb of {foot} comes mostly from the prior: pixels determine {percent(fraction)} of its position"
+            )
     for foot in feet:
         if (count := sum(stride.foot == foot for stride in gait.strides)) < LEAST_STRIDES:
             return f"{count} complete strides of {foot}; {LEAST_STRIDES} are needed"

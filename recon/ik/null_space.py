@@ -71,12 +71,12 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         step = np.zeros(chain.n)
         step[free] = -N @ (vectors @ parts)
         step *= min(1.0, _NULL_STEP_RAD / max(float(np.linalg.norm(step)), 1e-300))
-        moved, height, share = q, cost.value(q), 1.0
+        moved, height, fraction = q, cost.value(q), 1.0
         for _ in range(30):
-            moved = _return_to_position(chain, q + share * step, home, free)
+            moved = _return_to_position(chain, q + fraction * step, home, free)
             if moved is not None and (not descend or cost.value(moved) <= height + 1e-14 * (1 + abs(height))):
                 break
-            share /= 2
+            fraction /= 2
         else:
             return q, "singular: no step along the null space keeps the end effector and lowers the cost"
         assert moved is not None

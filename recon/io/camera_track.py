@@ -98,14 +98,14 @@ class CameraTrack(FramePoses):
         exact = self.frames[following] == frames
         inside = (self.frames[previous] < frames) & (frames < self.frames[following])
         filled = inside & (gap <= self.max_gap_s * fps + 1e-9)
-        share = np.where(filled, (frames - self.frames[previous]) / np.maximum(gap, 1), 1.0)
+        fraction = np.where(filled, (frames - self.frames[previous]) / np.maximum(gap, 1), 1.0)
         known = exact | filled
-        poses = _between(self.T_camera_world[previous], self.T_camera_world[following], share)
+        poses = _between(self.T_camera_world[previous], self.T_camera_world[following], fraction)
         poses[~known] = np.nan
         intrinsics = None
         if self.intrinsics_px is not None:
             a, b = self.intrinsics_px[previous], self.intrinsics_px[following]
-            intrinsics = np.where(known[:, None], a + share[:, None] * (b - a), np.nan)
+            intrinsics = np.where(known[:, None], a + fraction[:, None] * (b - a), np.nan)
         sigma = self.rotation_sigma_rad
         sigmas = None if sigma is None else np.maximum(sigma[previous], sigma[following])
         return FramePoses(poses, intrinsics, sigmas), filled

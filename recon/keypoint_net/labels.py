@@ -362,14 +362,14 @@ def _parse(text: str, option: str) -> _Choice:
         except InputError as error:
             raise InputError(Problem(option, p.field, p.found, p.expected) for p in error.problems) from None
     try:
-        share = float(text)
+        fraction = float(text)
     except ValueError:
-        share = -1.0
-    if not 0 <= share < 1:
+        fraction = -1.0
+    if not 0 <= fraction < 1:
         raise InputError(
             Problem(option, "part", f"'{text}'", "a fraction from 0 to 1, or frame numbers A:B (B excluded)")
         )
-    return share
+    return fraction
 
 
 def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, option: str) -> Integers:

@@ -294,8 +294,8 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     xy = torch.stack([x, y], dim=1).view(b, k, 2)
     # A cell at the edge of the tolerance circle counts in part.
-    share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
-    return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
+    fraction = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
+    return xy, (probability * fraction).sum(dim=(2, 3)).clamp(0, 1)
 
 
 def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:

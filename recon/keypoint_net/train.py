@@ -200,8 +200,8 @@ def train(
                 value = _learn(state, next(drawn), rate, run, half)
                 state.seconds = time.monotonic() - began_s
                 timed = max(share_before, state.seconds / (60 * settings.minutes))
-                share = share_before + 1 / settings.steps if settings.steps else timed
-                state.share = 1.0 if share > 1 - 1e-9 else share
+                fraction = share_before + 1 / settings.steps if settings.steps else timed
+                state.share = 1.0 if fraction > 1 - 1e-9 else fraction
                 state.losses.append(value)
                 due = math.floor(state.share * EVALUATIONS) > math.floor(share_before * EVALUATIONS) or state.share >= 1
                 if due or (held_out and state.finishing):

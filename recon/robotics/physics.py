@@ -569,7 +569,7 @@ class _Carrying:
             factor = splu((slack + weighed.T @ weighed).tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
             way = -factor.solve(pull) - step
             ahead = slopes @ way
-            totals = [total(step + share * way, reached + share * ahead) for share in shares]
+            totals = [total(step + fraction * way, reached + fraction * ahead) for fraction in shares]
             best = int(np.argmin(totals))
             if totals[best] < least:
                 step, reached = step + shares[best] * way, reached + shares[best] * ahead
@@ -592,8 +592,8 @@ def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
         for begin, end in spans:
             open_ends = (not loops and begin == motion.time_s[0], not loops and end == motion.time_s[-1])
             orders = range(1 - open_ends[0], DEGREE + open_ends[1])
-            share = (time_s[:, None] + np.array([-lasts, 0.0, lasts] if loops else [0.0]) - begin) / (end - begin)
-            share_inside = np.where((share >= 0) & (share <= 1), share, np.nan)
+            fraction = (time_s[:, None] + np.array([-lasts, 0.0, lasts] if loops else [0.0]) - begin) / (end - begin)
+            share_inside = np.where((fraction >= 0) & (fraction <= 1), fraction, np.nan)
             values = [
                 np.nan_to_num(comb(DEGREE, n) * share_inside**n * (1 - share_inside) ** (DEGREE - n)) for n in orders
             ]

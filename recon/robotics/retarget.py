@@ -380,8 +380,8 @@ class RobotMotion(KeptMotion):
         """
         states = self._spline(time_s, derivative)
         if self.advance_m is not None and derivative < 2:
-            share = (time_s - self.time_s[0], np.ones(len(time_s)))[derivative] / (self.time_s[-1] - self.time_s[0])
-            states[:, :2] += share[:, None] * self.advance_m
+            fraction = (time_s - self.time_s[0], np.ones(len(time_s)))[derivative] / (self.time_s[-1] - self.time_s[0])
+            states[:, :2] += fraction[:, None] * self.advance_m
         return states
 
     def stands_at(self, time_s: Array) -> Bools:
@@ -411,10 +411,10 @@ class RobotMotion(KeptMotion):
 
         The distance is computed between nine points on each link, in every half frame.
         """
-        share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
+        fraction, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
             points = self.points(label)[::_SAMPLE_STEP]
-            links = points[:, :-1, None] * (1 - share) + points[:, 1:, None] * share
+            links = points[:, :-1, None] * (1 - fraction) + points[:, 1:, None] * fraction
             legs[label] = links.reshape(len(points), -1, 3)
         pairs = ((legs[f"{side}F"][:, :, None], legs[f"{side}H"][:, None]) for side in "LR")
         return float(min(np.linalg.norm(fore - hind, axis=-1).min() for fore, hind in pairs))
@@ -483,8 +483,8 @@ def on_robot(
     """Transfer a clip and one of its strides to a robot, and return both motions and the hind feet's spread, metres."""
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
-    for share in SPREADS:
-        spread = share * robot.stand_m
+    for fraction in SPREADS:
+        spread = fraction * robot.stand_m
         chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
         motions = []
         for reference in (clip, stride):
@@ -628,9 +628,9 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     if not ends:
         return moving
     last_standing, next_standing, since, until, lasts = _swings(time_s, standing)
-    share = np.minimum(np.minimum(since, until) / (EASE_FRACTION * lasts), 1.0)[:, None]
+    fraction = np.minimum(np.minimum(since, until) / (EASE_FRACTION * lasts), 1.0)[:, None]
     hold = footholds[np.where(since <= until, last_standing, np.minimum(next_standing, len(time_s) - 1))]
-    return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
+    return hold + fraction**2 * (6 - 8 * fraction + 3 * fraction**2) * (moving - hold)
 
 
 class _Swings(NamedTuple):
@@ -670,8 +670,8 @@ def swinging(motion: RobotMotion) -> Array:
     weights = np.ones(standing.shape)
     for foot in np.flatnonzero(standing.any(axis=0)):
         _, _, since, until, lasts = _swings(time, standing[:, foot])
-        share = np.minimum(2 * np.minimum(since, until) / lasts, 1.0)
-        weights[:, foot] = share**3 * (10 - 15 * share + 6 * share**2)
+        fraction = np.minimum(2 * np.minimum(since, until) / lasts, 1.0)
+        weights[:, foot] = fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
     return weights if motion.advance_m is None else weights[n : 2 * n + 1]
 
 

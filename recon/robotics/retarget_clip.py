@@ -187,12 +187,12 @@ def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[
             done.animal, given_stride.robot, scale * given_stride.scale, slower * given_stride.slower, done.window
         )
         moved = replace(unmoved, stride=physics.carried(unmoved.stride, model)[0])
-        share = physics.least_share(moved.stride, model)
-        if share == 1:
+        fraction = physics.least_share(moved.stride, model)
+        if fraction == 1:
             moved = replace(moved, clip=physics.carried(unmoved.clip, model)[0])
-            share += physics.least_share(moved.clip, model)
-        tried.append((share, unmoved, moved))
-        if share == 2:
+            fraction += physics.least_share(moved.clip, model)
+        tried.append((fraction, unmoved, moved))
+        if fraction == 2:
             break
     _, unmoved, moved = max(tried, key=lambda trial: trial[0])
     if moved.clip is unmoved.clip:
@@ -276,12 +276,14 @@ def _notes(done: Retargeting) -> list[str]:
     for name, part in parts.items():
         if part.short.any():
             feet = ", ".join(label for label, short in zip(LEGS, part.short.T, strict=True) if short.any())
-            share = 100 * part.short.any(axis=1).mean()
+            fraction = 100 * part.short.any(axis=1).mean()
             notes.append(
-                f"{name}: {feet} would be out of reach for {share:.0f} % of the time and were moved into reach; "
+                f"{name}: {feet} would be out of reach for {fraction:.0f} % of the time and were moved into reach; "
                 "a smaller --scale avoids this"
             )
-        fast = [joint for joint, share in zip(part.robot.joints, part.rate_share, strict=True) if share > 1 + 1e-9]
+        fast = [
+            joint for joint, fraction in zip(part.robot.joints, part.rate_share, strict=True) if fraction > 1 + 1e-9
+        ]
         if fast:
             worst = part.rate_share.max()
             joints = ", ".join(fast)

@@ -352,9 +352,9 @@ def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width:
     unit = width / 1920
     pad, foot = round(18 * unit), round(44 * unit)
     boxes, left = {}, 0.0
-    for name, share in COLUMNS.items():
-        boxes[name] = (round(left * width) + pad, top + pad, round(share * width) - 2 * pad, height - pad - foot)
-        left += share
+    for name, fraction in COLUMNS.items():
+        boxes[name] = (round(left * width) + pad, top + pad, round(fraction * width) - 2 * pad, height - pad - foot)
+        left += fraction
     scale = min(
         side / max(extent, 1e-6)
         for name, (_, _, box_width, box_height) in boxes.items()

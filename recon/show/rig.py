@@ -69,8 +69,8 @@ def make_rig(
     frames, states = _without_gaps(frames, states)
     index = {segment.name: i for i, segment in enumerate(tree.segments)}
     shape = capsules(tree, names)
-    share = np.array([body.mass.get(segment.name, (0.0, 0.0))[0] for segment in tree.segments])
-    mass_kg = body_mass_kg * share / max(float(share.sum()), 1e-9)
+    fraction = np.array([body.mass.get(segment.name, (0.0, 0.0))[0] for segment in tree.segments])
+    mass_kg = body_mass_kg * fraction / max(float(fraction.sum()), 1e-9)
     inertia = y_up_from_z_up(np.swapaxes(y_up_from_z_up(inertias_m2(tree, shape)), 1, 2))
     middles = y_up_from_z_up(middles_m(tree, shape))
     bones = tuple(

@@ -70,9 +70,9 @@ def draw_board(
     centre = board.outline_m.mean(axis=0)
     sheet = centre + (1 + 2 * margin) * (board.outline_m - centre)
     for quads, grey in ((sheet[None], 225), (_dark_quads_m(board), 30)):
-        share = np.linspace(0, 1, EDGE_PARTS, endpoint=False)[:, None]
+        fraction = np.linspace(0, 1, EDGE_PARTS, endpoint=False)[:, None]
         following = np.roll(quads, -1, axis=1)
-        outlines = (quads[:, :, None] * (1 - share) + following[:, :, None] * share).reshape(len(quads), -1, 3)
+        outlines = (quads[:, :, None] * (1 - fraction) + following[:, :, None] * fraction).reshape(len(quads), -1, 3)
         xy_px, valid = camera.project(outlines @ rotation.T + translation_m)
         # Pixel centres are at whole numbers in both grids.
         fine = ((xy_px + 0.5) * oversample - 0.5) * 2**FRACTION_BITS

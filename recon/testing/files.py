@@ -111,7 +111,7 @@ def write_damaged_video(path: Path) -> Path:
         writer.write(noise.integers(0, 255, (48, 64, 3), np.uint8))
     writer.release()
     content = bytearray(path.read_bytes())
-    first, stop = (len(content) * share // 10 for share in (3, 4))
+    first, stop = (len(content) * fraction // 10 for fraction in (3, 4))
     content[first:stop] = bytes(stop - first)
     path.write_bytes(content)
     return path

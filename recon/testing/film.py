@@ -91,11 +91,11 @@ def render_frames(
     spots = {part[:2]: _spots(rng) for part in _parts()}
     for t in range(len(points_m)):
         total = np.zeros_like(scene)
-        for share in (np.arange(EXPOSURES) - (EXPOSURES - 1) / 2) * EXPOSURE / EXPOSURES:
-            camera = camera_at(t + share)
+        for fraction in (np.arange(EXPOSURES) - (EXPOSURES - 1) / 2) * EXPOSURE / EXPOSURES:
+            camera = camera_at(t + fraction)
             if camera is not drawn_camera:
                 drawn_camera, scene = camera, draw_scene(camera, ground_m, np.random.default_rng(seed))
-            total += _draw_animal(scene, _between(points_m, t + share), names, camera, ground_m, spots)
+            total += _draw_animal(scene, _between(points_m, t + fraction), names, camera, ground_m, spots)
         noisy = total / EXPOSURES + rng.normal(0, NOISE, scene.shape)
         yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
@@ -201,12 +201,12 @@ def _draw_part(
         across = -across  # `across` points towards the top of the picture
     layers = 6
     for i in range(layers):
-        share = i / (layers - 1)
-        colour = np.array(COAT) * (0.5 + 0.75 * share)
+        fraction = i / (layers - 1)
+        colour = np.array(COAT) * (0.5 + 0.75 * fraction)
         if "tail" not in part[0]:
-            colour = colour + (np.array(BELLY) - colour) * 0.25 * (1 - share)
-        shift = 0.35 * share * radius[:, None] * across
-        _capsule(canvas, xy + shift, radius * (1 - 0.75 * share), colour * light)
+            colour = colour + (np.array(BELLY) - colour) * 0.25 * (1 - fraction)
+        shift = 0.35 * fraction * radius[:, None] * across
+        _capsule(canvas, xy + shift, radius * (1 - 0.75 * fraction), colour * light)
     for u, v, size in spots:
         r = radius[0] + (radius[1] - radius[0]) * u
         if size * focal / at_camera[0, 2] < 0.6 * r:

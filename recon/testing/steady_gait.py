@@ -57,8 +57,8 @@ class SteadyGait:
     def force_bw(self, foot: str, time_s: Array) -> Array:
         """Return the vertical force of a foot in body weights at times (T,) in seconds."""
         grid = (np.arange(FINE) + 0.5) / FINE
-        share = (self.fore if foot.endswith("F") else 1 - self.fore) / 2
-        peak = share / self.duty_factor / np.mean(np.sin(np.pi * grid**self.skew))
+        fraction = (self.fore if foot.endswith("F") else 1 - self.fore) / 2
+        peak = fraction / self.duty_factor / np.mean(np.sin(np.pi * grid**self.skew))
         progress = ((time_s / self.stride_s - self.landings[foot]) % 1.0) / self.duty_factor
         return np.where(progress < 1, peak * np.sin(np.pi * np.minimum(progress, 1.0) ** self.skew), 0.0)
 
@@ -127,10 +127,10 @@ TROT = SteadyGait(3.0, 0.45, 0.42, {"LH": 0.0, "RF": 0.0, "RH": 0.5, "LF": 0.5},
 
 def centre_m(body: Body, states: Array) -> Array:
     """Return the centre of mass (T, 3) in metres of the segments' masses, each in the middle of its capsules."""
-    share = np.array([body.mass[segment.name][0] for segment in body.tree.segments])
+    fraction = np.array([body.mass[segment.name][0] for segment in body.tree.segments])
     middles = middles_m(body.tree, capsules(body.tree, body.markers))
     positions_m = body.tree.origins(states) + np.einsum("tsij,sj->tsi", body.tree.orientations(states), middles)
-    return np.einsum("tsk,s->tk", positions_m, share / share.sum())
+    return np.einsum("tsk,s->tk", positions_m, fraction / fraction.sum())
 
 
 def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:

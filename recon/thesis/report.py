@@ -47,8 +47,13 @@ def assumptions(motion: Motion) -> dict[str, Any]:
 def _base_length(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
     nominal, sigma = base_length(solution.chain, FrameOptions.from_settings(motion.settings))
-    share = median([r.data_share[solution.chain.base_index] for r in solution.reports if r is not None])
-    return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_FRACTION)}
+    fraction = median([r.data_share[solution.chain.base_index] for r in solution.reports if r is not None])
+    return {
+        "nominal_m": nominal,
+        "sigma_m": sigma,
+        "data_share": fraction,
+        "measured": bool(fraction >= MEASURED_FRACTION),
+    }
 
 
 def summary(motion: Motion) -> dict[str, Any]:
@@ -118,9 +123,9 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the summary's line on the base length."""
     base = _base_length(motion)
-    share = number(100 * base["data_share"], ".0f").lstrip("-")
+    fraction = number(100 * base["data_share"], ".0f").lstrip("-")
     expected = f"expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m"
-    yield "size", f"base length {number(data['mean'], '.3f')} m; {expected}; {share} % of its precision from pixels"
+    yield "size", f"base length {number(data['mean'], '.3f')} m; {expected}; {fraction} % of its precision from pixels"
 
 
 _OWN = {

@@ -268,8 +268,8 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
     # together, by a fraction that depends on how tightly the root is tied to the path.
     if path is not None:
         R = T_world_camera[:3, :3]
-        share = absolute[:, 0] / fields["path_sigma_m"] ** 2
-        absolute = absolute + (share @ R @ path.covariance[:, :3, :3] @ R.T @ share.swapaxes(1, 2))[:, None]
+        fraction = absolute[:, 0] / fields["path_sigma_m"] ** 2
+        absolute = absolute + (fraction @ R @ path.covariance[:, :3, :3] @ R.T @ fraction.swapaxes(1, 2))[:, None]
     body_states, sizes = chain.to_body(states, T_world_camera)
     base_sigma = np.sqrt(covariance[:, chain.base_index, chain.base_index]) / chain.nominal_base_length_m
     no_share = np.full(chain.n_state, np.nan)

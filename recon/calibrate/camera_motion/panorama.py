@@ -78,8 +78,8 @@ class _Canvas:
         source_px = cv2.warpAffine(fine, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         size = np.array(camera.image_size_px)
         depth = np.clip(1 - np.abs(2 * (source_px + 0.5) / size - 1), 0, None).min(axis=2)
-        share = np.array(picture.shape[1::-1]) / size
-        source_px = ((source_px + 0.5) * share - 0.5).astype(np.float32)
+        fraction = np.array(picture.shape[1::-1]) / size
+        source_px = ((source_px + 0.5) * fraction - 0.5).astype(np.float32)
         warped = cv2.remap(
             picture, source_px[..., 0], source_px[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
@@ -103,9 +103,9 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
     weight = np.full(sum_of_pictures.shape[:2], 1e-6, np.float32)
     for key, picture in zip(motion.keys, pictures, strict=True):
         warped, depth = canvas.warp(camera, motion.orientations[key], picture)
-        share = (depth**2).astype(np.float32)
-        sum_of_pictures += share[..., None] * warped
-        weight += share
+        fraction = (depth**2).astype(np.float32)
+        sum_of_pictures += fraction[..., None] * warped
+        weight += fraction
     image = (sum_of_pictures / weight[..., None]).astype(np.uint8)
     for row in (0, len(motion.orientations) // 2, -1):
         _draw_path(canvas, image, _edge(camera, motion.orientations[row]), VIEW)

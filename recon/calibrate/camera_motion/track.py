@@ -385,7 +385,7 @@ class Tracker:
         if self.links:
             floor_rad = PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
             orientations, sigma, sigma_zoom = adjust(orientations, self.links, self.solve_zoom, floor_rad)
-        torn_count = sum(share < MIN_STILL for share in self.still_shares)
+        torn_count = sum(fraction < MIN_STILL for fraction in self.still_shares)
         turned_only = self.torn_frames <= MAX_APART * (len(frames) + len(lost)) and torn_count <= MAX_TORN
         pairs = furthest_turned(self.pairs)
         focal = focal_factor(self.camera, pairs, self._limit_px)

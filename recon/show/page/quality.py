@@ -59,7 +59,7 @@ def _rows(motion: Motion, picture: Picture, errors_px: Array) -> Iterator[dict[s
         used, outliers = int(picture.present[:, j].sum()), int(picture.outliers[:, j].sum())
         rejected = 0 if counts is None else counts["rejected"]
         error_px, stuck = float(errors_px[j]), stuck_at(picture, j)
-        share = (outliers + int(swapped[:, j].sum())) / max(1, len(motion.frames))
+        fraction = (outliers + int(swapped[:, j].sum())) / max(1, len(motion.frames))
         yield {
             "keypoint": j,
             "name": name,
@@ -70,7 +70,7 @@ def _rows(motion: Motion, picture: Picture, errors_px: Array) -> Iterator[dict[s
             "stuck": stuck,
             "swapped": int(swapped[:, j].sum()),
             "median_px": error_px if math.isfinite(error_px) else None,
-            "look": share > NEEDS_LOOK or stuck is not None,
+            "look": fraction > NEEDS_LOOK or stuck is not None,
         }
 
 

@@ -274,8 +274,8 @@ def body_fixed(
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
     """Draw N paths of n points, `paths_m` (N, n, 2), from the palest colour to the full colour."""
-    share = np.linspace(_MIN_COLOUR if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
-    colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
+    fraction = np.linspace(_MIN_COLOUR if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
+    colours = 1.0 - fraction * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
     lines = LineCollection(list(paths_m), colors=colours, lw=1.2, capstyle="round", zorder=2)
     axes.add_collection(lines, autolim=False)
@@ -472,9 +472,9 @@ def _grid(axes: Axes, advice: Advice) -> None:
     elevations_deg = np.round(np.degrees(ELEVATIONS_RAD)).astype(int)
     rows, columns = advice.share.shape
     axes.imshow(advice.share, cmap=share_colours(), vmin=0, vmax=1, aspect="auto", origin="lower")
-    for (row, column), share in np.ndenumerate(advice.share):
-        sigma, colour = float(advice.sigma[row, column]), "w" if share > (1 + MEASURED_FRACTION) / 2 else "k"
-        text = f"{percent(share)}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
+    for (row, column), fraction in np.ndenumerate(advice.share):
+        sigma, colour = float(advice.sigma[row, column]), "w" if fraction > (1 + MEASURED_FRACTION) / 2 else "k"
+        text = f"{percent(fraction)}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
         axes.text(column, row, text, ha="center", va="center", fontsize=style.SMALL, color=colour)
     row, column = advice.best
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))

@@ -292,12 +292,14 @@ def phase_portraits(
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         colours = style.time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
         for axes, (name, portrait) in zip(panels, portraits.items(), strict=False):
-            value, share = (closed or {}).get(name), (shares or {}).get(name, np.nan)
-            heading = name.removesuffix("_rad") + (f"\n{percent(share)} from pixels" if np.isfinite(share) else "")
+            value, fraction = (closed or {}).get(name), (shares or {}).get(name, np.nan)
+            heading = name.removesuffix("_rad") + (
+                f"\n{percent(fraction)} from pixels" if np.isfinite(fraction) else ""
+            )
             if value is not None:
                 angle, plane = _percent(value.angle, value.angle_sigma), _percent(value.plane, value.plane_sigma)
                 heading += f"\n{angle} / {plane} %"
-            is_unseen = share < MEASURED_FRACTION
+            is_unseen = fraction < MEASURED_FRACTION
             axes.set_title(heading, fontsize=style.SMALL, pad=3, color=style.GREY if is_unseen else "k")
             _draw(axes, portrait, None if is_unseen else colours)
         for axes in panels[count:]:

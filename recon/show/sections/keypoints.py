@@ -118,10 +118,10 @@ def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, mi
     unknown = sum(row["likelihood_unknown"] for row in fitted if row["in_file"])
     texts += [f"{unknown} without a likelihood (never left out as unlikely)"] if unknown else []
     if rejected:
-        share = f"{percent(rejected / (used + rejected))} of all detections"
+        fraction = f"{percent(rejected / (used + rejected))} of all detections"
         is_low = any(finding.code == "likelihoods_low" for finding in motion.findings)
         advice = "; if they are good, lower --set likelihood-min" if is_low else ""
-        texts.append(f"{rejected} ({share}) left out before the fit, as unlikely or far outside{advice}")
+        texts.append(f"{rejected} ({fraction}) left out before the fit, as unlikely or far outside{advice}")
     return ", ".join(texts)
 
 

@@ -204,8 +204,8 @@ def time_view(series: TimePlot) -> rrb.TimeSeriesView:
     values = series.values[np.isfinite(series.values)]
     low, high = (values.min(), values.max()) if len(values) else (0.0, 0.0)
     legend_lines = len(series.names) if len(series.names) > 1 else 0
-    share = min(legend_lines * LINE_OF_LEGEND, 0.5)
-    headroom = (high - low) * share / (1 - share)
+    fraction = min(legend_lines * LINE_OF_LEGEND, 0.5)
+    headroom = (high - low) * fraction / (1 - fraction)
     return rrb.TimeSeriesView(
         origin=series.entity,
         name=series.title,
