@@ -256,7 +256,7 @@ def _frame_problems(path: Path, frames: np.ndarray, count: int) -> Iterator[Prob
     if len(frames) != count:
         yield Problem(path, "frames", f"{len(frames)} numbers", f"{count}, one for each frame")
         return
-    with np.errstate(invalid="ignore"):  # some numbers are infinite
+    with np.errstate(invalid="ignore"):  # numbers may be infinite
         is_wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
     if is_wrong.any():
         first = int(np.argmax(is_wrong))

@@ -24,7 +24,7 @@ EVEN_OFF = 0.75
 JITTER_RMS = 0.2
 """Largest root mean square distance, in frames, of times with gaps from the nearest frames.
 
-Uniformly random times have 0.29.
+Uniformly random times have a root mean square distance of 0.29.
 """
 ROUNDED_GAPS = 3
 """Minimum number of steps longer than 1.5 units required to conclude that times are rounded to the unit."""

@@ -53,7 +53,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
         for text in _largest_notes(report["findings"], verdict["reason"]):
             table.add_row(Text("note", style="bold"), text)
     for label, text in report["lines"][verdict_count:]:
-        are_all_used = label == "keypoints" and text.endswith(" used")  # the usual case
+        are_all_used = label == "keypoints" and text.endswith(" used")  # the usual case needs no line
         if label in FRONT and not are_all_used:
             table.add_row(Text(label, style="bold"), text)
     return table

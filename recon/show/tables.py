@@ -593,7 +593,7 @@ def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:
-    """Return the components of vectors (N, 3) as columns, named by x, y and z in `name`, such as "v{}_m_s"."""
+    """Return the components of vectors (N, 3) as columns named `name` with x, y or z for {}, as in "v{}_m_s"."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
 
 

@@ -138,7 +138,7 @@ def _clip_row(
 
 
 def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[str, str]) -> dict[str, Any]:
-    """Return the mean of each measure in a group with its interval, the median over the clips, and their number."""
+    """Return the mean of each measure in a group with its interval, the median over clips, and the number of clips."""
     group_clips = clips[clips["group"] == row["group"]]
     values = {}
     for name in measures:

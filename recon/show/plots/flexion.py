@@ -36,8 +36,8 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     """Draw the mean flexion of each joint over the stride.
 
     Left joints are blue and dashed, right joints orange, and middle joints black. Bands contain 90 % of the strides,
-    and thin lines are the 90 % interval of the fit. Bars below the curves show when the limb's foot stands; 0 % is its
-    touch-down.
+    and thin lines are the 90 % interval of the fit. Bars below the curves show when the limb's foot stands, from its
+    touch-down at 0 %.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
     columns = COLUMNS if style.page_width_mm() > NARROW_MM else NARROW_COLUMNS
