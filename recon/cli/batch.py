@@ -161,10 +161,14 @@ def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summar
         status_text = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
         stop(f"Stopped: {status_text}. Finished clips are kept: run the same command again to continue.")
     counts = summary.counts()
-    parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
+    parts = [Text(f'{n} "{level}"', STYLES[level]) for level, n in reversed(summary.verdicts().items())]
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
-    status_text = Text.assemble(Text(", ").join(parts), f" in {quantity(seconds, 0, 's')}. Summary: {summary.path}")
+    status_text = Text.assemble(
+        f"{counted(len(summary.rows), 'clip')}: ",
+        Text(", ").join(parts),
+        f", in {quantity(seconds, 0, 's')}. Summary: {summary.path}",
+    )
     out = summary.path.parent
     lines = [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
     if summary.verdicts():

@@ -60,7 +60,7 @@ def _compared(comparison: Comparison, out: Path) -> Answer:
 
 def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
     levels, unit = clips["verdict"].value_counts(), "run" if "animal" in clips else "clip"
-    yield f"{counted(len(clips), unit)}: " + ", ".join(f"{count} {level}" for level, count in levels.items())
+    yield f"{counted(len(clips), unit)}: " + ", ".join(f'{count} "{level}"' for level, count in levels.items())
     known = clips.groupby("group")[[*QUANTITIES]].count()
     rows = (
         (

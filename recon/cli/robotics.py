@@ -57,7 +57,7 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
     if "check" in report:
         yield from _check_lines(report["check"])
     yield from (f"note: {note}" for note in report["notes"])
-    yield f"Joint angles are in {out / 'joints.csv'}, and of one stride in stride_joints.csv. Playback: motion.rrd"
+    yield f"Joint angles are in {out / 'joints.csv'}, those of one stride in stride_joints.csv. Playback: motion.rrd"
 
 
 def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:

@@ -414,7 +414,7 @@ def test_command(clips, tmp_path, in_process):
     assert ended.out.startswith("2 of 3 clips are done already.\n")
     rows_of_table = [line.split()[:2] for line in ended.out.split("\n")[1:] if line.startswith("  ") and line.strip()]
     assert rows_of_table[-3:] == [["c", "failed"], ["a", "check"], ["b", "check"]]
-    assert "\n2 check, 1 failed in " in ended.out
+    assert '\n3 clips: 2 "check", 1 failed, in ' in ended.out
     assert says(ended.out, f"Open {out / 'summary.html'}", f"recon report {out}/CLIP", f"recon compare {out} --out")
     assert ended.err.startswith(f"[1/1] failed  c: {clips / 'c.csv'}: header: ")
     ended = run(*args(clips, out, "--strict", "--quiet", "--json"))
