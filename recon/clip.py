@@ -664,7 +664,7 @@ class Source(Brief):
     """
     cleaning: CleaningReport
     file_names: tuple[str, ...]
-    """Names of all keypoints in the file, also those that the body does not have."""
+    """Names of all keypoints in the file, including keypoints that the body does not have."""
     offset_frames: float = 0.0
     """Delay of the pictures relative to the clip's frames, in frames, at least 0 and below 1."""
     poses: FramePoses | None = None

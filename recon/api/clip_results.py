@@ -1,4 +1,4 @@
-"""Write the results of a clip, and check later whether they still belong to the same inputs.
+"""Write the results of a clip, and check later whether the results still belong to the same inputs.
 
 Either all outputs of a motion appear in the folder, or none. A record lists what the results were made from: the
 digests of the input files, the settings and the version.

@@ -134,7 +134,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Results:
-    """Results that a comparison uses, keyed by name, and those that it leaves out, with notes on the reasons."""
+    """Results that a comparison uses, keyed by name, and results that it leaves out, with notes on the reasons."""
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]

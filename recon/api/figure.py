@@ -43,7 +43,7 @@ CAPTIONS: Mapping[str, str] = {
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
-"""Captions of all figures except those whose names begin with body_fixed or vector_field."""
+"""Captions of all figures except figures whose names begin with body_fixed or vector_field."""
 _STRIDE_FIGURE = "joint_flexion"
 BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
 """Figures that use the colours of the left and right sides."""

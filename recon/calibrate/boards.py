@@ -216,7 +216,7 @@ class BoardViews:
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
-    """Return the picture files that the paths name, and those in folders, or a single video.
+    """Return the picture files among the paths and in folders among the paths, or a single video.
 
     Raises
     ------

@@ -177,7 +177,7 @@ def run_on_console(console: Console, left: int, work: Callable[[OnEvent], Summar
 
 
 def _table(summary: Summary) -> list[Table | str]:
-    """Return a table of the clips, beginning with those that need attention, or nothing for a single clip."""
+    """Return a table of the clips, with clips that need attention at the top, or nothing for a single clip."""
     rank = {level: order for order, level in enumerate(LEVELS)}
     rows = sorted(summary.rows.values(), key=lambda row: (rank.get(row["verdict"] or "", -1), row["clip"]))
     if len(rows) < 2:

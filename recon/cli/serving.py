@@ -1,4 +1,4 @@
-"""Serve the page of a command to a browser on this machine, and save what it sends."""
+"""Serve the page of a command to a browser on this machine, and save the data that the page sends."""
 
 from __future__ import annotations
 

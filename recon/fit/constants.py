@@ -119,7 +119,7 @@ NOISE_COUNT = 1.0
 The weight applies under the conditions of `LEAST_NOISE`.
 """
 LENGTH_SHARE = 0.3
-"""Standard deviation of a single length, relative to the standard deviation of the size, if the shape is estimated.
+"""Standard deviation of a single length, relative to the standard deviation of the size, if the shape is unknown.
 
 The value is an assumption. With a smaller value, the estimated proportions stay closer to the skeleton's. The standard
 deviation is increased if the solution shows that the animal's proportions differ more.
@@ -169,7 +169,7 @@ The values come from the reconstructions behind the prior `running-cheetah`, as 
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Standard deviation of the root's angular acceleration about the vertical, rad/s^2."""
 LATERAL_M_S = 0.5
-"""Standard deviation (m/s) of the root's velocity across the trunk, an angle of 0.05 rad at 10 m/s."""
+"""Standard deviation (m/s) of the root's velocity across the trunk (10 m/s forwards and 0.5 m/s across: 0.05 rad)."""
 SIDESLIP_RAD = 0.1
 """Standard deviation (rad) of the constant angle between the trunk and the direction of travel for several cameras.
 

@@ -152,7 +152,7 @@ class Ground:
     """Whether the ground was assumed to be near z = 0; None if no file states where the ground is."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
-        """Transform the ground from a scene to the world, which scales the scene and moves it to an origin (3,), m."""
+        """Return the ground in the world, in which the scene of this ground has a size and an origin (3,) in m."""
         height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 

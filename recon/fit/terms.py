@@ -236,7 +236,7 @@ class Linear:
 
 
 def _rate(fps: float, weight: float) -> float:
-    """Return the factor on a term's residuals that makes its weight per second the same at every frame rate."""
+    """Return the factor on a term's residuals that gives the term the same weight per second at every frame rate."""
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 

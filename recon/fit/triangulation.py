@@ -148,7 +148,7 @@ def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
 
 
 def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array:
-    """Return the points (T, J, 3) of those pairs of cameras whose points fit all cameras best."""
+    """Return the points (T, J, 3), each from the pair of cameras whose point fits all cameras best."""
     rays = [view.rays() for view in views]
     centres = [view.centre_m[:, None] for view in views]
     best_points, best_cost = np.full((*present.shape[1:], 3), np.nan), np.full(present.shape[1:], np.inf)

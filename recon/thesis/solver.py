@@ -390,7 +390,7 @@ class FrameSolver:
         return self._moved_to(self.states[earlier[-1]], position if position[2] > 0 else poses.joints_m[-1, 0])
 
     def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
-        """Return two starts: the mean pose facing the direction of travel, and the last pose at the same position."""
+        """Return the mean pose facing the direction of travel, and the last pose moved to the mean pose's position."""
         mean = geometric_start(self.camera, self.chain, rays, heading)
         if self.options.camera_rotation == "fixed":
             mean[self.chain.euler_slice] = last[self.chain.euler_slice]
