@@ -261,7 +261,7 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """Return the camera file's focal length, and the one estimated from the background with its sigma, px."""
+    """Return the focal length in the camera file, and its estimate from the background with a sigma, px."""
     file_px = float(lens.matrix[0, 0])
     background_px = file_px * float(np.exp(focal[0]))
     return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

@@ -496,7 +496,7 @@ def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]
 
 
 def with_corrections_in(folder: Path, settings: FitSettings) -> FitSettings:
-    """Return the settings of a fit, with the corrections file of its results folder unless they name another file."""
+    """Return the settings of a fit, with the corrections file in its folder unless they name a corrections file."""
     path = folder / CORRECTIONS
     has_corrections = settings.corrections is None and path.is_file() and not path.is_symlink()
     return replace(settings, corrections=path.absolute()) if has_corrections else settings

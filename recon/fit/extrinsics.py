@@ -166,7 +166,7 @@ def search_offsets(clip: ClipProblem) -> Array:
     """Return the delay (V,), in whole frames, of each camera relative to the first, beyond the views' stated delay.
 
     The cameras need no poses, because the joints of each camera's own solution are compared with the first camera's.
-    The delay is NaN if they never match.
+    The delay is NaN if the joints never match.
     """
     joints = [_joints_by_view(clip, view) for view in clip.views]
     return np.array([_best_offset(joints[0], camera_joints, round(_SEARCHED_S * clip.fps)) for camera_joints in joints])

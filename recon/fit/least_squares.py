@@ -269,8 +269,8 @@ class LeastSquares:
         """Return the minimum that a search reaches from given states (T, D).
 
         The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). After two whole steps,
-        it also stops if the next step is expected to do so, from the ratio of the last two decreases. It is given up if
-        the cost after `_TRIAL_ITERATIONS` iterations is above `useful_cost`.
+        the search also stops if the ratio of the last two decreases predicts so small a decrease for the next step. The
+        search is given up if the cost after `_TRIAL_ITERATIONS` iterations is above `useful_cost`.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING

@@ -24,7 +24,7 @@ _SIZE_ROUNDS = 20
 _RETRIES = 2
 """Number of times that frames with a large error are solved again, starting from their neighbours."""
 _DAMPING = (1e-12, 1e12)
-"""Minimum and maximum damping of a step; the search of a frame ends at the maximum."""
+"""Minimum damping of a step, and maximum damping, at which the search of a frame ends."""
 
 
 def solve_points(

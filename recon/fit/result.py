@@ -296,7 +296,7 @@ class Solution(Brief):
         return ()
 
     def report_sections(self) -> tuple[object, ...] | None:
-        """Return the method's own sections of the report (`recon.show.report`), or None for the usual ones."""
+        """Return the method's own sections of the report (`recon.show.report`), or None for all usual sections."""
         return None
 
     @property

@@ -65,10 +65,9 @@ class ShapeFit:
     noise_m: dict[str, float]
     """Standard deviation (m) of a keypoint in a single frame for each marker of the left side and the middle."""
     spread_m: dict[str, float]
-    """Standard deviation (m) of the keypoint bias along each axis, by marker; the bias is constant in a clip and
-    camera.
+    """Standard deviation (m) of the keypoint bias along each axis, for each marker of the left side and the middle.
 
-    The bias is given for each marker of the left side and the middle.
+    The bias is constant in a clip for each camera.
     """
 
     @cached_property
