@@ -7,7 +7,7 @@ import sys
 from recon.base.interrupts import Interrupts
 from recon.base.memory import collect_rarely
 
-LEAST_MB = 640
+MIN_MB = 640
 """Memory limit, in MB, below which OpenBLAS hangs and rerun cannot be loaded."""
 
 
@@ -56,9 +56,9 @@ def _require_memory() -> None:
     except ImportError:  # Windows has no such module
         return
     limit = getrlimit(RLIMIT_AS)[0]
-    if limit != RLIM_INFINITY and limit < LEAST_MB << 20:
+    if limit != RLIM_INFINITY and limit < MIN_MB << 20:
         print(
-            f"error: not enough memory: the limit is {limit >> 20} MB (ulimit -v), but {LEAST_MB} MB are needed",
+            f"error: not enough memory: the limit is {limit >> 20} MB (ulimit -v), but {MIN_MB} MB are needed",
             file=sys.stderr,
         )
         sys.exit(1)

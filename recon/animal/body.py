@@ -28,7 +28,7 @@ ROUGH_SIZE_SIGMA = 0.25
 
 The standard deviation of skeletons of a single species is at most 0.15.
 """
-LARGEST_ANIMAL_M = 15.0
+MAX_ANIMAL_M = 15.0
 """Length, in metres, that no legged animal exceeds."""
 MIN_JOINTS = 5
 """Minimum number of detected joints required to determine an animal's pose."""

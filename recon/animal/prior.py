@@ -25,7 +25,7 @@ ANGLES = slice(4, None)
 """Columns of the state whose angles a motion prior describes."""
 NONE = "none"
 """Name of the prior that consists only of the expected angles in the skeleton file."""
-LARGEST = 1e12
+MAX_ABSOLUTE = 1e12
 """Largest absolute value in the arrays of a valid prior. A larger value means that the file is damaged."""
 SHAPES = {
     "weights": "K",
@@ -124,7 +124,7 @@ def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, s
         array, expected = arrays[name], tuple(lengths[letter] for letter in shape)
         if array.shape != expected:
             problems.append((name, f"shape {array.shape}", f"{expected} for {lengths['K']} components"))
-        elif not (np.abs(array) < LARGEST).all():
+        elif not (np.abs(array) < MAX_ABSOLUTE).all():
             problems.append((name, "numbers that are not finite, or impossibly large", "finite numbers"))
         elif shape.endswith("AA") and not _is_positive_definite(array):
             problems.append((name, "a matrix that is not positive definite", "covariances"))

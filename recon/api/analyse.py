@@ -38,7 +38,7 @@ FOLDER = "analysis"
 """Name of the analysis folder inside the results folder, by default."""
 FIGURES_BEGIN = 0.5
 """Progress of an analysis, 0 to 1, when the first figure begins."""
-MOST_REASONS = 3
+MAX_REASONS = 3
 """Maximum number of excluded strides for which the notes list each reason."""
 
 
@@ -188,8 +188,8 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted, so the gait cannot be named."
     rejections = [] if gait is None else [rejection_text(stride) for stride in gait.rejected_strides]
-    yield from rejections[:MOST_REASONS]
-    if (count_more := len(rejections) - MOST_REASONS) > 0:
+    yield from rejections[:MAX_REASONS]
+    if (count_more := len(rejections) - MAX_REASONS) > 0:
         yield f"Not counted for similar reasons: {counted(count_more, 'more stride')}."
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."

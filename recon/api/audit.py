@@ -13,7 +13,7 @@ import pandas as pd
 from recon.base.arrays import Array, Integers
 from recon.base.errors import InputError, Problem
 from recon.base.numbers import counted
-from recon.check.audit import LEAST_FRAMES, audit
+from recon.check.audit import MIN_FRAMES, audit
 from recon.check.audited import AuditedPoints, resolution_of, roles_of
 from recon.check.codes import finding, sentence, sort_findings
 from recon.check.pose_checks import EXTENT_M
@@ -161,7 +161,7 @@ def audit_points(
         xy_px = np.where(is_unlikely[..., None], np.nan, keypoints.xy_px)
         points = audited_points(keypoints.names, xy_px, keypoints.frames, rate, resolution)
         content, notes = f"2D keypoints ({reader.title})", keypoints.notes
-    if len(points.frames) < LEAST_FRAMES:
+    if len(points.frames) < MIN_FRAMES:
         notes = (*notes, f"{len(points.frames)} frames are too few for an audit.")
     return Audit(path, content, points, sort_findings([*findings, *audit(points)]), notes)
 

@@ -40,7 +40,7 @@ OPTION = "--cameras-by"
 SEPARATORS = "-_. "
 """Characters that may separate the camera's name from the rest of a file name."""
 _MANIFEST = "a CSV table with columns keypoints, camera and fps"
-MOST_BYTES = 240
+MAX_BYTES = 240
 """Maximum length of a clip's name in bytes. File systems allow 255, and a number may be appended."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file systems do not allow in names."""
@@ -665,7 +665,7 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
     for draft in drafts:
         tags = (str(draft.row[key]).replace(":", "-") for key in ("individual", "frames") if key in draft.row)
         plain = _UNFIT.sub("_", encodable("-".join((file_name[draft.title], *tags))))
-        plain = plain.encode()[:MOST_BYTES].decode(errors="ignore").strip(". ") or "clip"
+        plain = plain.encode()[:MAX_BYTES].decode(errors="ignore").strip(". ") or "clip"
         free = (name for i in counting(1) if (name := f"{plain}-{i}" if i > 1 else plain).casefold() not in taken)
         names.append(draft.name or next(free))
         taken.add(names[-1].casefold())

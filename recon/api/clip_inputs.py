@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.animal.body import LARGEST_ANIMAL_M, ROUGH_SIZE_SIGMA, Body, Side
+from recon.animal.body import MAX_ANIMAL_M, ROUGH_SIZE_SIGMA, Body, Side
 from recon.animal.naming import load_names, problem_of_names, renamed
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
@@ -57,7 +57,7 @@ FRAMES_FOR_UNIT = 480
 """Maximum number of frames that are used to check the calibration's unit."""
 LOG_SIZE_OF_UNIT = math.log(2.0)
 """Maximum |log(size / expected size)| of the triangulated animal for a plausible unit of the calibration."""
-LEAST_BETWEEN_UNITS = 50.0
+MIN_BETWEEN_UNITS = 50.0
 """Smallest ratio of two units that the animal's size can distinguish.
 
 An animal may be a tenth as large as its skeleton, so centimetres and millimetres are not distinguished.
@@ -179,7 +179,7 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
         return
     size, given_m = float(np.median([ratio for ratio in times if ratio > 0])), UNITS_M[settings.camera_unit]
     for unit, metres in UNITS_M.items():
-        is_far = abs(math.log(metres / given_m)) > math.log(LEAST_BETWEEN_UNITS)
+        is_far = abs(math.log(metres / given_m)) > math.log(MIN_BETWEEN_UNITS)
         if is_far and abs(math.log(size * metres / given_m)) < LOG_SIZE_OF_UNIT:
             times_text = f"{size:.0f}" if size > 1 else f"{size:.1g}"
             actual = f"{settings.camera_unit}, in which the animal is {times_text} times as large as expected"
@@ -200,10 +200,10 @@ def require_size_of_animal(points_m: np.ndarray, camera_unit: Unit) -> None:
     """
     known = np.isfinite(points_m[..., 0])
     size_m = length_of_animal_m(points_m[densest_window(known.mean(axis=1) >= KNOWN_FOR_UNIT, FRAMES_FOR_UNIT)])
-    if size_m <= LARGEST_ANIMAL_M:
+    if size_m <= MAX_ANIMAL_M:
         return
     smaller = {unit: size_m * UNITS_M[unit] / UNITS_M[camera_unit] for unit in ("cm", "mm")}
-    plausible = {unit: length_m for unit, length_m in smaller.items() if length_m <= LARGEST_ANIMAL_M}
+    plausible = {unit: length_m for unit, length_m in smaller.items() if length_m <= MAX_ANIMAL_M}
     units = " or ".join(f"{unit} ({rough_length(length_m)})" for unit, length_m in (plausible or smaller).items())
     actual = f"{camera_unit}, in which the animal is {rough_length(size_m)} long"
     raise InputError(Problem("--camera-unit", "camera_unit", actual, f"the calibration's unit, probably {units}"))

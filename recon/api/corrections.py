@@ -26,7 +26,7 @@ from recon.fit.motion import Motion
 from recon.io.corrections import Correction, read_corrections, write_corrections
 from recon.show.page.player_data import player_data
 
-MOST_CORRECTIONS = 100_000
+MAX_CORRECTIONS = 100_000
 IDLE_S = 2.0
 """Time without a change, in seconds, after which the clip is fitted from the start."""
 
@@ -172,8 +172,8 @@ class CorrectionSession:
         return len(corrections)
 
     def _checked(self, rows: object) -> list[Correction]:
-        if not isinstance(rows, list) or len(rows) > MOST_CORRECTIONS:
-            raise InputError(Problem("corrections", "rows", type(rows).__name__, f"at most {MOST_CORRECTIONS} rows"))
+        if not isinstance(rows, list) or len(rows) > MAX_CORRECTIONS:
+            raise InputError(Problem("corrections", "rows", type(rows).__name__, f"at most {MAX_CORRECTIONS} rows"))
         today = datetime.now().astimezone().isoformat(timespec="seconds")
         known = {_key(row): row for row in self.corrections}
         checked = []

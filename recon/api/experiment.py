@@ -39,7 +39,7 @@ _SLOPE_NAMES = {SPEED: "per m/s of speed"}
 """Names, in the table, of slopes that do not have the name of their covariate."""
 _MIN_SIGMA_FRACTION = 0.01
 """Minimum standard deviation of a camera's independent error, as a fraction of its total standard deviation."""
-_LEAST_SIGMA = 1e-9
+_MIN_SIGMA = 1e-9
 """Minimum standard deviation, and minimum magnitude of a value, by which another number is divided."""
 _FIELD = re.compile(r"\{(\w*)\}")
 
@@ -272,13 +272,13 @@ def joint_posterior(
     """
     from_prior = np.divide(size_sigmas**2, prior_sigmas, out=np.zeros(len(values)), where=prior_sigmas > 0)
     from_pictures = np.maximum(size_sigmas**2 - from_prior**2, 0.0)
-    least = np.maximum(_MIN_SIGMA_FRACTION * sigmas, _LEAST_SIGMA)
+    least = np.maximum(_MIN_SIGMA_FRACTION * sigmas, _MIN_SIGMA)
     independent = np.maximum(sigmas**2 - run_sigmas**2, least**2)
     usual = float(np.average(values, weights=1 / independent))
     independent = independent + from_pictures * usual**2
     shared = np.stack([from_prior, focal_sigmas]) * abs(usual)
     # A shared error in proportion to each camera's own value would favour the smaller values.
-    in_run = run_sigmas * abs(usual) / np.maximum(np.abs(values), _LEAST_SIGMA)
+    in_run = run_sigmas * abs(usual) / np.maximum(np.abs(values), _MIN_SIGMA)
     precision = np.linalg.inv(np.diag(independent) + shared.T @ shared + np.multiply.outer(in_run, in_run))
     weights = np.maximum(precision.sum(axis=0), 0.0)
     weights = weights / weights.sum()
@@ -286,7 +286,7 @@ def joint_posterior(
     chi_squared = float((values - mean) @ precision @ (values - mean))
     scale = max(1.0, chi_squared / max(len(values) - 1, 1))
     sigma = float(np.sqrt(scale * np.sum(weights**2 * independent) + (weights @ in_run) ** 2))
-    return mean, sigma, float(np.linalg.norm(shared @ weights)) / max(abs(usual), _LEAST_SIGMA)
+    return mean, sigma, float(np.linalg.norm(shared @ weights)) / max(abs(usual), _MIN_SIGMA)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ By chance, 1 camera in 70 exceeds this limit (chi-squared with 6 degrees of free
 """
 MAX_TURN_SIGMA_DEG = 10.0
 """Standard deviation of a camera's rotation, degrees, above which its pose counts as unknown; an assumption."""
-LEAST_MOVED = 0.5
+MIN_MOVED = 0.5
 """Minimum path of the animal in a picture, in body lengths. An animal that stands and sways moves less."""
 
 
@@ -207,7 +207,7 @@ def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
     The poses of the cameras relative to each other follow from the path of the animal.
     """
     moved = max(_lengths_moved(source.keypoints.xy_px) for sources in clips for source in sources)
-    if moved < LEAST_MOVED:
+    if moved < MIN_MOVED:
         actual = f"an animal that moves by {moved:.1f} of its length in the pictures"
         expected = "clips in which the animal moves by its own length or more, from which camera positions follow"
         raise InputError(Problem("KEYPOINTS", "motion", actual, expected))

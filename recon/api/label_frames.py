@@ -25,7 +25,7 @@ from recon.io.video import probe, read_frames
 
 THUMBNAIL_PX = 24
 """Longer side of the reduced pictures by which `choose_frames` compares frames, px."""
-MOST_COMPARED = 600
+MAX_COMPARED = 600
 """Number of frames that `choose_frames` compares in a long video, approximately."""
 SEED = 0
 Point = tuple[float, float]
@@ -45,7 +45,7 @@ def choose_frames(video: Path, count: int) -> list[int]:
     """
     from scipy.cluster.vq import kmeans2
 
-    step = max(1, (probe(video).stated_frames or 0) // MOST_COMPARED)
+    step = max(1, (probe(video).stated_frames or 0) // MAX_COMPARED)
     numbers, pictures = [], []
     for number, picture in read_frames(video, step=step):
         scale = THUMBNAIL_PX / max(picture.shape[:2])

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from recon.io.camera_track import CameraTrack
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
-MOST_ZOOM = 20
+MAX_ZOOM = 20
 """Maximum factor on the calibrated focal length that a zoom lens can have."""
 
 _Cameras = tuple[tuple[Camera, "CameraTrack | None"], ...]
@@ -67,8 +67,8 @@ def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
     for camera, track in cameras:
         if track is not None and track.intrinsics_px is not None:
             track_px, camera_px = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
-            if not camera_px / MOST_ZOOM <= track_px <= camera_px * MOST_ZOOM:
-                expected = f"within a factor of {MOST_ZOOM} of the camera file's {camera_px:.4g} px"
+            if not camera_px / MAX_ZOOM <= track_px <= camera_px * MAX_ZOOM:
+                expected = f"within a factor of {MAX_ZOOM} of the camera file's {camera_px:.4g} px"
                 yield Problem(track.source, "fx", f"{track_px:.4g} px (median)", expected)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.animal.body import LARGEST_ANIMAL_M, Body, other_side
+from recon.animal.body import MAX_ANIMAL_M, Body, other_side
 from recon.animal.bones import bones_of
 from recon.animal.chain import load_chain
 from recon.animal.prior import load_prior
@@ -100,7 +100,7 @@ def _segments(body: Body) -> Iterator[dict[str, Any]]:
 def _remarks(body: Body) -> Iterator[str]:
     point_m = dict(zip(body.markers, body.expected_points_m(), strict=True))
     rear, front = (point_m[marker] for marker in body.forward)
-    if (length_m := float(np.ptp([*point_m.values()], axis=0).max())) > LARGEST_ANIMAL_M:
+    if (length_m := float(np.ptp([*point_m.values()], axis=0).max())) > MAX_ANIMAL_M:
         yield f"lengths: the animal is {rough_length(length_m)} long. Lengths are metres, not mm or cm."
     if front[0] <= rear[0]:
         yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."

@@ -45,7 +45,7 @@ REAR = ("tail_base", "l_hip", "spine")
 """Markers of the quadruped at which a skeleton's `forward` may begin, the preferred one first."""
 FRONT = ("neck_base", "withers", "l_shoulder", "nose")
 """Markers of the quadruped at which a skeleton's `forward` may end, the preferred one first."""
-FEWEST_FRAMES = 20
+MIN_FRAMES = 20
 """Minimum number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID_SIGMA = 0.01
 """Maximum standard deviation of the distance of two keypoints, in lengths of the animal, for a constant distance."""
@@ -353,11 +353,11 @@ def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Ar
         If there are too few of these points.
     """
     seen = np.isfinite(points_m[..., 0])
-    kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
+    kept = np.flatnonzero(seen.sum(axis=0) >= MIN_FRAMES)
     frames_together = seen[:, kept].T.astype(int) @ seen[:, kept]
-    if len(kept) < MIN_JOINTS or frames_together.min() < FEWEST_FRAMES:
-        actual = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all in the same frames"
-        expected = f"{MIN_JOINTS} or more, with every pair in {FEWEST_FRAMES} common frames"
+    if len(kept) < MIN_JOINTS or frames_together.min() < MIN_FRAMES:
+        actual = f"{len(kept)} that two cameras see in {MIN_FRAMES} frames, not all in the same frames"
+        expected = f"{MIN_JOINTS} or more, with every pair in {MIN_FRAMES} common frames"
         raise InputError(Problem(source, "keypoints", actual, expected))
     return points_m[:, kept], [names[k] for k in kept.tolist()]
 

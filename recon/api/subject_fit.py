@@ -30,7 +30,7 @@ from recon.gait.stances import INTERVAL
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
-LEAST_SIZE_SIGMA = 0.01
+MIN_SIZE_SIGMA = 0.01
 """Smallest size_sigma of a measured animal, because keypoints are not placed on an animal more precisely than this."""
 
 
@@ -134,7 +134,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     size, sigma = 1.0, problems[0].size_sigma
     if length_count:
         size = float(np.exp(fit.values[:length_count].mean()))
-        sigma = max(float(np.sqrt(fit.covariance[:length_count, :length_count].mean())), LEAST_SIZE_SIGMA)
+        sigma = max(float(np.sqrt(fit.covariance[:length_count, :length_count].mean())), MIN_SIZE_SIGMA)
     frames = sum(int((problem.present().sum(axis=1) > 0).sum()) for problem in problems)
     prior_sigma = problems[0].size_sigma
     rows = list(_rows(fit, prior_sigma))

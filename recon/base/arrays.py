@@ -22,7 +22,7 @@ Index = NDArray[np.intp]
 """Indices of elements of another array."""
 MAX_CHARACTERS = 250
 """Maximum number of characters in the text of an object."""
-LONGEST_PART = 75
+MAX_PART_CHARACTERS = 75
 """Maximum number of characters in the text of an object's field."""
 MAX_SHOWN_ELEMENTS = 12
 """Maximum number of elements of an array whose values are shown instead of its shape."""
@@ -42,11 +42,11 @@ def _brief(part: object) -> str:
     if isinstance(part, np.ndarray):
         return f"array {part.shape}" if part.size > MAX_SHOWN_ELEMENTS else f"array {part.tolist()}"
     text = f"{part:.6g}" if isinstance(part, float) else " ".join(repr(part).split())
-    if len(text) <= LONGEST_PART:
+    if len(text) <= MAX_PART_CHARACTERS:
         return text
     if isinstance(part, tuple | list | dict):
         return f"{type(part).__name__} of {len(part)}"
-    return type(part).__name__ if is_dataclass(part) else f"{text[: LONGEST_PART - 3]}..."
+    return type(part).__name__ if is_dataclass(part) else f"{text[: MAX_PART_CHARACTERS - 3]}..."
 
 
 @overload

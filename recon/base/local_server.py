@@ -17,7 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 WASM = "application/wasm"
 """Media type of WebAssembly, which browsers accept only without a charset."""
-MOST_BYTES = 4_000_000
+MAX_BYTES = 4_000_000
 """Maximum size of a request, in bytes, enough for thousands of corrections."""
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data: blob:; "
@@ -132,8 +132,8 @@ class _RequestHandler(BaseHTTPRequestHandler):
         if self.headers.get("Origin") not in [f"http://{host}" for host in self.server.hosts]:
             raise _RefusedError(HTTPStatus.FORBIDDEN, "another page")
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > MOST_BYTES:
-            raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {MOST_BYTES} bytes")
+        if not length.isdecimal() or int(length) > MAX_BYTES:
+            raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {MAX_BYTES} bytes")
         try:
             return json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):

@@ -12,7 +12,7 @@ _MMAP_THRESHOLD = -3
 """Number of glibc's setting M_MMAP_THRESHOLD, from malloc.h."""
 KEPT_BYTES = 1 << 28
 """Maximum amount of freed memory, in bytes, that the process keeps at the end of the heap."""
-LARGEST_BYTES = 1 << 25
+MAX_BYTES = 1 << 25
 """Minimum size, in bytes, of arrays that are returned to the system when freed. glibc accepts no larger setting."""
 NEW_OBJECTS = 400_000
 """Number of new containers after which the garbage collector searches them for unused reference cycles.
@@ -45,4 +45,4 @@ def keep_freed_memory() -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has no mallopt
     if mallopt is not None:
         mallopt(_TRIM_THRESHOLD, KEPT_BYTES)
-        mallopt(_MMAP_THRESHOLD, LARGEST_BYTES)
+        mallopt(_MMAP_THRESHOLD, MAX_BYTES)

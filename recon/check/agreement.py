@@ -62,7 +62,7 @@ CLEAR_OFFSET = 3.0
 """Minimum offset in frames for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_GAIN = 1.5
 """Minimum factor by which a rotation or a time offset must reduce the error ratio of a camera that agrees."""
-LARGEST_ROTATION_RAD = np.radians(45.0)
+MAX_ROTATION_RAD = np.radians(45.0)
 """Largest rotation of a camera that is reported as a cause. A larger rotation is more likely another fault."""
 MAX_FRAMES = 480
 """Maximum number of frames in which cameras are compared.
@@ -266,7 +266,7 @@ def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float 
 
     A rotation below `least_rad`, or a delay below `least_frames`, is not a possible cause.
     """
-    is_turned = least_rad <= comparison["turn_rad"] <= LARGEST_ROTATION_RAD
+    is_turned = least_rad <= comparison["turn_rad"] <= MAX_ROTATION_RAD
     is_late = abs(comparison["late_frames"]) >= least_frames
     ratios = {"camera_late": comparison["level_late"]} if is_late else {}
     return ratios | ({"camera_turned": comparison["level_turned"]} if is_turned else {})

@@ -64,7 +64,7 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }
 """Codes of the consequences of each fault, by the fault's code. They are not reported in addition to the fault."""
-LEAST_FRAMES = 5
+MIN_FRAMES = 5
 """Minimum number of frames in a file that can be audited."""
 
 
@@ -77,7 +77,7 @@ def audit(points: AuditedPoints) -> tuple[Finding, ...]:
 
 def measures_of(points: AuditedPoints) -> list[Measure]:
     """Return the measures of all checks that apply to the points and can be computed."""
-    if len(points.frames) < LEAST_FRAMES or not points.known.any():
+    if len(points.frames) < MIN_FRAMES or not points.known.any():
         return []
     with np.errstate(invalid="ignore"):
         measures = [*measure_tracks(points), *(measure_poses(points) if points.in_space else ())]

@@ -21,7 +21,7 @@ NAMES_KNOWN = 0.6
 
 If the skeleton has fewer markers than the file has points, the fraction of the skeleton's markers is used instead.
 """
-LEAST_NAMES = 4
+MIN_NAMES = 4
 """Minimum number of matching names for a built-in skeleton to be used, because two or three match several animals."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
 _STANDING = re.compile(rf"{_FOOT.pattern}|fetlock|pastern|digit|heel|hock|tarsus|carpus|knee")
@@ -139,7 +139,7 @@ def roles_of(names: Sequence[str]) -> Roles:
     """Return the parts of the animal that the points' names denote, according to a built-in skeleton or name map."""
     skeleton, by_marker = marker_names(names)
     body = None if skeleton is None else load_skeleton(skeleton)
-    if body is None or len(by_marker) < max(LEAST_NAMES, NAMES_KNOWN * min(len(names), len(body.markers))):
+    if body is None or len(by_marker) < max(MIN_NAMES, NAMES_KNOWN * min(len(names), len(body.markers))):
         feet = [i for i, name in enumerate(names) if _LOWEST.search(name)]
         feet = feet or [i for i, name in enumerate(names) if _FOOT.search(name)]
         upper = (i for i, name in enumerate(names) if _TRUNK.search(name) and i not in feet)

@@ -20,7 +20,7 @@ LIMITS = -1.4, 3.3
 The offsets are 0.2 to 1.4 in correct views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a
 tenth of a second behind (`python benchmarks/wrong_inputs.py --only limits`, five views each).
 """
-LEAST_FRAMES = 3
+MIN_FRAMES = 3
 """Minimum number of frames in a segment of the clip whose halves are compared."""
 DISAGREES_SIGMAS = 3.0
 """Distance of a detection from its marker, in standard deviations, beyond which it disagrees with the pose."""
@@ -39,12 +39,12 @@ def hind_markers(clip: ClipProblem) -> Bools:
 def offset_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
     """Return the time offset of the animal's hind half in a clip of one camera, in frames, or None if it is unknown."""
     segment, is_hind = solution.longest_segment, hind_markers(clip)
-    if segment is None or segment.rows.stop - segment.rows.start < LEAST_FRAMES or is_hind.all():
+    if segment is None or segment.rows.stop - segment.rows.start < MIN_FRAMES or is_hind.all():
         return None
 
     def by_offset(detections: Detections) -> Array:
         projected_px = detections.projected_px
-        if len(projected_px) < LEAST_FRAMES:
+        if len(projected_px) < MIN_FRAMES:
             return np.zeros_like(projected_px)
         return np.gradient(projected_px, axis=0) * is_hind[None, :, None]
 

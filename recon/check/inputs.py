@@ -319,9 +319,9 @@ alone, seen by a camera that follows them, so this limit does not exclude them (
 """
 MEDIAN_STEPS = 7
 """Number of successive steps of a keypoint over which the median gives the usual step."""
-LEAST_STEP_PX = 5.0
+MIN_STEP_PX = 5.0
 """Minimum length of the usual step with which a step is compared, pixels."""
-LEAST_STEPS = 20
+MIN_STEPS = 20
 """Minimum number of steps with enough keypoints that is required to test for missing frames."""
 
 
@@ -407,7 +407,7 @@ def step_ratios(tracks: Array) -> Array | None:
 
     `tracks` are the positions of K keypoints in pixels, shape (T, K, 2) or (T, K, 3). Each keypoint is compared with
     its own steps, because visibility changes and paws are faster than the trunk. The ratio of a step is the median over
-    the keypoints. Steps with too few keypoints are left out. Return None if fewer than `LEAST_STEPS` remain.
+    the keypoints. Steps with too few keypoints are left out. Return None if fewer than `MIN_STEPS` remain.
     """
     steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)
@@ -416,9 +416,9 @@ def step_ratios(tracks: Array) -> Array | None:
         usual_px = running_median(steps[known_frames, j], MEDIAN_STEPS)
         length_px = np.linalg.norm(usual_px, axis=1)
         projected = np.sum(steps[known_frames, j] * usual_px, axis=1) / np.maximum(length_px, 1e-9) ** 2
-        times[known_frames, j] = np.where(length_px > LEAST_STEP_PX, projected, np.nan)
+        times[known_frames, j] = np.where(length_px > MIN_STEP_PX, projected, np.nan)
     times = times[np.isfinite(times).sum(axis=1) >= MIN_COUNT]
-    return np.nanmedian(times, axis=1) if len(times) >= LEAST_STEPS else None
+    return np.nanmedian(times, axis=1) if len(times) >= MIN_STEPS else None
 
 
 def steps_are_missing(ratios: Array) -> bool:
@@ -458,7 +458,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 # Impossible motions
 
-LEAST_S = 0.25
+MIN_DURATION_S = 0.25
 """Minimum duration of a motion that is tested, seconds."""
 STILL_FRACTION = 0.95
 """Fraction of the frames in which the speed must be below `STILL_M_S` for an animal that stands still."""
@@ -523,7 +523,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
     """Yield at most one finding, on an impossible motion over the ground or on an animal that stands still."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
-    if posed.sum() < max(LEAST_S * motion.fps, 3):
+    if posed.sum() < max(MIN_DURATION_S * motion.fps, 3):
         return
     forward, _ = _along(motion)
     speeds = feet_speeds(motion)

@@ -32,7 +32,7 @@ DISTANCE_WEIGHT = 0.02
 
 With this value, close points are connected, but not feet that stand side by side.
 """
-LEAST_KNOWN = 0.3
+MIN_KNOWN_FRACTION = 0.3
 """Minimum fraction of the frames in which both points of a pair must be known for the pair to count as a bone."""
 EXTENT_M = (0.04, 5.0)
 """Range of possible lengths of an animal, from a mouse to more than a horse."""
@@ -84,7 +84,7 @@ def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
         lengths[:, counts == 0] = 0.0
         median = np.nanmedian(lengths, axis=0)
         deviation = np.nanmedian(np.abs(lengths - median), axis=0)
-        is_bone = (counts >= max(MIN_COUNT, LEAST_KNOWN * len(values))) & (median > 0.02 * points.extent)
+        is_bone = (counts >= max(MIN_COUNT, MIN_KNOWN_FRACTION * len(values))) & (median > 0.02 * points.extent)
         spread[i, i + 1 :] = np.where(is_bone, deviation + DISTANCE_WEIGHT * median, 0.0)
     partners = opposites(points.names)
     standing = np.flatnonzero((partners != np.arange(K)) & points.stands)

@@ -41,7 +41,7 @@ The user is asked to look at the video in two cases, because nothing else shows 
 more likely with the sides exchanged, but the gain is too small to report a swap. In the other, only the gain from
 appearance suggests a swap (`MIN_TRIED_GAIN`).
 """
-LEAST_S = 0.25
+MIN_DURATION_S = 0.25
 """Minimum duration of a clip in which a swap of the whole clip is tested, seconds.
 
 The value is less than a stride. The clip must also show a leg.
@@ -182,7 +182,7 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
     ]
     whole = float(evidence["all"].sum())
     suspects = sorted(suspects, reverse=True)[:MAX_REFITS]
-    can_tell_whole = T / baseline.clip.fps > LEAST_S and evidence["all"].any() and not is_unlike
+    can_tell_whole = T / baseline.clip.fps > MIN_DURATION_S and evidence["all"].any() and not is_unlike
     if can_tell_whole and whole > MIN_APPEARANCE_GAIN:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]

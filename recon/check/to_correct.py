@@ -24,7 +24,7 @@ AGREES_SIGMAS = 2.0
 """Distance of a detection from its expected position, in standard deviations, up to which it needs no correction."""
 GROSS_SIGMAS = 5.0
 """Distance of a detection from its expected position, in standard deviations, beyond which it is surely wrong."""
-MOST_LISTED = 500
+MAX_LISTED = 500
 """Default maximum number of detections in the list, which is more than anybody corrects by hand."""
 Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
 """Reason for which a detection is worth correcting.
@@ -62,7 +62,7 @@ class ToCorrect:
     """Expected decrease of the pose's root mean square error after the correction; NaN if it cannot be computed."""
 
 
-def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
+def to_correct(motion: Motion, limit: int = MAX_LISTED) -> list[ToCorrect]:
     """Return the detections that are worth correcting, the most worthwhile first.
 
     Parameters

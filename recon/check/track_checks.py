@@ -58,7 +58,7 @@ MAX_PAIR_GAIN = 6.0
 """Upper limit of the log-likelihood gain that a single pair of points contributes to a swap."""
 SIDE_STEP = 0.02
 """Lower limit of the standard deviation of a side vector's change per frame, relative to the animal's size."""
-LEAST_PAIRS = 2
+MIN_PAIRS = 2
 """Minimum number of pairs of points that must show a swap at the same time."""
 PX_OF_EXTENT = 1000.0
 """Size in pixels to which an animal in 3D is scaled, so that limits in pixels can be applied."""
@@ -66,7 +66,7 @@ STEP_PX = 2.0
 """Minimum length of a step between frames whose change of speed is measured, pixels."""
 MIN_STEP_COSINE = 0.5
 """Minimum cosine of the angle between two successive steps that count as in the same direction."""
-LEAST_CHANGES = 8
+MIN_CHANGES = 8
 """Minimum number of changes of the speed required to test for missing frames."""
 CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 """Scales of the distribution of the changes of log(speed) per frame, over which the likelihood is averaged."""
@@ -78,7 +78,7 @@ OUTLIER_RANGE = 5.0
 """Width of the range of changes of log(speed) over which outliers are uniformly distributed."""
 MISSING_FRACTIONS = np.array([0.1, 0.2, 0.3, 0.4])
 """Fractions of missing frames over which the likelihood is averaged."""
-MOST_INTERVALS = 3
+MAX_INTERVALS = 3
 """Maximum number of frame intervals that a step across missing frames spans."""
 MAX_NORMALISED = 1.5
 """Largest coordinate at which keypoints count as fractions of the picture, which allows for points outside it."""
@@ -270,7 +270,7 @@ def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
     """Yield the log Bayes factor for missing frames, computed from the changes of the points' speed."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     changes = _speed_changes(points.positions * scale, points.follows)
-    if np.isfinite(changes).sum() >= LEAST_CHANGES:
+    if np.isfinite(changes).sum() >= MIN_CHANGES:
         gain, fraction = missing_gain(changes)
         yield Measure("frames_dropped", gain, None, {"share": fraction})
 
@@ -329,7 +329,7 @@ def missing_gain(changes: Array) -> tuple[float, float]:
     sigma, outliers, missing = (
         grid.ravel() for grid in np.meshgrid(CHANGE_SIGMAS, OUTLIER_FRACTIONS, MISSING_FRACTIONS)
     )
-    intervals = np.arange(1, MOST_INTERVALS + 1)
+    intervals = np.arange(1, MAX_INTERVALS + 1)
     prior = missing[:, None] ** (intervals - 1)
     prior = prior / prior.sum(axis=1, keepdims=True)
     shift = np.log(intervals[:, None] / intervals)
@@ -367,7 +367,7 @@ def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
     left = np.array(
         [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"], dtype=int
     )
-    if len(left) < LEAST_PAIRS:
+    if len(left) < MIN_PAIRS:
         return
     gains = _reversal_gains(points, points.positions[:, left] - points.positions[:, partners[left]])
     best: tuple[float, str, Index, int, Array] | None = None
@@ -412,7 +412,7 @@ def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
     parts = {"all points": np.arange(len(left))}
     for limb, rows in points.roles.limbs.items():
         pairs = np.array([p for p, k in enumerate(left) if k in rows], dtype=int)
-        if len(pairs) >= LEAST_PAIRS and "left" in limb:
+        if len(pairs) >= MIN_PAIRS and "left" in limb:
             parts[limb.replace("left ", "the ") + "s"] = pairs
     return parts
 

@@ -78,7 +78,7 @@ NOT_ALL_CHECKED = f"No check that ran found a fault; {_UNCHECKED}."
 """Reason for the verdict "use" if there are no notes, and the prior was not learned from motions."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector with three normal components of equal variance, relative to its root mean square length."""
-_LEAST_M2 = 1e-8
+_MIN_M2 = 1e-8
 """Lower limit of a variance, m^2. Smaller values are rounding errors of a variance that is due to the size alone."""
 _MEAN_OF_SIGMA = 0.8
 """Mean absolute deviation of a normally distributed quantity, in standard deviations."""
@@ -170,7 +170,7 @@ def _frame_evidence(motion: Motion) -> _FrameEvidence:
         unseen = 1.0 - np.nan_to_num(solution.data_share, nan=1.0)
         from_middle_m = np.linalg.norm(joints_m - middle_m[:, None], axis=-1)
         variance = variance - (from_middle_m * solution.size_sigma / solution.size) ** 2
-    variance = np.maximum(variance, _LEAST_M2)
+    variance = np.maximum(variance, _MIN_M2)
     middle_variance = np.trace((solution.covariance_m2[posed] - relative).mean(axis=1), axis1=1, axis2=2)
     rear, front = motion.forward
     trunk_m = joints_m[:, front] - joints_m[:, rear]

@@ -18,7 +18,7 @@ from recon.gait.gait import STRIDE_WORDS
 from recon.gait.stances import interval_text
 from recon.show.sentences import analysis_sentences
 
-MOST_STANCES = 100
+MAX_STANCES = 100
 """Maximum number of stances, of all feet together, that are printed."""
 
 
@@ -60,7 +60,7 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
         foot = f"{stride.foot}, " if stride.foot else ""
         times = f"{stride.start_s:.3f} to {quantity(stride.end_s, 3, 's')}"
         yield f"Phase portraits: {foot}{times}, {STRIDE_WORDS[stride.at].ends}."
-    if analysis.gait is not None and len(analysis.gait.stances) <= MOST_STANCES:
+    if analysis.gait is not None and len(analysis.gait.stances) <= MAX_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
         for s in analysis.gait.stances:
             spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")

@@ -34,7 +34,7 @@ EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 MIN_FRACTION = 0.03
 """Fraction of the work that has to be done before the remaining time is shown."""
-LEAST_S = 2.0
+MIN_PASSED_S = 2.0
 """Seconds that have to pass before the remaining time is shown."""
 
 
@@ -254,7 +254,7 @@ class RemainingTime:
     def text(self, share: float) -> str:
         """Return the remaining time, such as "2 min 10 s left", or "" if it is not yet known or the work is done."""
         passed_s = self._clock() - self._began_s
-        if share < MIN_FRACTION or passed_s < LEAST_S or share >= 1:
+        if share < MIN_FRACTION or passed_s < MIN_PASSED_S or share >= 1:
             return ""
         left_s = passed_s * (1 - share) / share
         step_s = 1 if left_s < 20 else 10 if left_s < 600 else 60

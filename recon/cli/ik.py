@@ -19,7 +19,7 @@ from recon.ik.cost_study import CHAOTIC_GROWTH, TURNS
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
 """Minimum closure over a stride, in percent, that every joint's angle needs for the outcome "closes"."""
-LEAST_CLOSURE = "least_closure_angle_percent"
+MIN_CLOSURE = "least_closure_angle_percent"
 OFF_PATH_M = 0.02
 """Distance of the foot from the stride's path, in metres, above which a method counts as failed."""
 
@@ -102,7 +102,7 @@ def _result(row: dict[str, Any]) -> str:
         return "off-path"
     if row["note"].startswith("singular"):
         return "singular"
-    if row[LEAST_CLOSURE] >= CLOSES_PERCENT:
+    if row[MIN_CLOSURE] >= CLOSES_PERCENT:
         return "closes"
     return "limited" if row["limits_hit"] else "drifts"
 
@@ -114,12 +114,12 @@ def _stride_lines(along: dict[str, Any], summary: dict[str, Any]) -> Iterator[st
         "µs each": _step_time,
         "off °": lambda row: f"{degrees(row['joints_off_rad']):.0f}",
         "limits": _limits,
-        "closure %": lambda row: f"{row[LEAST_CLOSURE]:.1f}",
+        "closure %": lambda row: f"{row[MIN_CLOSURE]:.1f}",
     }
     yield _table(along, f"along the stride, turns: {summary['turns']}", columns)
     yield from (f"{name}: {row['note']}" for name, row in along.items() if row["note"])
     for name, row in along.items():
-        if row["limits_hit"] and row[LEAST_CLOSURE] < CLOSES_PERCENT:
+        if row["limits_hit"] and row[MIN_CLOSURE] < CLOSES_PERCENT:
             later = f"; then {', '.join(row['limits_hit'][1:])}" if row["limits_hit"][1:] else ""
             yield f"{name} does not close, stopped by {row['first_limit']}{later}"
     if any(row["limits_hit"] for row in along.values()):

@@ -107,7 +107,7 @@ factor is a round number.
 SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of the animal's size as measured by two calibrated cameras."""
 
-LEAST_NOISE = 0.02
+MIN_NOISE = 0.02
 """Minimum variance of a joint's detections, relative to the expected variance.
 
 The limit applies if several cameras estimate the body's shape and the detector was not measured. It keeps a fit from
@@ -116,7 +116,7 @@ following a joint exactly.
 NOISE_COUNT = 1.0
 """Weight of the expected variance in the estimate of a joint's noise, as an equivalent number of detections.
 
-The weight applies under the conditions of `LEAST_NOISE`.
+The weight applies under the conditions of `MIN_NOISE`.
 """
 LENGTH_SHARE = 0.3
 """Standard deviation of a single length, relative to the standard deviation of the size, if the shape is unknown.

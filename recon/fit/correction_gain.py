@@ -46,7 +46,7 @@ from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, offset_values
 
-_MOST_WEIGHT = 0.99
+_MAX_WEIGHT = 0.99
 """Maximum weight w of a detection in the displacement, because P may not exist for a weight of 1."""
 _FRAMES_AT_ONCE = 128
 """Number of frames whose derivatives are computed at once, to limit the memory."""
@@ -168,7 +168,7 @@ def _gain_of_frames(
     fall = precision[..., 0, 0] * np.trace(np.linalg.solve(eye + precision * A_Z_A, A_Q_A), axis1=-2, axis2=-1)
     residual_px = np.where(view.present[..., None], projected - view.xy_px, 0.0)[..., None]
     # if the pose depends on a single detection, P does not exist
-    w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2
+    w_left = np.minimum(w, _MAX_WEIGHT) / variance_px2
     pulled = w_left * np.linalg.solve(eye - w_left * A_Z_A, residual_px)
     pull = (pulled.swapaxes(-1, -2) @ A_Q_A @ pulled)[..., 0, 0]
     return np.where(valid, correlation_frames * fall + pull, np.nan)

@@ -46,7 +46,7 @@ _FRAMES_AT_ONCE = 128
 """Number of frames whose terms are evaluated at once, few enough for the processor's cache."""
 _PIECE_S = 5.5
 """Time (s) between frames at which they hardly influence each other, so that a long clip can be solved in pieces."""
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
+_FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-4, 1e6
 _MIN_EXTENSION_GAIN = 0.1
 """Minimum expected decrease of the cost for which a step is extended.
 
@@ -296,13 +296,13 @@ class LeastSquares:
         more than `_MIN_EXTENSION_GAIN` times `enough`.
         """
         normals = self.normals(current.states, current.shared)
-        while damping <= _MOST_DAMPING:
+        while damping <= _MAX_DAMPING:
             try:
                 states_step, shared_step, slope = step(normals(), damping, self.ahead)
                 for fraction in _STEP_FRACTIONS:
                     trial = self._moved(current, states_step, shared_step, fraction)
                     if trial.cost < current.cost:
-                        next_damping = max(damping * (0.2 if fraction == 1.0 else 0.6), _LEAST_DAMPING)
+                        next_damping = max(damping * (0.2 if fraction == 1.0 else 0.6), _MIN_DAMPING)
                         if fraction < 1.0:
                             return trial, False, next_damping
                         # If the cost fell by more than half the slope, it curves less than its quadratic model.

@@ -115,11 +115,11 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
     as eight detections. It is limited to 1/4 to 6 times the expected variance, so that no joint is followed exactly or
     ignored. If several cameras estimate the body's shape and the detector was not measured, the residuals show the
     noise better than the expectation, so the expected variance counts as `NOISE_COUNT` detections and the lower limit
-    is `LEAST_NOISE`.
+    is `MIN_NOISE`.
     """
     world = clip.in_world(points_m, size)
     is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1
-    least, count = (0.25, 8.0) if is_expected else (constants.LEAST_NOISE, constants.NOISE_COUNT)
+    least, count = (0.25, 8.0) if is_expected else (constants.MIN_NOISE, constants.NOISE_COUNT)
     factors_of_views = []
     expected = clip.noise_px(points_m, np.ones_like(factors), size)
     for view, factor, expected_px in zip(clip.views, factors, expected, strict=True):

@@ -35,9 +35,9 @@ _ROUNDS = 20
 """Maximum number of rounds in which the factors are estimated."""
 _MAX_CHANGE = 0.03
 """Relative change of all factors in a round below which the rounds end."""
-_LEAST_FRAMES = 10
+_MIN_FRAMES = 10
 """Minimum number of frames required to estimate the standard deviations."""
-_LEAST_DETERMINED = 1.0
+_MIN_DETERMINED = 1.0
 """Minimum number of accelerations determined by the detections for a standard deviation to be estimated."""
 
 
@@ -60,7 +60,7 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
     Array
         Factors, (D,), equal for both horizontal directions.
     """
-    if len(states) < _LEAST_FRAMES:
+    if len(states) < _MIN_FRAMES:
         return scale
     accelerations = [term for term in problem.linear if term.name in ACCELERATION_TERMS]
     inverse_sigma = np.sum([np.abs(term.slots[0]).sum(axis=0) for term in accelerations], axis=0)
@@ -80,8 +80,8 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
         determined = T - 2 - variances
         for values in (squares, determined):  # no horizontal direction is special
             values[ROOT][:2] = values[ROOT][:2].mean()
-        ratio = np.sqrt(squares / np.maximum(determined, _LEAST_DETERMINED))
-        change = np.where(determined > _LEAST_DETERMINED, ratio, 1.0)
+        ratio = np.sqrt(squares / np.maximum(determined, _MIN_DETERMINED))
+        change = np.where(determined > _MIN_DETERMINED, ratio, 1.0)
         next_scale = np.clip(scale * np.clip(change, 0.1, 10.0), *SCALES)
         is_close = np.abs(np.log(next_scale / scale)).max() < _MAX_CHANGE
         scale = next_scale

@@ -37,7 +37,7 @@ OUTLIER_SIGMAS = 3.5
 """Distance of a detection from the point's reprojection, in standard deviations, above which it is an outlier."""
 SIGMAS_PX = (0.3, 12.0)
 """Minimum and maximum of the estimated noise of a keypoint, as a standard deviation in pixels."""
-LEAST_CROSSING_RAD = np.radians(1.0)
+MIN_CROSSING_RAD = np.radians(1.0)
 """Minimum angle (rad) between two rays that determine a point."""
 BRIDGED_S = 0.2
 """Maximum length of a gap that a spline fills, s."""
@@ -55,7 +55,7 @@ _MEDIAN_OF_TWO_RAYS = 0.9099
 """Median of a detection's squared error over its variance if two rays meet, which leave one degree of freedom."""
 _LEAST_OF_KEYPOINT = 20
 """Minimum number of detections required to estimate a keypoint's own noise."""
-_LEAST_KNOTS = 6
+_MIN_KNOTS = 6
 """Minimum number of points required to fit a spline."""
 
 
@@ -174,7 +174,7 @@ def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) 
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_a = (along_a - cosine * along_b) / square_sine
         depth_b = (cosine * along_a - along_b) / square_sine
-        crosses = (square_sine > np.sin(LEAST_CROSSING_RAD) ** 2) & (depth_a > 0) & (depth_b > 0)
+        crosses = (square_sine > np.sin(MIN_CROSSING_RAD) ** 2) & (depth_a > 0) & (depth_b > 0)
     middle = 0.5 * (centre_a + depth_a[..., None] * ray_a + centre_b + depth_b[..., None] * ray_b)
     return np.where(crosses[..., None], middle, np.nan)
 
@@ -213,14 +213,14 @@ def _gauss_newton_step(error: Array, by_point: Array, weight: Array) -> Array:
 
 
 def _rays_cross(views: Sequence[View], points: Array, is_used: Bools) -> Bools:
-    """Return a mask (T, J) of the points for which two used rays cross at `LEAST_CROSSING_RAD` or more."""
+    """Return a mask (T, J) of the points for which two used rays cross at `MIN_CROSSING_RAD` or more."""
     to_points = [points - view.centre_m[:, None] for view in views]
     with np.errstate(invalid="ignore", divide="ignore"):
         rays = [arm / np.linalg.norm(arm, axis=-1, keepdims=True) for arm in to_points]
     crosses = np.zeros(points.shape[:2], dtype=bool)
     for a, b in combinations(range(len(views)), 2):
         sine = np.linalg.norm(np.cross(rays[a], rays[b]), axis=-1)
-        crosses |= is_used[a] & is_used[b] & (sine > np.sin(LEAST_CROSSING_RAD))
+        crosses |= is_used[a] & is_used[b] & (sine > np.sin(MIN_CROSSING_RAD))
     return crosses
 
 
@@ -281,7 +281,7 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
     for j in range(points.shape[1]):
         known = np.flatnonzero(np.isfinite(points[:, j, 0]))
         for frames in np.split(known, np.flatnonzero(np.diff(known) > bridged) + 1):
-            if len(frames) < _LEAST_KNOTS:
+            if len(frames) < _MIN_KNOTS:
                 continue
             sigma = np.sqrt(np.diagonal(covariance[frames, j], axis1=1, axis2=2))
             every = np.arange(frames[0], frames[-1] + 1)

@@ -31,7 +31,7 @@ MODEL_RAD = np.radians(5.0)
 """
 PERCENT = np.arange(101.0)
 """Phases of the stride at which mean flexion curves are computed, in percent from one touch-down to the next."""
-LEAST_KNOWN = 0.9
+MIN_KNOWN_FRACTION = 0.9
 """Minimum fraction of the stride's duration with a pose for a stride to contribute to the mean curve."""
 _STEP_RAD = 1e-4
 _ROWS_AT_ONCE = 2000
@@ -206,7 +206,7 @@ def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], tim
     for stride in strides:
         is_inside = (time_s >= stride.start_s) & (time_s <= stride.end_s)
         is_known = np.isfinite(flexion.angle_rad)
-        if not is_inside.any() or is_known[is_inside].mean() < LEAST_KNOWN:
+        if not is_inside.any() or is_known[is_inside].mean() < MIN_KNOWN_FRACTION:
             continue
         # A stride between lift-offs ends with its stance, so its touch-down is one stance before its end.
         touch_down_s = stride.end_s - stride.duty_factor * stride.duration_s if stride.at == "lift-off" else None

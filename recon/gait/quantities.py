@@ -44,12 +44,12 @@ NEXT_STEP = 0.6
 
 A step takes half a stride in symmetrical gaits, to which the value adds a margin of 0.1 strides.
 """
-LONGEST_PERIOD = 1.3
+MAX_PERIOD = 1.3
 """Longest period of the motion that is used as the stride duration, relative to the clip's duration.
 
 A clip that is much shorter than a stride does not determine the period.
 """
-LEAST_STRIDES = 3
+MIN_STRIDES = 3
 """Minimum number of strides of each foot required to compute an asymmetry."""
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.02}
 """Standard deviation of the apparent asymmetry that results if a single camera sees one side better than the other.
@@ -262,8 +262,8 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
 
 
 def _without_long_period(gait: Gait) -> Gait:
-    """Return the gait without its stride duration if the duration is a period longer than `LONGEST_PERIOD`."""
-    if gait.strides or not gait.stride_s > LONGEST_PERIOD * np.ptp(gait.tracks.time_s):
+    """Return the gait without its stride duration if the duration is a period longer than `MAX_PERIOD`."""
+    if gait.strides or not gait.stride_s > MAX_PERIOD * np.ptp(gait.tracks.time_s):
         return gait
     return replace(gait, stride_s=np.nan, stride_sigma_s=np.nan)
 
@@ -470,8 +470,8 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
                 f"the limb of {foot} comes mostly from the prior: pixels determine {percent(fraction)} of its position"
             )
     for foot in feet:
-        if (count := sum(stride.foot == foot for stride in gait.strides)) < LEAST_STRIDES:
-            return f"{count} complete strides of {foot}; {LEAST_STRIDES} are needed"
+        if (count := sum(stride.foot == foot for stride in gait.strides)) < MIN_STRIDES:
+            return f"{count} complete strides of {foot}; {MIN_STRIDES} are needed"
     return None
 
 

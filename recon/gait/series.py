@@ -60,7 +60,7 @@ The influence of a value on the spline falls by the factor 2 - sqrt(3) from fram
 """
 _REACH = 20
 """Number of frames on either side of a sample whose relative influence on an exact spline exceeds 1e-11."""
-_LEAST_PRODUCT = 1e-11
+_MIN_PRODUCT = 1e-11
 """Product of the influences of two frames on a sample, relative to the largest product, below which it is neglected."""
 _AT_ONCE = 1000
 """Number of frames for which the variances of an exact spline away from its ends are computed at once."""
@@ -269,7 +269,7 @@ def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_fram
     )
     first, second = np.triu_indices(width)
     products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
-    least = _LEAST_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
+    least = _MIN_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
     frames = len(t) - 1 - width
     by_frame = variance.reshape(3, frames, per_frame, -1)  # a view, so that assignments change `variance`
     for error in errors:

@@ -25,7 +25,7 @@ from recon.geometry.frames import euler_rotation
 from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
-LARGEST = 1e9
+MAX_ABSOLUTE = 1e9
 """Largest absolute value that an array of a camera may contain. A larger value means that the file is damaged."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
@@ -91,7 +91,7 @@ class Camera(Brief):
             if array is None:
                 if field not in POSE or (self.rotation is None) != (self.translation_m is None):
                     yield field, "nothing", expected
-            elif not (np.abs(array) <= LARGEST).all():
+            elif not (np.abs(array) <= MAX_ABSOLUTE).all():
                 yield field, f"values up to {np.abs(array).max():g}", expected
             elif array.shape != shape and shape:
                 yield field, f"shape {array.shape}", expected

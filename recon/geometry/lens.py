@@ -26,7 +26,7 @@ from recon.base.arrays import Array, Bools
 
 _ANGLES = 2048
 """Number of samples of the radial distortion, whose interpolated inverse is the start value of Newton's method."""
-_LARGEST_RADIUS = 1e8
+_MAX_RADIUS = 1e8
 """Largest radius, in normalised coordinates, at which the radial distortion is sampled."""
 
 
@@ -80,7 +80,7 @@ class Lens:
     @cached_property
     def _radial(self) -> tuple[Array, Array]:
         """Return samples of the distorted radius, and the angles between their rays and the optical axis, rad."""
-        angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
+        angles = np.linspace(0.0, math.atan(min(self.max_radius, _MAX_RADIUS)), _ANGLES)
         r, zero = np.tan(angles), np.zeros(_ANGLES)
         ahead, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
         return 0.5 * (ahead - opposite), angles  # cancels the tangential part, the same on both sides

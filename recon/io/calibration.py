@@ -19,7 +19,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text, require_file
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.geometry.camera import BLOCKS, LARGEST, TILT, Camera, is_rotation
+from recon.geometry.camera import BLOCKS, MAX_ABSOLUTE, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
@@ -300,7 +300,7 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
         while distortion.size not in counts and distortion.size > min(counts) and distortion[-1] == 0:
             distortion = distortion[:-1]  # such as OpenCV's thin prism and tilt coefficients
         arguments["distortion"] = distortion
-    if rotation is not None and rotation.size in (3, 9) and (np.abs(rotation) <= LARGEST).all():
+    if rotation is not None and rotation.size in (3, 9) and (np.abs(rotation) <= MAX_ABSOLUTE).all():
         arguments["rotation"] = _rotation(rotation)
     if translation is not None and translation.size == 3:
         arguments["translation_m"] = translation.ravel()

@@ -41,7 +41,7 @@ DRIFT = 0.05
 """Largest relative deviation from a video's usual frame rate, which phones lower in the dark."""
 DRIFT_FRAMES = 30
 """Number of frames over which the frame rate is compared with the video's usual frame rate."""
-MOST_GAPS = 5
+MAX_GAPS = 5
 
 MAX_BLACK = 24
 """Largest brightness in a black bar, 0 to 255, because compressed black is not quite 0."""
@@ -171,10 +171,10 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
         )
     if missing:
         gaps = [f"{count} before frame {frame + first_frame}" for frame, count in missing.items()]
-        rest = ", ..." if len(gaps) > MOST_GAPS else ""
+        rest = ", ..." if len(gaps) > MAX_GAPS else ""
         gap_frame = next(iter(missing)) + first_frame
         return (
-            f"the time stamps of {name} show missing frames ({', '.join(gaps[:MOST_GAPS])}{rest}), where speeds are "
+            f"the time stamps of {name} show missing frames ({', '.join(gaps[:MAX_GAPS])}{rest}), where speeds are "
             f"wrong. {counted}. Fit the parts between the gaps separately, the first with --frames :{gap_frame}"
         )
     if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:

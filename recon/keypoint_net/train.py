@@ -394,7 +394,7 @@ def _resumed(run: TrainingRun, out: Path) -> State:
 
 MAX_WORST_PICTURES = 6
 """Maximum number of pictures in worst.png."""
-LEAST_WIDTH_PX = 560
+MIN_WIDTH_PX = 560
 """Width below which a picture in worst.png is enlarged, pixels."""
 LABEL = (255, 255, 255)
 """Colour (blue, green, red) of labels in worst.png."""
@@ -600,7 +600,7 @@ def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Inte
             chosen.append(i)
     tiles: list[Image] = []
     for i in chosen:
-        factor = max(1, -(-LEAST_WIDTH_PX // labels.pictures[i].shape[1]))
+        factor = max(1, -(-MIN_WIDTH_PX // labels.pictures[i].shape[1]))
         drawn = np.asarray(cv2.resize(labels.pictures[i], None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
         radius = max(3.0, drawn.shape[1] / 160)
         for k, colour in enumerate(net.point_colours(len(labels.names))):

@@ -25,11 +25,11 @@ MjModel: TypeAlias = Any
 """Type of MuJoCo's model, which is `Any` because the package mujoco has no type hints."""
 MjSpec: TypeAlias = Any
 """Type of MuJoCo's editable description of a model."""
-LARGEST = 1e6
+MAX_ABSOLUTE = 1e6
 """Largest plausible length (m) or angle (rad), above which a file counts as damaged."""
-LEAST_MASS_KG = 1e-6
+MIN_MASS_KG = 1e-6
 """Mass given to links that have none in the file, since kinematics does not depend on masses."""
-LEAST_INERTIA_KG_M2 = 1e-9
+MIN_INERTIA_KG_M2 = 1e-9
 """Moment of inertia given to links that have none in the file, since kinematics does not depend on inertia."""
 
 
@@ -68,7 +68,7 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
     try:
         spec = mujoco.MjSpec.from_file(name)
         spec.compiler.fusestatic = False
-        spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KG_M2
+        spec.compiler.boundmass, spec.compiler.boundinertia = MIN_MASS_KG, MIN_INERTIA_KG_M2
         for geom in [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]:
             spec.delete(geom)
         for mesh in list(spec.meshes):
@@ -83,7 +83,7 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
         detail = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
     for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
-        if not (np.abs(numbers) < LARGEST).all():
+        if not (np.abs(numbers) < MAX_ABSOLUTE).all():
             raise InputError(Problem(path, quantity, "implausibly large numbers", "metres and radians"))
     return model
 
@@ -109,7 +109,7 @@ def rates_of(path: Path) -> dict[str, float]:
         raise InputError(Problem(path, "limit", str(error)[:120], "a complete file with numbers as limits")) from None
     rates = {name: rate for name, (_, _, rate) in limits.items() if rate}
     wrong = [(n, f"limits {low:g}, {up:g}", "the lower limit first") for n, (low, up, _) in limits.items() if low > up]
-    wrong += [(n, f"velocity {r:g}", "a rate above 0") for n, r in rates.items() if not 1e-6 < r < LARGEST]
+    wrong += [(n, f"velocity {r:g}", "a rate above 0") for n, r in rates.items() if not 1e-6 < r < MAX_ABSOLUTE]
     raise_problems(Problem(path, f"joint {name}", detail, expected) for name, detail, expected in wrong)
     return rates
 

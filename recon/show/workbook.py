@@ -54,9 +54,9 @@ _REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "foo
 """Columns of text that do not identify a row."""
 _OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
 """Columns of numbers whose unit is at the end of the quantity's name in the same row."""
-MOST_ROWS = 1_000_000
+MAX_ROWS = 1_000_000
 """Largest number of rows that are written into a sheet, slightly below the limit of Excel."""
-MOST_COLUMNS = 30
+MAX_COLUMNS = 30
 """Largest number of columns of a table that has its own sheet."""
 
 
@@ -176,10 +176,10 @@ def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
         [],
     ]
     _fill(book.create_sheet("README"), front, dictionary(tables))
-    _fill(book.create_sheet("long"), [], long_table(tables).head(MOST_ROWS))
+    _fill(book.create_sheet("long"), [], long_table(tables).head(MAX_ROWS))
     for name, table in tables.items():
-        if len(table.columns) <= MOST_COLUMNS:
-            _fill(book.create_sheet(name[:31]), [], table.head(MOST_ROWS))
+        if len(table.columns) <= MAX_COLUMNS:
+            _fill(book.create_sheet(name[:31]), [], table.head(MAX_ROWS))
     book.save(path)
 
 

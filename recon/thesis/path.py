@@ -28,7 +28,7 @@ ACCELERATION_LASTS_S = 0.05
 """Correlation time of the reference joint's acceleration, in seconds."""
 ERRORS_LAST_S = 0.06
 """Correlation time of the position errors in seconds, within which positions count as one measurement."""
-LEAST_SIGMA_M = 0.02
+MIN_SIGMA_M = 0.02
 """Minimum standard deviation of a position in metres, because the reference joint is not fixed on the animal."""
 _FIRST_POSITION_M = 100.0
 """Standard deviation of the position before the first frame in metres, large enough to leave the position free."""
@@ -107,7 +107,7 @@ def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) 
     if is_known.sum() < 2:
         return None
     inflation = max(1.0, ERRORS_LAST_S * fps)
-    noise = inflation * of_root + LEAST_SIGMA_M**2 * np.eye(3)
+    noise = inflation * of_root + MIN_SIGMA_M**2 * np.eye(3)
     return _smoothed(root_m, noise, is_known, 1.0 / fps)
 
 

@@ -403,7 +403,7 @@ def test_command_reports_missing_results(frame_results, tmp_path):
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
     quiet = run("analyse", whole_results, "--out", tmp_path / "a", "--no-figures", "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    monkeypatch.setattr("recon.cli.analyse.MOST_STANCES", 3)
+    monkeypatch.setattr("recon.cli.analyse.MAX_STANCES", 3)
     many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
     assert "LH l_back_paw" not in many.out
     strides = r"Strides are 4\.\d m \(90 %: 3\.\d to \d\.\d\) long, 3\.\d+ Hz \(90 %: \d[.\d]* to \d[.\d]*\)"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from recon.base.local_server import MOST_BYTES, LocalServer, Reply, json_reply
+from recon.base.local_server import MAX_BYTES, LocalServer, Reply, json_reply
 
 
 @pytest.fixture
@@ -59,5 +59,5 @@ def test_data_that_is_not_json_is_refused(server: LocalServer, body: str, status
 
 
 def test_a_request_that_is_too_large_is_not_read(server: LocalServer):
-    headers = {"Origin": f"http://127.0.0.1:{server.server_port}", "Content-Length": str(MOST_BYTES + 1)}
+    headers = {"Origin": f"http://127.0.0.1:{server.server_port}", "Content-Length": str(MAX_BYTES + 1)}
     assert ask(server, f"/{server.token}/save", "POST", None, **headers)[0].status == 413

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from recon.base.memory import KEPT_BYTES, LARGEST_BYTES, NEW_OBJECTS
+from recon.base.memory import KEPT_BYTES, MAX_BYTES, NEW_OBJECTS
 
 CODE = """
 import ctypes, sys
@@ -40,11 +40,11 @@ def test_freed_memory_is_kept_up_to_a_limit_but_not_that_of_large_arrays():
         command = [sys.executable, "-c", CODE, how, str(size), str(count)]
         return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
-    block, kept_mb = LARGEST_BYTES // 4, KEPT_BYTES >> 20
+    block, kept_mb = MAX_BYTES // 4, KEPT_BYTES >> 20
     assert left_mb("plain", block, 10) < 20
     assert left_mb("keep", block, 10) > 70
     assert left_mb("keep", block, 2 * KEPT_BYTES // block) <= kept_mb + 10
-    assert left_mb("keep", 2 * LARGEST_BYTES, 3) < 10
+    assert left_mb("keep", 2 * MAX_BYTES, 3) < 10
 
 
 def test_a_command_searches_rarely_for_unused_objects_and_never_as_it_ends():

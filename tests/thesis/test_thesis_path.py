@@ -11,7 +11,7 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, over_belt
 from recon.gait.kinematics import path_kinematics
 from recon.thesis.chain import load_chain, mean_pose
-from recon.thesis.path import LEAST_SIGMA_M, PathTie, _motion_model, path_of
+from recon.thesis.path import MIN_SIGMA_M, PathTie, _motion_model, path_of
 
 CHAIN = load_chain("cheetah-8u")
 
@@ -72,7 +72,7 @@ def test_the_motion_model_is_a_bounded_acceleration():
     assert np.diag(F)[6:] == pytest.approx(np.exp(-0.01 / 0.05))
     assert Q[6, 6] == pytest.approx(81.0 * (1 - np.exp(-0.4)))  # the stationary variance of the acceleration
     assert np.linalg.eigvalsh(Q).min() > -1e-12
-    assert LEAST_SIGMA_M > 0
+    assert MIN_SIGMA_M > 0
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ MAX_UNLIKE = 3.0
 """Difference of a point's surroundings between two pictures, relative to the median of all points, above which the
 point is hidden.
 """
-LEAST_UNLIKE = 8.0
+MIN_UNLIKE = 8.0
 """Difference of a point's surroundings between two pictures, grey levels, up to which no point counts as hidden."""
 ORB_POINTS = 700
 """Number of points per picture for which descriptors are computed."""
@@ -129,7 +129,7 @@ def follow_points(earlier: GreyPicture, later: GreyPicture, points_px: Array, gu
     is_inside = ((found_px > 2) & (found_px < (width - 3, height - 3))).all(axis=1)
     is_good = (status[:, 0] > 0) & is_inside
     if is_good.any():
-        is_good &= unlike[:, 0] < max(LEAST_UNLIKE, MAX_UNLIKE * float(np.median(unlike[is_good])))
+        is_good &= unlike[:, 0] < max(MIN_UNLIKE, MAX_UNLIKE * float(np.median(unlike[is_good])))
     return later.full_px(found_px.astype(float)), is_good
 
 
@@ -214,7 +214,7 @@ MIN_SPREAD = 0.2
 """Smallest spread of the agreeing points over the picture, as `cover_and_spread` returns it."""
 FINAL_LIMIT = 0.5
 """Maximum factor applied to the error limit in the final steps, where the limit follows the scatter of the points."""
-LEAST_LIMIT = 0.2
+MIN_LIMIT = 0.2
 """Minimum factor applied to the error limit in the final steps."""
 ROUNDS = 6
 """Number of steps of robust least squares."""
@@ -347,7 +347,7 @@ def refine(
             Rotation.from_rotvec(step[:3]).as_matrix() @ orientation.rotation, orientation.zoom * float(np.exp(step[3]))
         )
         median = float(np.median(size[weights > 0]))
-        limit = limit_px * float(np.clip(4 * median / limit_px, LEAST_LIMIT, FINAL_LIMIT))
+        limit = limit_px * float(np.clip(4 * median / limit_px, MIN_LIMIT, FINAL_LIMIT))
 
 
 def tukey(size: Array, limit: float) -> Array:

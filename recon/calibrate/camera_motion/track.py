@@ -51,7 +51,7 @@ NEW_FRAME_WEIGHT = 0.15
 """Weight of a new frame in the running mean of a point's agreement with the background."""
 MIN_AGREEMENT = 0.75
 """Agreement with the background, from 0 to 1, above which a point counts as background."""
-LEAST_AGREEING = 0.6
+MIN_AGREEING = 0.6
 """Fraction of background points that agree with a rotation, below which no single rotation explains the background."""
 MAX_APART = 0.25
 """Fraction of frames whose background no single rotation explains, above which the camera has moved as well as turned.
@@ -294,7 +294,7 @@ class Tracker:
             still_agreeing = still_agreeing + int((was_settled & agree).sum())
             key.background[point_rows] += NEW_FRAME_WEIGHT * (np.where(agree, 1.0, 0.05) - key.background[point_rows])
             key.settled |= key.background > MIN_AGREEMENT
-        return settled >= MIN_CORNERS and still_agreeing < LEAST_AGREEING * settled
+        return settled >= MIN_CORNERS and still_agreeing < MIN_AGREEING * settled
 
     def _look_back(self, agreement: AgreedOrientation, seen: _FollowedPoints) -> None:
         """Record how much of an old keyframe's settled background is still in position.

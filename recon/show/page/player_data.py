@@ -28,7 +28,7 @@ MAX_PACKED = 32_000
 """Largest absolute value of a number packed into 16 bits."""
 NAN_CODE = -32_768
 """16-bit number that stands for NaN."""
-LARGEST_BYTE = 254
+MAX_PACKED_BYTE = 254
 """Largest number that is packed into a byte."""
 NO_BYTE = 255
 """Byte that stands for NaN."""
@@ -109,9 +109,9 @@ def packed(values: Array, least_unit: float = 1e-9) -> dict[str, Any]:
 
 def packed_shares(values: Array) -> dict[str, Any]:
     """Return an array of numbers from 0 to 1 as bytes in base64."""
-    units = np.where(np.isfinite(values), np.round(np.clip(values, 0, 1) * LARGEST_BYTE), NO_BYTE).astype("u1")
+    units = np.where(np.isfinite(values), np.round(np.clip(values, 0, 1) * MAX_PACKED_BYTE), NO_BYTE).astype("u1")
     data = base64.b64encode(units.tobytes()).decode()
-    return {"type": "u1", "unit": 1 / LARGEST_BYTE, "offset": 0.0, "data": data}
+    return {"type": "u1", "unit": 1 / MAX_PACKED_BYTE, "offset": 0.0, "data": data}
 
 
 def packed_integers(values: Integers) -> dict[str, Any]:

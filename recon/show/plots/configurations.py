@@ -51,7 +51,7 @@ _WIDE_MM = 160.0
 """Largest width in mm of the side view and of the top view."""
 _HEIGHT_MM = 120.0
 """Largest height in mm of the side and top views together."""
-_LEAST_MM = 18.0
+_MIN_MM = 18.0
 """Smallest height in mm of the side view."""
 _FRONT_MM = 45.0
 """Largest height of the front view in mm, unless the side view is lower."""
@@ -99,7 +99,7 @@ def composites(
     points = (joints_m[rows] - origin) @ R.T
     width_m, depth_m, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
     scale = min(_WIDE_MM / width_m, _HEIGHT_MM / (depth_m + z))
-    side_mm = max(scale * z, _LEAST_MM)
+    side_mm = max(scale * z, _MIN_MM)
     heights = [side_mm, max(scale * depth_m, 12.0), min(side_mm, _FRONT_MM)]
     with style.drawing(sum(heights) + _LABELS_MM, title=title) as figure:
         layout = {"height_ratios": heights, "width_ratios": [_WIDE_FRONT, 1 - _WIDE_FRONT]}

@@ -50,7 +50,7 @@ PRINT_DPI = 600
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
-MOST_DOTS = 500
+MAX_DOTS = 500
 """Maximum number of dots in a line. More dots would touch and take long to draw."""
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
@@ -174,7 +174,7 @@ def foot_colour(foot: str) -> str:
 
 def dots(count: int, size: float) -> dict[str, Any]:
     """Return the marker of a line through `count` samples, or no marker if the dots would touch."""
-    return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
+    return {"marker": "o", "ms": size} if count <= MAX_DOTS else {}
 
 
 BAND_SIGMAS = radius(INTERVAL)

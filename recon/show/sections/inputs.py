@@ -20,7 +20,7 @@ from recon.show.plain import file_name, picked
 from recon.show.sections.motion import given_size, size_sources, trajectory_solution
 from recon.show.sections.section import Line
 
-LONGEST_SCORER = 60
+MAX_SCORER_CHARACTERS = 60
 """Largest number of characters of a scorer's name in the summary."""
 
 
@@ -103,7 +103,7 @@ def skeleton_data(motion: Motion) -> dict[str, Any]:
 def detector_data(motion: Motion) -> dict[str, str]:
     """Return the detector that is assumed to have made the keypoints, and the reason."""
     name, scorers = file_name(motion.body.detector) or NONE, {source.keypoints.scorer for source in motion.sources}
-    scorer_names = " and ".join(sorted(repr(scorer[:LONGEST_SCORER]) for scorer in scorers if scorer))
+    scorer_names = " and ".join(sorted(repr(scorer[:MAX_SCORER_CHARACTERS]) for scorer in scorers if scorer))
     reason = "as stated in the skeleton file"
     if motion.settings.get("detector") is not None:
         reason = "as given"
