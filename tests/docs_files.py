@@ -259,7 +259,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "data/samples/noisy.csv": sample("noisy.csv"),
     "data/samples/camera.toml": sample("camera.toml"),
 }
-"""Functions that make the files which a page may name without making them, by file name."""
+"""Function that makes each file that a page names but does not make itself, by file name."""
 
 OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
     "batch.md": {
@@ -284,4 +284,4 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "clip.csv": _cat_clip,
     },
 }
-"""Functions that make files whose name has another meaning on a page, by page and file name."""
+"""Function that makes each file whose name stands for another file on one page, by page and file name."""

@@ -250,7 +250,7 @@ def small_motion() -> Motion:
 
 @pytest.fixture(scope="session")
 def small_trajectory() -> Motion:
-    """Return eight frames (10 to 17) of a whole cheetah as the trajectory method would give it.
+    """Return a made-up result of the trajectory method, with eight frames (10 to 17) of a whole cheetah.
 
     The mean pose glides to the right at 9 m/s and 30 fps, 9 m from a pinhole camera. Keypoints are exactly where the
     detector would see them, except the `nose` of frame 14, which is 300 px off with a low weight. Frame 13 has no

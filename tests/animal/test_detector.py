@@ -184,7 +184,6 @@ def test_other_file_formats_keep_the_scorer(runs, tmp_path, name, write):
 
 @pytest.mark.parametrize(("fps", "written"), [(None, OF_ACINOSET), (90.0, f"{OF_ACINOSET}_recon_90fps")])
 def test_a_converted_file_keeps_its_scorer(runs, tmp_path, fps, written):
-    """A converted file keeps its scorer, and with it the detector."""
     (path,) = with_scorers(runs, tmp_path, OF_ACINOSET).keypoints
     keypoints = replace(read_keypoints(path), fps=fps)
     deeplabcut.write_csv(keypoints, tmp_path / "copy.csv")

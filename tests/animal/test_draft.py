@@ -49,7 +49,7 @@ def test_a_draft_has_a_trunk_that_goes_forward_and_legs(rat, tmp_path):
     assert 0.025 * length_m < body.marker_sigma_m < 0.035 * length_m
 
 
-def test_without_telling_names_the_path_shows_the_front(rat, tmp_path):
+def test_the_path_shows_the_front_if_names_do_not(rat, tmp_path):
     _, points_m = rat
     names = [f"point{k}" for k in range(points_m.shape[1])]
     body = body_of(names, points_m, tmp_path)

@@ -101,7 +101,7 @@ def output(*arguments: object, code: int = 0) -> str:
 
 
 @pytest.mark.parametrize(("name", "markers"), [("dog-27", DOG), ("horse-22", HORSE)])
-def test_names_are_those_of_the_recordings(name, markers):
+def test_names_agree_with_the_recordings(name, markers):
     body = body_of(name)
     assert len(body.markers) == len(markers)
     assert {*body.markers} == {*markers}

@@ -268,7 +268,7 @@ def test_input_problems_are_listed_by_clip(clips, tmp_path):
         ({"camera": None, "hfov_deg": 60, "image_size_px": "300x200"}, "image size"),
     ],
 )
-def test_input_problems_equal_those_of_the_fit(clips, wrong, field):
+def test_a_batch_reports_the_same_input_problems_as_a_fit(clips, wrong, field):
     (clip,) = found(clips / "a.csv", **wrong)
     with pytest.raises(InputError) as caught:
         fit_clip(clip.settings)

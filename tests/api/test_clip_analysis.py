@@ -78,7 +78,7 @@ def test_tables_have_the_decimals_of_their_units(whole, tables):
     np.testing.assert_array_equal(flexion, np.round(flexion, 3))
 
 
-def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
+def test_stated_velocity_errors_are_as_large_as_true_errors(whole):
     truth = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
     z = []
     for j, moved in enumerate(whole.joints.values()):
@@ -130,7 +130,7 @@ def test_chains_begin_with_the_trunk(whole, one_sided):
     }
 
 
-def test_events_are_near_those_of_the_true_joints(whole, tables):
+def test_events_are_near_the_events_of_the_true_joints(whole, tables):
     """Every true stance is found, with its ends within two frames."""
     assert whole.gait.name.name == "transverse gallop"
     table = tables["stances"]
@@ -196,7 +196,7 @@ def test_strides_slower_than_a_free_leg_swing_are_noted(whole):
 
 
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
-def test_strides_are_those_of_the_sample(fit, request):
+def test_strides_have_the_frequency_of_the_sample(fit, request):
     """The sample gallops at 3.2 to 3.4 strides per second."""
     found = request.getfixturevalue(fit)
     if found.gait.strides:

@@ -35,7 +35,7 @@ print(used_mb() - before)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs glibc")
-def test_freed_memory_is_kept_up_to_a_limit_but_not_that_of_large_arrays():
+def test_freed_memory_is_kept_up_to_a_limit_except_for_large_arrays():
     def left_mb(how: str, size: int, count: int) -> int:
         command = [sys.executable, "-c", CODE, how, str(size), str(count)]
         return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

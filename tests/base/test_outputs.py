@@ -128,8 +128,7 @@ def test_files_of_a_killed_run_are_recognised(tmp_path, step):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
-def test_two_writers_leave_the_files_of_one(tmp_path):
-    """The second of two simultaneous writers is refused."""
+def test_the_second_of_two_simultaneous_writers_is_refused(tmp_path):
     children = []
     for text in ("1", "2"):
         child = os.fork()

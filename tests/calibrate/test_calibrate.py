@@ -163,7 +163,7 @@ def test_intrinsics_are_recovered(lens, text):
 
 
 @pytest.mark.parametrize("model", ["pinhole", "radtan"])
-def test_standard_deviations_are_those_of_opencv(chess_views, model):
+def test_standard_deviations_agree_with_opencv(chess_views, model):
     views = chess_views
     calibration = calibrate(views, model)
     flags = 0

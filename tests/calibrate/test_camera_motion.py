@@ -187,7 +187,7 @@ def test_the_world_is_level_by_the_given_tilt_or_on_average():
 
 
 def marked(folder, lines: list[tuple[str, int, np.ndarray]]):
-    """Return a table of marks of the points (2, 3) of the world, in pictures of a camera that pans at the origin."""
+    """Write marks as a table, each with two world points (2, 3) as seen by a panning camera, and return its path."""
     rows = []
     for kind, frame, points in lines:
         pixels, _ = FISHEYE.project(points @ pan(9, 10.0)[frame].T)
@@ -274,7 +274,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
 
 
 @pytest.mark.slow
-def test_frame_numbers_of_a_damaged_video_are_those_of_a_detector(tmp_path):
+def test_frames_of_a_damaged_video_are_numbered_as_by_a_detector(tmp_path):
     """Frames of a damaged video are numbered as a detector numbers decodable frames, and gaps are reported."""
     frames = 14
     rotations, video = pan(frames, 6.0), tmp_path / "pan.mkv"

@@ -213,7 +213,7 @@ def test_other_cameras_are_triangulated_only_near_the_rows_of_a_stretch(monkeypa
     assert [is_refuted(baseline, stretch("all", *ends)) for ends in ((12, 21), (0, 40))] == [True, True]
 
 
-def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
+def test_two_frames_of_a_camera_with_a_time_offset_have_no_swaps():
     setting = ClipProblem.from_views(
         [replace(view(), offset_frames=0.3).part(slice(2))], BODY, PRIOR, FPS, TrajectoryOptions()
     )

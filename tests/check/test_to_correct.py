@@ -71,7 +71,7 @@ def test_the_ellipse_is_the_joints_covariance_in_the_picture(small_trajectory: M
     assert 0 <= angle_deg < 180
 
 
-def test_the_frame_is_that_of_the_cameras_own_file(small_trajectory: Motion):
+def test_the_frame_is_numbered_as_in_the_cameras_own_file(small_trajectory: Motion):
     (source,) = small_trajectory.sources
     motion = replace(small_trajectory, sources=(replace(source, offset_s=3 / 30.0),))
     assert to_correct(motion)[0].frame == 14 - 3

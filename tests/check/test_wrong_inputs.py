@@ -201,7 +201,7 @@ def test_a_zooming_picture_is_reported(times, ways):
     assert all(one.numbers["zoom"] * np.log(times) > 0.1 for one in found)
 
 
-def test_the_effect_of_a_zoom_is_that_of_a_calibration_at_either_end():
+def test_the_effect_of_a_zoom_includes_a_calibration_at_either_end():
     """The effect of a zoom includes the effect of a calibration at the start or the end of the clip.
 
     If the picture becomes a quarter larger, distances are wrong by an eighth.
@@ -278,7 +278,7 @@ def test_a_wrong_camera_unit_is_reported(unit, camera_m, code):
     assert code == "ground_elsewhere" or found.numbers["unit"] == "metres"
 
 
-def test_lengths_unlike_those_of_the_species_are_reported():
+def test_lengths_that_differ_from_the_species_are_reported():
     motion = moved(plain().states)
     assert not [*subject_unlike_species(motion)]
     tree = BODY.tree

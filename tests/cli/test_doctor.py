@@ -326,7 +326,6 @@ def test_completion_offers_commands_and_options(monkeypatch, words, offered):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_script_is_printed_for_each_shell(shell, monkeypatch):
-    """The completion script is printed for the stated shell."""
     script = called(monkeypatch, "--show-completion", shell, _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
     assert f"_RECON_COMPLETE=complete_{shell}" in script
 

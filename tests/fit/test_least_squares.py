@@ -255,7 +255,7 @@ def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
         np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
 
 
-def test_middle_piece_equals_that_part_of_the_clip(monkeypatch):
+def test_a_middle_piece_equals_its_part_of_the_clip(monkeypatch):
     monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
     problem, states = replace(seen_late(shared=True), piece=2), some_states()
     shared = some_shared(problem)

@@ -15,7 +15,7 @@ FAINT = 1e-6
 
 
 LIKE_OTHERS = ("cheetah-8u", "cheetah-8u-jules", "cheetah-8u-phantom")
-"""Chains that differ only by their lengths; each takes a second."""
+"""Chains that differ only in their lengths. Their tests are slow."""
 
 
 @pytest.fixture(

@@ -10,7 +10,7 @@ from recon.clip import still_view
 from recon.fit.prediction import log_evidence, predicted_keypoints, smoothed_deviations
 
 
-def test_deviations_are_those_of_a_gaussian_process():
+def test_deviations_follow_a_gaussian_process():
     random, T, sigma_m, lasting = np.random.default_rng(0), 6, np.array([0.02, 0.05]), np.array([1.5, 9.0])
     rows = random.normal(0, 30, (T, 2, 2, 3))
     rows[2] = 0.0  # nothing was seen in this frame

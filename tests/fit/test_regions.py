@@ -5,7 +5,7 @@ from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.testing.coverage import coverage, cumulative
 
 
-def test_intervals_are_those_of_students_t_with_the_stated_variance():
+def test_intervals_follow_students_t_with_the_stated_variance():
     from scipy.stats import chi2, t  # slow to import
 
     for level in (0.5, 0.9, 0.99):

@@ -28,7 +28,7 @@ def solved_problem(acceleration_share: float) -> tuple[LeastSquares, np.ndarray]
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5])
-def test_likely_accelerations_are_those_of_the_motion(share):
+def test_likely_accelerations_agree_with_the_motion(share):
     problem, states = solved_problem(share)
     scale = likely_scale(problem, states, {}, np.ones(states.shape[1]))
     assert np.median(scale[ANGLES]) == pytest.approx(share, rel=0.25)

@@ -138,7 +138,7 @@ def commands() -> dict[str, tuple[object, ...]]:
 
 
 def prepare(folder: Path, names: Sequence[str]) -> None:
-    """Make the inputs of the commands that the project lacks: results of two clips, and a barely trained network."""
+    """Make the inputs that the project lacks: results of two clips, and a barely trained network."""
     camera, points = SAMPLES / "rendered_camera.toml", SAMPLES / "rendered_points.csv"
     made: list[tuple[object, ...]] = [(*commands()["fit"][:-1], "results")]
     if "overlay" in names:

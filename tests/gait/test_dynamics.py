@@ -85,7 +85,7 @@ def test_the_centre_of_mass_moves_as_the_body_and_is_within_it(motion: Motion, f
     np.testing.assert_allclose(at_frames, (knee + ankle) / 2, atol=0.03)
 
 
-def test_energies_are_those_of_the_path(found: ClipAnalysis):
+def test_energies_follow_from_the_path(found: ClipAnalysis):
     d = found.dynamics
     assert d is not None
     series, energy = d.centre.series, d.energy_j_kg
@@ -156,7 +156,7 @@ def test_a_rigid_animal_that_turns_has_the_energy_and_the_momentum_of_its_inerti
     assert share @ own > 0.08 * inertia
 
 
-def test_the_uncertainty_of_rotation_equals_that_of_random_draws():
+def test_the_uncertainty_of_rotation_agrees_with_random_draws():
     rng, share, error_time_s = np.random.default_rng(0), np.array([0.2, 0.2, 0.3, 0.3]), 0.05
     of_joint, share_sigma = np.array([0, 1, 1, 2]), np.array([0.04, 0.06])
     at_m, rate_m_s, sigma_m = (

@@ -80,7 +80,7 @@ def test_flexion_does_not_change_with_heading_roll_and_position():
 
 
 @pytest.mark.parametrize("gait", [GALLOP, pytest.param(TROT, marks=pytest.mark.slow)])
-def test_curves_over_the_stride_are_those_of_the_gait(fitted, gait):
+def test_curves_over_the_stride_agree_with_the_gait(fitted, gait):
     fps = len(fitted.frames) / (3.5 * gait.stride_s)
     motion = with_exact_states(fitted, gait.states(BODY, fitted.frames / fps), fps)
     analysis = ClipAnalysis(motion)

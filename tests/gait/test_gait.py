@@ -156,7 +156,7 @@ def test_every_segment_has_its_own_ground():
     np.testing.assert_allclose([s.start_s for s in found], [s.start_s for s in expected], atol=0.02)
 
 
-def test_default_feet_are_those_of_the_cheetah():
+def test_default_feet_belong_to_the_cheetah():
     body = load_skeleton("cheetah-24")
     assert body.feet_by_label() == FEET
 
@@ -436,7 +436,7 @@ def test_bad_input():
     assert pose_gait(empty, FPS).stances == ()
 
 
-def test_stances_are_those_of_the_force_plates(shared_data: Path):
+def test_stances_agree_with_the_force_plates(shared_data: Path):
     """All stances on the force plates are found, with touch-downs within two frames and lift-offs within four.
 
     The reconstructions come from several cameras at 200 Hz.

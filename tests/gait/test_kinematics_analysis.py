@@ -78,7 +78,7 @@ def test_too_few_points_give_nan(known):
 
 @pytest.mark.parametrize("smooth", [False, True])
 @pytest.mark.parametrize("correlation_s", [0.0, 0.03])
-def test_deviations_are_those_of_many_draws(smooth, correlation_s):
+def test_deviations_agree_with_many_draws(smooth, correlation_s):
     rng = np.random.default_rng(0)
     time_s = np.arange(20) / FPS
     sigma = np.linspace(0.005, 0.015, 20)
@@ -104,7 +104,7 @@ def test_deviations_are_those_of_many_draws(smooth, correlation_s):
         np.testing.assert_allclose(found[big, 0], expected[big], rtol=0.2)
 
 
-def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
+def test_deviations_of_a_long_clip_equal_its_whole_spline():
     """Standard deviations of a long clip, computed in pieces, equal the standard deviations of the whole spline.
 
     Several errors add up, and one of them lasts throughout the clip.
@@ -125,7 +125,7 @@ def test_deviations_of_a_long_clip_are_those_of_its_whole_spline():
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-def test_deviations_of_some_orders_are_those_of_all(smooth):
+def test_deviations_of_some_orders_equal_a_computation_of_all(smooth):
     errors = [Errors(np.full((60, 3), 0.01)), Errors(np.full((60, 3), 0.02), 0.1)]
     every, rates = (
         series_kinematics(TIME_S, circle(TIME_S), errors, smooth=smooth, propagate=orders) for orders in (ORDERS, (1,))

@@ -36,7 +36,7 @@ def test_components_and_effect_of_a_simulated_herd():
 
 
 @pytest.mark.parametrize("animals", [10, 60])
-def test_the_interval_of_a_balanced_herd_is_that_of_the_animals_means(animals: int):
+def test_the_interval_of_a_balanced_herd_follows_from_the_animals_means(animals: int):
     from scipy.stats import ttest_ind  # slow to import
 
     rng = np.random.default_rng(animals)

@@ -45,10 +45,9 @@ def test_accelerated_straight_motion_is_exact():
 
 @pytest.mark.slow
 def test_a_peak_due_to_jitter_is_uncertain():
-    """A peak that jitter causes is uncertain.
+    """In straight runs that jitter in depth, a peak with a stated error of at most a tenth is right to a tenth.
 
-    In straight runs that jitter in depth, a peak with a stated error of at most a tenth is right to a tenth. Most
-    correct peaks have such a stated error.
+    Most correct peaks have such a stated error.
     """
     rng, true = np.random.default_rng(0), 5 + 4 * TIME_S[-1]
     known, unknown = [], []
@@ -106,7 +105,7 @@ def test_circle():
     assert path.distance_m == pytest.approx(3.0 * TIME_S[-1], rel=1e-5)
 
 
-def test_speed_at_frames_equals_that_of_the_fine_grid():
+def test_speed_at_frames_equals_the_speed_on_the_fine_grid():
     points = circle(TIME_S)
     np.testing.assert_array_equal(speed_at_frames(TIME_S, points), point_kinematics(TIME_S, points).speed_m_s[::10])
 
@@ -219,7 +218,7 @@ def test_lasting_errors_are_part_of_the_deviations_of_speeds():
     assert ratios[1] > 1.5 * ratios[0]
 
 
-def test_net_acceleration_of_a_known_one_and_its_deviation():
+def test_net_acceleration_and_its_deviation_equal_known_values():
     time_s, rng = np.arange(60) / 90, np.random.default_rng(0)
     along = 8 * time_s + 0.5 * 6 * time_s**2
     points = np.stack([-0.6 * along, 0.8 * along, 0.4 + 0.05 * np.sin(20 * time_s)], axis=1)

@@ -412,7 +412,7 @@ def test_a_given_stride_is_used(frame_results, tmp_path):
             refused(args, ("--stride", *expected))
 
 
-def test_duration_range_of_a_stride_in_a_clip_without_a_complete_one():
+def test_duration_range_of_a_stride_in_a_clip_without_a_complete_stride():
     # The first stride of the cut gallop can last 0.31 s.
     for frames, at_most in ((16, 0.4), (11, np.inf)):
         clip = gallop(fps=30, n_frames=frames)

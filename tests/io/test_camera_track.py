@@ -82,10 +82,7 @@ def test_a_table_of_poses_from_the_camera_to_the_world(tmp_path):
 
 @pytest.mark.parametrize("name", ["reconstruction.json", "shots.geojson"])
 def test_poses_of_opendronemap(name, tmp_path):
-    """Poses of OpenDroneMap are read.
-
-    OpenSfM stores rotation vectors from the world to the camera, and shots.geojson has the cameras' positions.
-    """
+    """OpenSfM stores rotation vectors from the world to the camera, and shots.geojson has the cameras' positions."""
     poses, frames = turning(3), [7, 8, 11]
     shots = {}
     for frame, T in zip(frames, poses, strict=True):
@@ -381,7 +378,7 @@ def panned(runs: Path) -> dict[str, Any]:
     }
 
 
-def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
+def test_a_camera_that_pans_gives_the_motion_of_a_still_camera(tmp_path):
     """A panning camera and a still camera give the same motion if the height of the camera is not used."""
     options: dict[str, Any] = {"ground": "none"}
     pan = fit_clip(FitSettings(**panned(tmp_path), **options))

@@ -27,7 +27,7 @@ def script(name: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         sys.modules.pop("question", None)
 
 
-def test_the_tables_of_the_docs_are_those_of_the_results(monkeypatch):
+def test_the_tables_of_the_docs_agree_with_the_results(monkeypatch):
     assert script("tables", monkeypatch)["differences"]() == []
 
 

@@ -397,7 +397,7 @@ def built_site(folder: Path) -> Path:
 
 
 def lost_links(pages: dict[Path, str]) -> Iterator[str]:
-    """Yield links that lead nowhere, also those of pictures, of other files and in snippets, which Zensical skips."""
+    """Yield broken links, including links to pictures, to other files and in snippets, which Zensical skips."""
     names = {page: {"", *re.findall(r'\s(?:id|name)="([^"]*)"', text)} for page, text in pages.items()}
     for page, text in pages.items():
         for link in re.findall(r'\s(?:href|src)="([^"]*)"', text):

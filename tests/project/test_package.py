@@ -34,7 +34,7 @@ def installed(monkeypatch, tmp_path):
     return note
 
 
-def test_the_name_of_the_distribution_is_that_of_pyproject():
+def test_the_distribution_has_the_name_in_pyproject():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["name"] == DISTRIBUTION != "recon"
     assert recon.__version__ == package.version() == project["version"]

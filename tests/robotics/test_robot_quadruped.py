@@ -56,7 +56,7 @@ def test_angles_and_feet_agree_in_the_robots_own_joints(name, label):
     assert (solved[inside] <= leg.chain.upper_rad).all()
 
 
-def test_signs_of_the_a1_are_those_of_unitree():
+def test_signs_of_the_a1_agree_with_unitree():
     # A positive hip angle moves a foot left, and a positive thigh angle back; calf angles are negative.
     robot = load_robot("a1")
     for leg in robot.legs.values():
@@ -67,7 +67,7 @@ def test_signs_of_the_a1_are_those_of_unitree():
         assert thigh[0] < -0.02
 
 
-def test_signs_of_the_aibo_are_those_of_sony():
+def test_signs_of_the_aibo_agree_with_sony():
     # A positive rotator swings forwards, a positive elevator outwards, and a positive knee bends the leg.
     robot = load_robot("aibo")
     for label, leg in robot.legs.items():

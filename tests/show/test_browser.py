@@ -472,7 +472,7 @@ def test_a_page_without_scripts_has_its_pictures(pages, chromium):
 
 
 @pytest.mark.slow
-def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
+def test_numbers_of_the_page_equal_the_result(pages, opened):
     """The data of the player, unpacked in the browser, equal the numbers of the motion."""
     page = opened(pages["whole"])
     motion = Motion.load(pages["whole"].parent)

@@ -23,7 +23,7 @@ def within(decimals: int) -> dict[str, float]:
 
 
 METRES = within(5)
-"""Tolerances of metres in tables of these tests' animals, which have five decimals."""
+"""Tolerances of positions in metres, which have five decimals in these tests."""
 
 
 def test_last_digits_that_differ_between_processors_are_not_written(small_motion, tmp_path):

@@ -296,10 +296,7 @@ def test_the_video_is_behind_each_still(folder, video):
 def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
     folder, video, offset_s, given, levels, tmp_path
 ):
-    """A camera that began at another time has its own frame numbers.
-
-    The camera began 3 frames earlier than the first camera, or 6 frames later, after the clip's first two frames.
-    """
+    """The camera began 3 frames earlier than the first camera, or 6 frames later, after the clip's first two frames."""
     with_first(Motion.load(folder), offset_s=offset_s).save(tmp_path / "result")
     told = PageSettings(folder=tmp_path / "result", video=video, first_frame=given)
     drawn, rows, _, pictures = page_pictures(*result_and_video(told), told, 2)
@@ -363,7 +360,7 @@ def test_a_small_animal_is_shown_enlarged_in_an_empty_corner(overlay):
     wide, high = round(CLOSE_UP * 1920), round(CLOSE_UP * 1080)
 
     def close_ups(scale: float, to: tuple[float, float]) -> list[bool]:
-        """Return whether the corners below right, below left and above right have the upper edge of a close-up."""
+        """Return whether the lower right, lower left and upper right corners have the upper edge of a close-up."""
         points = {
             name: np.array(to) + scale * (getattr(overlay, name) - middle) for name in ("reprojected_px", "detected_px")
         }

@@ -44,7 +44,7 @@ def off_m(rig: Armature, joints: bones.Joints) -> float:
     return bones.largest_error_m(joints, rig.joints, rig.pose.xyz_m)
 
 
-def test_rig_joints_are_those_of_the_skeleton():
+def test_rig_joints_are_the_joints_of_the_skeleton():
     """Joints are at the skeleton's positions, and are interpolated in a missing frame."""
     body = load_skeleton("cheetah-24")
     states = np.zeros((4, body.n_state))

@@ -130,7 +130,7 @@ def test_times_are_seconds_since_frame_zero(recording: Recording) -> None:
     assert recording.time_s == pytest.approx({frame: frame / 30.0 for frame in range(10, 16)}, abs=1e-6)
 
 
-def test_joints_are_those_of_the_motion(recording: Recording, world_motion: Motion) -> None:
+def test_joints_agree_with_the_motion(recording: Recording, world_motion: Motion) -> None:
     for frame, joints in zip(world_motion.frames, world_motion.joints_m, strict=True):
         if frame != 13:
             np.testing.assert_allclose(recording.values("/world/skeleton/joints", frame), joints, atol=1e-5)
@@ -476,7 +476,7 @@ def test_cameras_are_drawn_at_their_positions_over_time(filmed_twice: Recording)
         assert filmed_twice.static[f"/world/camera/{camera}"]["Pinhole:resolution"] == [[1920, 1080]]
 
 
-def test_errors_over_time_are_those_of_all_cameras(filmed_twice: Recording, two_cameras: Motion) -> None:
+def test_errors_over_time_include_all_cameras(filmed_twice: Recording, two_cameras: Motion) -> None:
     found = [filmed_twice.frames["/residuals"][frame]["Scalars:scalars"] for frame in (10, 12, 15)]
     pictures = moving(two_cameras).pictures
     distance = np.concatenate([picture.distance_px for picture in pictures], axis=1)[[0, 2, 5]]

@@ -50,7 +50,7 @@ def analysed(found: ClipAnalysis, tmp_path_factory: pytest.TempPathFactory) -> P
     return path
 
 
-def test_plots_of_an_analysis_are_those_at_the_frames(found: ClipAnalysis, analysed: Path) -> None:
+def test_plots_of_an_analysis_have_the_values_at_the_frames(found: ClipAnalysis, analysed: Path) -> None:
     data, moved = rows(analysed), found.joints[found.reference]
     speed = by_frame(data["/analysis/speed"], "Scalars:scalars")
     assert list(speed) == found.motion.frames.tolist()

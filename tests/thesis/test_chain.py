@@ -126,7 +126,7 @@ def test_bad_files(tmp_path, text: str, field: str):
     assert [p.field for p in error.value.problems] == [field]
 
 
-def test_unknown_name_lists_the_known_ones():
+def test_an_unknown_name_lists_the_known_names():
     with refusal(("--skeleton", "name or file", "'unicorn'", "cheetah-8u, cheetah-8u-jules")):
         load_chain("unicorn")
 

@@ -62,14 +62,14 @@ def test_both_solvers_end_at_the_same_pose():
     np.testing.assert_allclose(damped.joints_m, minpack.joints_m, atol=1e-3)
 
 
-def test_the_initial_damping_is_the_given_one():
+def test_the_given_initial_damping_is_used():
     options = FrameOptions(path="free", initial_damping=0.5)
     search, _ = FrameSolver(view(), CHAIN, 90.0, options).search(0)
     assert search.damping[-1] < 0.5
     assert search.damping[0] == pytest.approx(0.5, rel=1e-3) or len(set(search.sigma_px)) > 1
 
 
-def test_start_angles_are_those_of_the_text():
+def test_start_angles_are_read_from_a_text():
     angles = parse_start_angles("th6=60, ph1=-5,xi=3,theta_4=10", CHAIN)
     names = CHAIN.state_names
     assert angles == {
