@@ -104,7 +104,7 @@ def test_batch(said, folder, in_process):
 
 @pytest.mark.slow
 def test_calibration(said, folder):
-    """Boards in all corners of the picture calibrate a camera. Four boards are refused, and the missing regions named."""
+    """Boards in all corners of the picture calibrate a camera. Four boards are refused, naming missing regions."""
     camera, board = BOARD_CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
