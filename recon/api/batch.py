@@ -105,8 +105,8 @@ class ClipPlan(Brief):
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
     """Plan what a batch does with each clip, whose results go into `out / clip.name`.
 
-    A clip is done if its folder holds results from the same input files, settings and version. It is fitted again if a
-    batch fitted the same keypoints, or some of the clip's cameras, with other settings.
+    A clip is done if its folder holds results from the same input files, settings and version. The clip is fitted again
+    if a batch fitted the same keypoints, or some of the clip's cameras, with other settings.
 
     Raises
     ------

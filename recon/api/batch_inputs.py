@@ -112,8 +112,8 @@ def find_clips(
         other folders, in which every file that a reader recognises is read. If files of a folder differ only in their
         suffix, the last one is read (.h5 rather than .csv, since DeepLabCut writes each table twice).
     common
-        Settings for every clip by name, None if not given. They override `config`, and the cells of a manifest override
-        them.
+        Settings for every clip by name, None if not given. These settings override `config`, and the cells of a
+        manifest override these settings.
     config
         The config.toml of an earlier fit.
     cameras_by
@@ -509,7 +509,7 @@ def _with_camera(
     if pattern is None and draft.cam_regex is not None:
         text, config = draft.cam_regex[1], draft.cam_regex[0]
         pattern, rule = _compiled_from_file(text, config), f"cam_regex in {config}"
-    if pattern is not None:  # as in Anipose, the first group is the camera's name; without groups it is the whole match
+    if pattern is not None:  # as in Anipose, the camera's name is the first group, or the whole match if there is none
         match = pattern.search(title.stem)
         cameras = {} if match is None else {((match[1] if pattern.groups else match[0]) or "").strip(): match}
     else:

@@ -3,8 +3,8 @@
 The mean of a clip has a standard deviation s, from the scatter of its strides and the uncertainty of the fit. Clips of
 a group vary by a further standard deviation tau. The mean of the group weights each clip by 1 / (s^2 + tau^2), with tau
 from the method of moments (DerSimonian and Laird 1986). If the animal's size is taken from the average of the species,
-the error of the size is common to all clips. It then adds to the uncertainty of mean lengths and speeds, however many
-clips there are.
+the error of the size is common to all clips. This error then adds to the uncertainty of mean lengths and speeds,
+however many clips there are.
 """
 
 from __future__ import annotations

@@ -257,7 +257,7 @@ def _clip_problem(
             points = source.keypoints
             view = View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames)
         views.append(view)
-    # Refined poses keep the camera file's world; otherwise nothing is known about the ground.
+    # Refined poses keep the camera file's world. Otherwise nothing is known about the ground.
     ground_near_zero = None if clip.refine_cameras else False
     return ClipProblem.from_views(
         views, first.body, first.prior, first.fps, clip.trajectory_options(), ground_near_zero

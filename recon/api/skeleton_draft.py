@@ -1,9 +1,9 @@
 """Draft a skeleton file from the keypoints of a detector.
 
 The names of the keypoints place markers on the quadruped's segments. With several cameras, the positions of the
-keypoints define the segments instead, regardless of their names: keypoints whose mutual distances stay constant form a
-rigid body, and bodies are joined at the points whose distances vary least. The expected pose is a pose that the
-animal had, and the expected range of each angle is the range that the animal showed.
+keypoints define the segments instead, regardless of the keypoints' names. Keypoints whose mutual distances stay
+constant form a rigid body, and bodies are joined at the points whose distances vary least. The expected pose is a pose
+that the animal had, and the expected range of each angle is the range that the animal showed.
 """
 
 from __future__ import annotations

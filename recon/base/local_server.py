@@ -1,8 +1,8 @@
 """Serve one page to a browser on this machine only.
 
 The server listens on the loopback address and a free port. Its address has a secret token, so that no other user and no
-other page can guess it. It answers only requests that name it as host, and takes data only from its own page. Its
-headers forbid the browser to fetch anything from elsewhere.
+other page can guess it. The server answers only requests that name the server as host, and takes data only from its own
+page. Its headers forbid the browser to fetch anything from elsewhere.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class LocalServer(ThreadingHTTPServer):
     Parameters
     ----------
     pages
-        Handlers of GET requests, by name; "" is the page itself.
+        Handlers of GET requests, by name, where "" is the page itself.
     posts
         Handlers of POST requests, by name.
     policy

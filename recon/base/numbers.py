@@ -80,7 +80,7 @@ def interval(
     """Return a value with the ends of its interval, such as "72 mm (48 to 106)".
 
     `level` is the interval's confidence level, as in "16.2 m/s (90 %: 14.2 to 18.1)". `least` is the smallest possible
-    value; an interval that begins there is written as "at most" its upper end. `remark` follows the ends within the
+    value. An interval that begins there is written as "at most" its upper end. `remark` follows the ends within the
     brackets. Without an interval only the value is returned.
     """
     digits = places((high - low) / 2, _ONE_DIGIT_OF_INTERVAL)

@@ -57,7 +57,7 @@ LOG_BYTES = 20_000
 
 @dataclass(frozen=True)
 class Event:
-    """Progress or end of a task; on a cluster, only its beginning or end."""
+    """Progress or end of a task (on a cluster, only the beginning or the end)."""
 
     kind: Literal["progress", "ended"]
     name: str

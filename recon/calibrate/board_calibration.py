@@ -193,7 +193,7 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
     objects = [points[view.ids].reshape(1, -1, 3) for view in views]
     images = [view.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
-    # OpenCV 4 has separate flags for fisheye lenses; OpenCV 5 has the same flags for all lenses.
+    # OpenCV 4 has separate flags for fisheye lenses. OpenCV 5 has the same flags for all lenses.
     flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
     solutions: list[Any] = []
     for field_deg in FISHEYE_STARTS_DEG:
@@ -285,11 +285,11 @@ class _CalibrationCheck:
 
 
 LIMITS = (
-    # Three pictures determine the matrix, and two more the lens; with six, an error in one of them is still visible.
+    # Three pictures determine the matrix, and two more the lens. With six, an error in one of them is still visible.
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
     # If one in four is an outlier, the median itself is uncertain.
     ("dropped", "pictures left out as outliers", "%", 10, 25, False, "keep the board flat and still"),
-    # Corners are detected to within 0.05 to 0.3 px; larger errors mean a wrong lens model or board. Pictures wider than
+    # Corners are detected to within 0.05 to 0.3 px. Larger errors mean a wrong lens model or board. Pictures wider than
     # 1920 px are scaled to that width.
     ("rms", "reprojection error (in pictures scaled to at most 1920 px)", "px", 0.5, 1.0, False,
      "check --board, --model, and that the board is flat"),
@@ -304,7 +304,7 @@ LIMITS = (
     # If boards are tilted about one axis only, perspective determines only one of fx and fy.
     ("tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
      "tilt the board sideways as well as forwards"),
-    # Errors of the lens model are not included; the true error may be three times as large.
+    # Errors of the lens model are not included. The true error may be three times as large.
     ("focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"),
     ("principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
      "take more pictures, tilted and at the borders"),
@@ -313,7 +313,7 @@ LIMITS = (
     # Lenses are centred to within about 2 %.
     ("centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
      "check that the picture is not cropped"),
-    # No ray exists where the fitted polynomial is not monotonic; a circular fisheye picture always has such corners.
+    # No ray exists where the fitted polynomial is not monotonic. A circular fisheye picture always has such corners.
     ("folded", "part of the picture without a ray in the lens model", "%", 0.0, 5.0, False,
      "cover the borders, or use another --model"),
 )  # fmt: skip
@@ -331,7 +331,7 @@ def _pictures_measured(calibration: Calibration) -> dict[str, float]:
     used, (width, height) = calibration.used, calibration.camera.image_size_px
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
-    # All normals point away from the camera; their first two coordinates are sines of the tilt about the two axes.
+    # All normals point away from the camera. Their first two coordinates are sines of the tilt about the two axes.
     normals = np.array([view.rotation[:, 2] * np.sign(view.rotation[2, 2] or 1.0) for view in used])
     angles = np.arccos(np.clip(normals @ normals.T, -1, 1))
     least_variance = np.linalg.eigvalsh(np.cov(normals[:, :2].T, bias=True))[0]

@@ -1,15 +1,15 @@
 """Solve the normal equations of a clip, in which each frame is coupled only with the W frames before and after it.
 
-**Input and output.** A clip has T frames with D unknowns each. It comes in one or more pieces of consecutive frames
-(`Normal`): the blocks of a symmetric, positive definite matrix H (TD, TD), the gradient, and the border of the unknowns
-that all frames share. The block (t + k, t) of H, D x D, is zero for k > W. `step` returns the step towards the minimum.
-`eliminated` yields windows (`Window`), which give solutions, random draws and covariances.
+**Input and output.** A clip has T frames with D unknowns each. Each piece of the clip (`Normal`) gives the blocks of a
+symmetric, positive definite matrix H (TD, TD), the gradient, and the border of the unknowns that all frames share. The
+block (t + k, t) of H, D x D, is zero for k > W. `step` returns the step towards the minimum. `eliminated` yields
+windows (`Window`), which give solutions, random draws and covariances.
 
 **Idea.** The Cholesky factor L of H = L L' has the same band as H, so time and memory are linear in T.
 
-**Covariances.** The covariance Z = H^-1 is full, but only its blocks near the diagonal are needed. They follow one
-after the other, backwards from the last frame. If z is white noise, block row t of L' x = z gives frame t from the W
-frames after it:
+**Covariances.** The covariance Z = H^-1 is full, but only its blocks near the diagonal are needed. These blocks follow
+one after the other, backwards from the last frame. If z is white noise, block row t of L' x = z gives frame t from the
+W frames after it:
 
     x_t = gain_t x_later + L_tt^-T z_t,   gain_t = -L_tt^-T [L_t+1,t' ... L_t+W,t'],   later = t + 1, ..., t + W
 
@@ -257,7 +257,7 @@ def add_normal(
 ) -> None:
     """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
 
-    The residual (N, M) and Jacobian (N, M, S, D) belong to the frames first, first + 1, ...; slot s holds the
+    The residual (N, M) and Jacobian (N, M, S, D) belong to the frames first, first + 1, ... Slot s holds the
     derivatives with respect to the unknowns of frame + stencil[s].
     """
     if len(residual) and (first + min(stencil) < 0 or first + len(residual) + max(stencil) > len(blocks)):
@@ -346,8 +346,9 @@ class _Factor:
     def marginal_blocks(self, later: Array | None = None) -> Array:
         """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).
 
-        Block [t, k] is the covariance of frame t + k (rows) with frame t (columns); k = 0 is the covariance of frame t.
-        Blocks with t + k >= T are zero, unless `later` gives the covariance (WD, WD) of the W frames that follow.
+        Block [t, k] is the covariance of frame t + k (rows) with frame t (columns). For k = 0 it is the covariance of
+        frame t. Blocks with t + k >= T are zero, unless `later` gives the covariance (WD, WD) of the W frames that
+        follow.
         """
         return self._marginals(later)[0]
 

@@ -426,7 +426,7 @@ class ClipProblem:
     ) -> LeastSquares:
         """Return the least-squares problem of the clip with all of its terms.
 
-        This method selects all terms except those of the feet, which `contacts` makes.
+        This method selects all terms except the terms of the feet, which `contacts` makes.
 
         Parameters
         ----------
@@ -505,7 +505,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     """Return the contact weights (T, F) of the feet, the ground, and the cost terms of both.
 
     `points_m` are the markers (T, J, 3) at nominal size. The ground is a plane through the standing feet, fitted by
-    reweighted least squares. It is None if too few feet stand.
+    reweighted least squares. The ground is None if too few feet stand.
     """
     feet = clip.feet
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)

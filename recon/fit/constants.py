@@ -9,7 +9,7 @@ can set other values. `python benchmarks/accuracy.py --only ablation` fits with 
 ROBUST_C = 3.0
 """Residual of a detection, in standard deviations, at which its robust weight is 0.5.
 
-The value is a round number; `python benchmarks/accuracy.py --only ablation` also fits with 30.
+The value is a round number. `python benchmarks/accuracy.py --only ablation` also fits with 30.
 """
 KEYPOINT_BIAS_SHARE = 0.6
 """Standard deviation of the keypoint bias, relative to the standard deviation of keypoints in a single frame.
@@ -127,8 +127,8 @@ deviation is increased if the solution shows that the animal's proportions diffe
 OFFSET_SHARE = 0.4
 """Standard deviation of a keypoint offset, relative to the common keypoint bias, if the shape is estimated.
 
-The value is an assumption. With a smaller value, the estimated offsets stay closer to the measured ones, or to 0. The
-standard deviation is increased if the solution shows larger offsets.
+The value is an assumption. With a smaller value, the estimated offsets stay closer to the measured offsets, or to 0.
+The standard deviation is increased if the solution shows larger offsets.
 """
 LENGTH_SIGMA = 0.1
 """Minimum relative standard deviation of a length, if a fit cannot estimate it or the lengths were not measured."""
@@ -197,7 +197,7 @@ MISFIT_SIGMAS = 2.33
 SLIP_M_S = 2.5
 """Standard deviation of a standing foot's velocity, m/s."""
 SLIP_C = 2.0
-"""Velocity of a foot, in units of `SLIP_M_S`, at which the robust loss saturates; a round number."""
+"""Velocity of a foot, in units of `SLIP_M_S`, at which the robust loss saturates (a round number)."""
 GROUND_HEIGHT_M = 0.12
 """Standard deviation (m) of the ground's height about z = 0 if the ground is known to be near z = 0."""
 GROUND_SLOPE = 0.02

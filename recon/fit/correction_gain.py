@@ -198,7 +198,7 @@ def _covariance_and_derivative(
 
 
 def _covariances(pieces: Iterable[Normal], ahead: int | None) -> Iterator[tuple[slice, Array]]:
-    """Yield slices of N frames and the covariances (N, D, D) of their states; `ahead` as in `eliminated`."""
+    """Yield slices of N frames and the covariances (N, D, D) of their states, with `ahead` as in `eliminated`."""
     for window in eliminated(pieces, bounded=True, ahead=ahead):
         covariance, start = window.marginal_blocks()[:, 0], window.rows.start
         for first in range(0, len(covariance), _FRAMES_AT_ONCE):

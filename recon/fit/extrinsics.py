@@ -1,15 +1,14 @@
 """Estimate the poses of cameras from the animal alone, in short clips filmed by the same cameras.
 
 1. Each view is solved on its own, which gives the joints in the frame of its camera, in metres if the body has the
-animal's lengths.
-2. A rigid motion from the joints of one camera to the joints of the others is fitted robustly to all joints, frames and
-clips. It gives the camera's pose relative to the cameras with known poses. The upward direction is the first camera's.
-3. All views of a clip are solved together with fixed cameras. At the minimum, the unknowns of the clip alone (states,
-time offsets, and the keypoint bias of each view) are eliminated from the normal equations (`recon.fit.banded`). The
-poses, and the first camera's tilt and roll, take the Gauss-Newton step of the sum over the clips. The upward direction
-follows from the ground under the feet, the animal's climb and its upright posture. A few rounds of solving the clips
-and moving the cameras lead to the minimum over all unknowns, and the inverse of the summed curvature is the covariance
-of the poses.
+animal's lengths. 2. A rigid motion from the joints of one camera to the joints of the others is fitted robustly to all
+joints, frames and clips. The motion gives the camera's pose relative to the cameras with known poses. The upward
+direction is the first camera's. 3. All views of a clip are solved together with fixed cameras. At the minimum, the
+unknowns of the clip alone (states, time offsets, and the keypoint bias of each view) are eliminated from the normal
+equations (`recon.fit.banded`). The poses, and the first camera's tilt and roll, take the Gauss-Newton step of the sum
+over the clips. The upward direction follows from the ground under the feet, the animal's climb and its upright posture.
+A few rounds of solving the clips and moving the cameras lead to the minimum over all unknowns, and the inverse of the
+summed curvature is the covariance of the poses.
 
 If the poses are roughly known, only the third step is done, and the first camera's pose is kept. The distances between
 the cameras then determine the size of the animal. Otherwise the animal determines the scale, because its size is fixed
@@ -83,7 +82,7 @@ class Rig:
     disagreement: Array
     """Squared Mahalanobis distance between each camera's pose in one of C clips and in all clips, shape (C, V).
 
-    Its expectation is at most 6 if the errors are as large as stated.
+    The expectation of the distance is at most 6 if the errors are as large as stated.
     """
     time_offset_frames: tuple[Array, ...]
     """Delay in frames of each camera's pictures beyond the stated offset, (V,) for each clip.

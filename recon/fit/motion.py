@@ -196,7 +196,7 @@ class Motion:
         n
             Number of draws, 1 or more.
         seed
-            Seed of the random numbers; the same seed gives the same draws.
+            Seed of the random numbers. The same seed gives the same draws.
 
         Raises
         ------

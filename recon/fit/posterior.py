@@ -647,7 +647,7 @@ class PriorMisfit:
     """Deviation of a motion from its prior, compared with the deviation expected if the prior fits."""
 
     level: float
-    """Sum of the prior's squared residuals, relative to its expectation; about 1 for a prior that fits."""
+    """Sum of the prior's squared residuals, relative to its expectation (about 1 for a prior that fits)."""
     freedom: float
     """Number of unknowns of the motion that the pixels determine."""
 

@@ -61,8 +61,8 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
     xy_px : (T, J, 2) array
         Predicted keypoints, pixels; NaN without a pose.
     covariance_px2 : (T, J, 2, 2) array
-        Covariances of detections about `xy_px`, px^2. They include the uncertainty of the keypoints in 3D, and the
-        noise of detections in the solution's views, scaled to the distance from this view.
+        Covariances of detections about `xy_px`, px^2. The covariances include the uncertainty of the keypoints in 3D,
+        and the noise of detections in the solution's views, scaled to the distance from this view.
     """
     markers_m, covariance_m2 = solution.markers_m, solution.covariance_m2
     if fps is None or len(solution.views) == 1 or not solution.posed.any():

@@ -112,10 +112,10 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
     """Return the variance (V, J) of each joint's detections in each view, relative to the expected variance.
 
     The variance is the weighted mean of squared residuals under the robust loss, in which the expected variance counts
-    as eight detections. It is limited to 1/4 to 6 times the expected variance, so that no joint is followed exactly or
-    ignored. If several cameras estimate the body's shape and the detector was not measured, the residuals show the
-    noise better than the expectation, so the expected variance counts as `NOISE_COUNT` detections and the lower limit
-    is `MIN_NOISE`.
+    as eight detections. The result is limited to 1/4 to 6 times the expected variance, so that no joint is followed
+    exactly or ignored. If several cameras estimate the body's shape and the detector was not measured, the residuals
+    show the noise better than the expectation, so the expected variance counts as `NOISE_COUNT` detections and the
+    lower limit is `MIN_NOISE`.
     """
     world = clip.in_world(points_m, size)
     is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1

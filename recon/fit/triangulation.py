@@ -14,8 +14,8 @@ full weight. If fewer than two detections remain, or the rays are nearly paralle
 **Noise.** The detector's noise is estimated for each keypoint from the remaining errors, divided by their degrees of
 freedom, and all steps are repeated with it.
 
-**Covariance.** The covariance of a point is the inverse of J' J / sigma^2 of the remaining detections. It is multiplied
-by their mean squared error in standard deviations if that is above 1.
+**Covariance.** The covariance of a point is the inverse of J' J / sigma^2 of the remaining detections. The covariance
+is multiplied by the mean squared error of the detections, in standard deviations, if this is above 1.
 
 **Smoothing.** Optionally, cubic smoothing splines are fitted over time, one for each coordinate, weighted by the
 points' standard deviations. The smoothness is chosen by generalised cross-validation (Craven and Wahba 1979). Points

@@ -128,7 +128,7 @@ def require_torch() -> ModuleType:
 
 
 def choose_device(name: str) -> torch.device:
-    """Return the torch device with a given name; "auto" means CUDA or MPS if available, else the CPU."""
+    """Return the torch device with a given name, where "auto" means CUDA or MPS if available, else the CPU."""
     torch = require_torch()
     is_available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if name == "auto":
@@ -190,7 +190,7 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
                 nn.Sequential(conv(a, b, stride=2), *(Residual(b) for _ in range(n)))
                 for a, b, n in zip(ins, widths, blocks, strict=True)
             )
-            outs = (HEAD, *widths[2:])  # widths of the decoder from 1/4 to 1/32 of the size; the last is the encoder's
+            outs = (HEAD, *widths[2:])  # widths of the decoder from 1/4 to 1/32 of the size (the last is the encoder's)
             self.across = nn.ModuleList(nn.Conv2d(w, o, 1) for w, o in zip(widths[1:-1], outs[:-1], strict=True))
             self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(outs))
             self.mix = nn.ModuleList(conv(o, o) for o in outs[:-1])

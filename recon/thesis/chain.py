@@ -45,7 +45,7 @@ class ChainPose:
     joints_jacobian: Array | None = None
     """Derivatives of the positions with respect to the unknowns, shape (N, J, 3, D)."""
     rotation_jacobian: Array | None = None
-    """Derivatives of the rotations, shape (N, 3, 3, 3); axis 1 is xi, psi, zeta."""
+    """Derivatives of the rotations, shape (N, 3, 3, 3), with xi, psi, zeta along axis 1."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class UnknownsChain(Chain):
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """Return the names of the D unknowns, such as theta_6, x0_m, xi and base_length_m; angles are in rad."""
+        """Return the names of the D unknowns, such as theta_6, x0_m, xi and base_length_m, with angles in rad."""
         return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
 
     def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:

@@ -1,9 +1,9 @@
 """Minimise a sum of squares by Levenberg-Marquardt with a given initial damping and a fixed factor of change.
 
 MINPACK, which the frame method uses by default, has a trust region and finds its own damping. The publication's solver
-starts from a given damping. It divides the damping by a factor after each step that lowers the cost, and multiplies it
-by this factor after every other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest squared norms
-that the columns of J have had, so the damping has no unit.
+starts from a given damping. The solver divides the damping by a factor after each step that lowers the cost, and
+multiplies it by this factor after every other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest
+squared norms that the columns of J have had, so the damping has no unit.
 """
 
 from __future__ import annotations

@@ -309,9 +309,9 @@ def _body_angles(
 ) -> tuple[Array, Array]:
     """Return standard deviations of the body's angles, and fractions of their precision that come from the pixels.
 
-    Both have the shape (T, D' - 3). `states` (T, D), `covariance` (T, D, D) and the fractions `shares` (T, D) describe
-    the chain's unknowns. The rotation of the root depends on the Euler angles, so its fraction is the mean of the Euler
-    angles' fractions, weighted by their contributions to its variance.
+    Both results have the shape (T, D' - 3). `states` (T, D), `covariance` (T, D, D) and the fractions `shares` (T, D)
+    describe the chain's unknowns. The rotation of the root depends on the Euler angles, so its fraction is the mean of
+    the Euler angles' fractions, weighted by their contributions to its variance.
     """
     angles = np.arange(2 * chain.n_angles)
     by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))

@@ -200,7 +200,7 @@ class FrameSearch:
     evaluations_at: Index
     """Number of evaluations of the residuals when each point was accepted, shape (K,)."""
     sigma_px: Array
-    """Noise assumed for the step from each point in pixels, shape (K,); the last value is the detections' noise."""
+    """Noise assumed for the step from each point in pixels, shape (K,), last the detections' noise."""
 
     @property
     def x(self) -> Array:
