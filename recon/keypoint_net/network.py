@@ -95,7 +95,7 @@ MIN_SIGMA = 0.15
 BLUR = 0.8
 """Standard deviation of the blur of the probability, in cells of the grid."""
 MAX_SPREAD_CELLS = 4.0
-"""Largest distance from a point, in cells, to which `variance` clips larger distances."""
+"""Maximum distance from a point, in cells, that `variance` uses in place of any larger distance."""
 _REACH = 3
 """Number of cells on each side of a cell over which the blur extends."""
 OUTSIDE_SCORE = -1e4

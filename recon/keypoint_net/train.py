@@ -1,9 +1,9 @@
 """Train a keypoint network on labelled pictures (`recon train`).
 
-The optimiser is AdamW. In the first part of a run, the network learns from the training pictures, and is evaluated and
-its likelihoods are calibrated on the validation pictures. In the last part, from `FINISH_FRACTION` on, it learns from
-both, so that no label is wasted. In each part the learning rate falls along a cosine to almost 0. At the start of the
-run, the rate warms up first. The final weights are a moving average of the optimiser's weights.
+The optimiser is AdamW. In the first part of a run, the network learns from the training pictures. The validation
+pictures serve to evaluate the network and to calibrate its likelihoods. In the last part, from `FINISH_FRACTION` on, it
+learns from both, so that no label is wasted. In each part the learning rate falls along a cosine to almost 0. At the
+start of the run, the rate warms up first. The final weights are a moving average of the optimiser's weights.
 
 The result of a run depends only on its settings, its labels and its device, because augmentation depends on the seed
 and the step, and a checkpoint contains everything else. If the number of steps is given, a run that was stopped and
