@@ -88,7 +88,7 @@ class Format:
         Raises
         ------
         InputError
-            If the file is damaged, whatever error Python or a library raises while reading it.
+            If the file is damaged. Errors of Python and of libraries in reading the file are converted.
         """
         with damage_as_input_error(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)

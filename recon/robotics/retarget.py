@@ -507,7 +507,7 @@ def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """Return the largest of `SCALES` at which every foot is within reach, or half the largest scale if none fits."""
+    """Return the largest scale in `SCALES` at which every foot is within reach, or half of the first if none fits."""
     largest = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
