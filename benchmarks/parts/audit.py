@@ -67,7 +67,7 @@ def view_file(folder: Path, camera: str, fps: float) -> File:
 
 
 def files() -> Iterator[File]:
-    """Read all files to audit."""
+    """Yield all files to audit: views and 3D poses of the recordings, hand labels and examples."""
     for folder in sorted(recordings("cheetah-runs").glob("*/")):
         fps = json.loads((folder / "meta.json").read_text())["fps"]
         for path in sorted(folder.glob("cam*.csv")):

@@ -143,7 +143,7 @@ def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
 
 @cache
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
-    """Return a body with the keypoint bias measured in some runs, with the reference's poses if `posed`."""
+    """Return a body with the keypoint bias measured in some runs, in the reference's poses if `posed`."""
     settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of_body(body_of(), lengths=False, offsets=True)
     if posed:
@@ -154,7 +154,7 @@ def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
 
 
 def as_seen(body: Body, run: Run, runs: Sequence[Run], posed: bool = False) -> Body:
-    """Return a body with the keypoint bias measured in all runs except `run`."""
+    """Return a body with the keypoint bias measured in all runs except `run`, in the reference's poses if `posed`."""
     return with_detector(body, _detector(tuple(other for other in runs if other is not run), posed))
 
 

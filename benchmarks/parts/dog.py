@@ -191,7 +191,7 @@ def misfits(solved: Sequence[SegmentFit]) -> Rows:
 
 
 def side_view(clip: Clip, reference: str = "Hips") -> tuple[Camera, float]:
-    """Return the side camera of a clip, and its horizontal field of view in degrees."""
+    """Return a camera beside the path of the joint `reference`, and its horizontal field of view in degrees."""
     hips = clip.points_m[:, clip.names.index(reference)]
     middle = (hips[:, 0].min() + hips[:, 0].max()) / 2
     return narrowest(clip.points_m, np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M]))

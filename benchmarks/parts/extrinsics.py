@@ -276,7 +276,7 @@ def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def turned(view: View, degrees: float) -> View:
-    """Return the view of a camera that is turned about the vertical axis of its picture."""
+    """Return the view of a camera that is turned by `degrees` about the vertical axis of its picture."""
     rays, _ = view.camera.rays(view.xy_px)
     xy_px, valid = view.camera.project(
         np.nan_to_num(rays, nan=1.0) @ Rotation.from_euler("y", degrees, True).as_matrix().T
@@ -287,7 +287,8 @@ def turned(view: View, degrees: float) -> View:
 def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):
     """Simulate views of the run's motion on another path through the field of the cameras.
 
-    The detector's bias depends on the side that it sees, with the offsets `offsets_m` (SECTORS, J, 2) in the picture.
+    The path is shifted at random, and also turned at random if `any_way` is true. The bias of a keypoint depends on
+    the sector from which the animal is seen: `offsets_m` (SECTORS, J, 2) along the axes of the picture.
     """
     known = np.isfinite(run.truth_m[:, 0, 0])
     motion = run.truth_m[known]
@@ -301,7 +302,7 @@ def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bo
 def _detected(
     view: View, points: np.ndarray, way: np.ndarray, offsets_m: np.ndarray, fps: float, rng: np.random.Generator
 ) -> View:
-    """Simulate the detections of points (T, J, 3), metres, of an animal that follows a path."""
+    """Simulate a camera's detections of points (T, J, 3), metres, of an animal that moves in the direction `way`."""
     projected, valid = view.project(points)
     in_camera = view.to_camera(points)
     px_per_m = view.focal_px / np.maximum(in_camera[..., 2], 0.3)

@@ -190,7 +190,7 @@ def hidden_error_mm(points_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, f
 
 
 def chosen(run: Run, count: str) -> list[View]:
-    """Return the views of a run, the named camera first and the most different second."""
+    """Return "all" or "two" views of a run, the named camera first and the most different second."""
     pair = [run.named, most_different(run)]
     others = [] if count == "two" else [camera for camera in run.views if camera not in pair]
     return [run.views[camera].mask_outside_image() for camera in (*pair, *others)]

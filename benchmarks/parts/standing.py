@@ -2,9 +2,9 @@
 
     python benchmarks/parts/standing.py [FOLDER]
 
-Parts of 100 frames of three clips of the dog-mocap of $RECON_SHARED_DATA, or of ../shared/data, are seen from the side
-as in `dog.py`, with the keypoint bias that the skeleton states, and are fitted like `recon fit`. The speed is the mean
-speed of the centre of all joints.
+Three clips in the folder dog-mocap of $RECON_SHARED_DATA, or of ../shared/data, are divided into parts of 100 frames.
+Each part is seen from the side as in `dog.py`, with the keypoint bias that the skeleton states, and is fitted like
+`recon fit`. The speed is the mean speed of the centre of all joints.
 """
 
 from __future__ import annotations

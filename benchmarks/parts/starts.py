@@ -62,7 +62,7 @@ def two_costs(estimates: list[Estimate], frames: int) -> np.ndarray:
 
 
 def decreases(given: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the decrease (2,) of the costs in the other search; 0 if the other search lacks the minimum."""
+    """Return by how much the other search lowers the costs of the best and the second minimum, (2,); 0 without it."""
     return np.where(np.isinf(other), 0.0, given - np.where(np.isinf(other), 0.0, other))
 
 

@@ -67,7 +67,7 @@ def plate_rows() -> list[dict]:
 
 
 def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
-    """Replace a clip's markers by a fit of the skeleton, with amplified angles of the left (mirrored: right) limbs."""
+    """Replace the markers by a fit of the skeleton whose left limbs (mirrored: right) swing more by a fraction."""
     body = body_of()
     states = solve_points(body, clip.markers(body))[0]
     prefix = "r_" if mirrored else "l_"

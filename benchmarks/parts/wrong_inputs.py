@@ -237,7 +237,7 @@ def transposed(clip: Clip, given: Given) -> Given:
 
 
 def scaled(x: float, y: float) -> Change:
-    """Return a change that scales the picture about its middle."""
+    """Return a change that scales the picture by the factors `x` and `y` about its middle."""
 
     def change(clip: Clip, given: Given) -> Given:
         middle = (given.size_px - 1) / 2
@@ -466,7 +466,7 @@ def without(share: float) -> Change:
 
 
 def hidden(which: Callable[[str], bool]) -> Change:
-    """Return a change that removes keypoints in all frames."""
+    """Return a change that removes the keypoints whose names `which` selects, in all frames."""
 
     def change(clip: Clip, given: Given) -> Given:
         never = np.array([which(name) for name in given.keypoints.names])

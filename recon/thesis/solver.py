@@ -204,7 +204,7 @@ class FrameSearch:
 
     @property
     def x(self) -> Array:
-        """Return the minimum, shape (D,)."""
+        """Return the unknowns at the minimum, shape (D,)."""
         return self.points[-1]
 
     @property

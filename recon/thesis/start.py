@@ -79,7 +79,7 @@ def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: flo
 
 
 def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
-    """Return heading and speed (4,) in one stretch of a clip, with a speed of NaN for a short or slow path.
+    """Return the heading (3) and the speed (1) in a stretch of a clip; the speed is NaN for a short or slow path.
 
     For every heading, the mean pose runs straight ahead, with constant acceleration and on sloping ground. The heading
     whose run fits all rays best is chosen, so both the foreshortening of the body and the path count.
