@@ -485,8 +485,8 @@ def print_untouched(
         with_findings = {name: codes for name, codes in named.items() if codes}
         is_wrong = {n for n, codes in with_findings.items() if not all(is_right(by_name[n], code) for code in codes)}
         n = sum(map(len, with_findings.values()))
-        share, of_checks = len(with_findings) / len(all_files), f"{n} of {tests} checks ({percent(n / tests, 1)})"
-        print(f"Files with a finding, {title}: {len(with_findings)} ({percent(share)}), {of_checks};")
+        fraction, of_checks = len(with_findings) / len(all_files), f"{n} of {tests} checks ({percent(n / tests, 1)})"
+        print(f"Files with a finding, {title}: {len(with_findings)} ({percent(fraction)}), {of_checks};")
         print(
             f"{len(is_wrong)} of these are not confirmed by the truth ({percent(len(is_wrong) / len(all_files), 1)})."
         )

@@ -93,8 +93,8 @@ def film(video: Path, pan: Pan, seed: int = 0) -> Film:
         picture = np.zeros((pan.size_px[1], pan.size_px[0], 3), np.float32)
         before, after = max(t - 1, 0), min(t + 1, len(way) - 1)
         rate = np.radians(angles[after] - angles[before]) / max(after - before, 1)
-        for share in (np.arange(SUBFRAMES) + 0.5) / SUBFRAMES - 0.5:
-            R = Rotation.from_rotvec(share * SHUTTER * rate).inv().as_matrix() @ rotations[t]
+        for fraction in (np.arange(SUBFRAMES) + 0.5) / SUBFRAMES - 0.5:
+            R = Rotation.from_rotvec(fraction * SHUTTER * rate).inv().as_matrix() @ rotations[t]
             K2 = camera.matrix.copy()
             K2[[0, 1], [0, 1]] *= zooms[t]
             H = K1 @ R.T @ np.linalg.inv(K2)

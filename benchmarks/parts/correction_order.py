@@ -313,8 +313,8 @@ def main() -> None:
         fit = Linearised(clip)
         falls = measured_falls(clip, fit)
         views.append(falls)
-        share = falls["recon"][1] / falls["greedy"][1]
-        print_row([title, f"{clip.error_mm(clip.motion):.1f}", *(in_words(falls[n]) for n in names), f"{share:.2f}"])
+        fraction = falls["recon"][1] / falls["greedy"][1]
+        print_row([title, f"{clip.error_mm(clip.motion):.1f}", *(in_words(falls[n]) for n in names), f"{fraction:.2f}"])
         drawn += [drawn_falls(clip, fit, DRAWS * seed + draw) for draw in range(DRAWS)]
     print(flush=True)
     rows = []

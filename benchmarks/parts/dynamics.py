@@ -260,12 +260,12 @@ def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tup
             factor = {foot: np.exp(method.FOOT_IMPULSE_SIGMA * rng.standard_normal(SHARES)) for foot in FEET}
             for one in d.forces.to_dict("records"):
                 foot, of_pair = one["foot"], [factor[side + one["foot"][1]] for side in "LR"]
-                share = factor[foot] / sum(of_pair) * (in_front if foot.endswith("F") else 1 - in_front)
+                fraction = factor[foot] / sum(of_pair) * (in_front if foot.endswith("F") else 1 - in_front)
                 times = one["start_s"], gait.tracks.time_s
                 landed, since = ((t + time_s[0]) / run.stride_s - run.landings[foot] for t in times)
                 into = (since - round(landed)) / run.duty_factor
                 stands = (into > 0) & (into < 1)
-                peak, impulse = share / (MEAN_OF_PEAK * run.duty_factor), share * run.stride_s
+                peak, impulse = fraction / (MEAN_OF_PEAK * run.duty_factor), fraction * run.stride_s
                 true = peak[:, None] * shape(into[stands])
                 said, low, high = d.force[foot][stands].T
                 rows.append(
@@ -276,7 +276,7 @@ def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tup
                     )
                 )
     square, *inside = np.mean(rows, axis=0)
-    return [name, str(len(rows)), f"{np.sqrt(square):.2f}", *(f"{share:.0%}" for share in inside)]
+    return [name, str(len(rows)), f"{np.sqrt(square):.2f}", *(f"{fraction:.0%}" for fraction in inside)]
 
 
 def print_against_plates() -> bool:

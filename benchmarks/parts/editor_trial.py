@@ -141,9 +141,9 @@ def row(chromium: Any, clip: SyntheticClip, seed: int) -> list[str]:
         cells = {(int(np.searchsorted(exact.frames, item.frame)), exact.names.index(item.keypoint)) for item in saved}
         recon("fit", "--config", result / "config.toml", "--corrections", out, "--out", again)
         errors_mm = clean_mm, *(fits.error_mm(Motion.load(path)) for path in (result, again))
-    share = errors_mm[2] / errors_mm[0] - 1
+    fraction = errors_mm[2] / errors_mm[0] - 1
     counts = f"{user.keys} keys, {clicks} clicks", f"{user.seconds / 60:.1f}", str(len(cells & faults))
-    return [*counts, *(f"{error:.1f}" for error in errors_mm), f"{share:+.1%}", str(len(messages))]
+    return [*counts, *(f"{error:.1f}" for error in errors_mm), f"{fraction:+.1%}", str(len(messages))]
 
 
 def main() -> None:

@@ -118,10 +118,10 @@ def main() -> None:
     print_header(["objectives", "pixels", "MPJPE, mm (by run)", "share", "jitter"])
     for name in arguments.only:
         kept, options = CASES[name]
-        pixels, mpjpe, share, jitter = np.array([measured(run, kept, options) for run in runs]).T
+        pixels, mpjpe, fraction, jitter = np.array([measured(run, kept, options) for run in runs]).T
         error = f"{mpjpe.mean():.0f} ({mpjpe.min():.0f} to {mpjpe.max():.0f})"
         is_limited = bool({*kept} & {*LIMITS})
-        weighed = f"{100 * share.mean():.{0 if share.mean() > 0.01 else 1}f} %" if is_limited else ""
+        weighed = f"{100 * fraction.mean():.{0 if fraction.mean() > 0.01 else 1}f} %" if is_limited else ""
         print_row([name, f"{np.median(pixels):.1f}", error, weighed, f"{np.median(jitter):.1f}"])
 
 

@@ -217,9 +217,9 @@ def held_out_rows(runs: Sequence[Path]) -> list[dict]:
         (motion, marked.stances) for clip, marked, motion in dog_gaits() if not clip.name.startswith("turn")
     ]
     rows, found, before = [], {}, method.SPEED_ERROR
-    for share in CANDIDATES:
-        method.SPEED_ERROR = share
-        found[share] = {
+    for fraction in CANDIDATES:
+        method.SPEED_ERROR = fraction
+        found[fraction] = {
             kind: event_row(kind, [(found_gait(motion).stances, exact) for motion, exact in some])
             for kind, some in kinds.items()
             if some

@@ -516,7 +516,7 @@ def print_online(folder: Path) -> None:
             kept, own = fit(joined([o.frames for o in data if o.run != s.run])).method, each[name]
             rates = [rates_of(method, s.frames[t : t + 1])[0] for t, method in enumerate(own)]
             explained = explained_by(rates_of(kept, s.frames), s.frames.dq), explained_by(np.array(rates), s.frames.dq)
-            cells.append([100 * share for share in explained] + [s.off_deg(kept), s.off_deg(kept, own)])
+            cells.append([100 * fraction for fraction in explained] + [s.off_deg(kept), s.off_deg(kept, own)])
         rows.append([name, *(f"{v:.0f}" for v in np.median(cells, axis=0))])
     where = ("from the other runs", f"from the {REFIT_FRAMES} frames before")
     print_table(["method", *(f"{what}, {how}" for what in ("explained", "joint error") for how in where)], rows)

@@ -137,10 +137,10 @@ def statistics_of_motion(motion: Motion, prior: MotionPrior, options: Trajectory
     if speeds is None:
         return found
     found["feet, m/s"] = speeds.slowest_m_s
-    legs_s, share = speeds.over_feet_m_s / speeds.leg_m, -speeds.slowest_m_s / speeds.over_feet_m_s
+    legs_s, fraction = speeds.over_feet_m_s / speeds.leg_m, -speeds.slowest_m_s / speeds.over_feet_m_s
     if legs_s > inputs.SLIDE_LEGS_S:
-        found["feet backwards"] = share
-    if share > inputs.SLIDE_RATIO:
+        found["feet backwards"] = fraction
+    if fraction > inputs.SLIDE_RATIO:
         found["body over feet"] = legs_s
     if inputs.seem_to_slide(speeds):
         found["feet on the ground"] = inputs.on_ground_m_s(motion) / speeds.slowest_m_s

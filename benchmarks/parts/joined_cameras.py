@@ -70,9 +70,9 @@ def main() -> None:
         )
     columns = "run, views, true m/s, error of views, ± of views, joined m/s, ±, ± without the size, in 90 %"
     print_table(columns.split(", "), rows)
-    share = np.mean(np.abs(errors) < radius(INTERVAL))
+    fraction = np.mean(np.abs(errors) < radius(INTERVAL))
     ratio = np.sqrt(np.mean(np.square(joint_errors)))
-    print(f"\nThe intervals of {share:.0%} of the {len(errors)} views contain the true speed.")
+    print(f"\nThe intervals of {fraction:.0%} of the {len(errors)} views contain the true speed.")
     print(f"The root mean square of error / stated of the joined speeds is {ratio:.2f}.")
 
 

@@ -114,7 +114,7 @@ def labels(args: argparse.Namespace, out: Path) -> None:
         print_row((
             count, report["steps"], round(report["seconds"]), f"{score['median_px']:.2f}",
             f"{100 * score['median_px'] / length_px:.1f}",
-            "/".join(f"{share:.2f}" for share in score["pck_px"].values()),
+            "/".join(f"{fraction:.2f}" for fraction in score["pck_px"].values()),
         ))  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def large(args: argparse.Namespace, out: Path) -> None:
         used = time.process_time() - before
         print_row((
             seed, report["steps"], round(report["seconds"]), round(used), f"{found['all']['median_px']:.2f}",
-            "/".join(f"{share:.2f}" for share in found["all"]["pck_px"].values()),
+            "/".join(f"{fraction:.2f}" for fraction in found["all"]["pck_px"].values()),
             f"{found['reliability']['expected_calibration_error']:.3f}",
         ))  # fmt: skip
 
@@ -214,7 +214,7 @@ def _row(seed: int, report: dict[str, Any], result: dict[str, Any]) -> tuple[obj
     score, forgiven, table = result["all"], result["swaps_forgiven"], result["reliability"]
     return (
         seed, report["steps"], round(report["seconds"]), f"{score['median_px']:.2f}",
-        "/".join(f"{share:.2f}" for share in score["pck_px"].values()),
+        "/".join(f"{fraction:.2f}" for fraction in score["pck_px"].values()),
         f"{forgiven['median_px']:.2f} px, {forgiven['pck_px']['5.0']:.2f}",
         f"{table['expected_calibration_error']:.3f}",
     )  # fmt: skip

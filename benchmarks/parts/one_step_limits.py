@@ -43,8 +43,8 @@ def slow_clock(clip: Clip, given: Given) -> Given:
     fps, T = clip.meta["fps"], len(given.xy_px)
     at = np.arange(T) * fps / (fps - 1)
     before = at[at <= T - 2].astype(int)
-    share = (at[: len(before)] - before)[:, None, None]
-    xy_px = (1 - share) * given.xy_px[before] + share * given.xy_px[before + 1]
+    fraction = (at[: len(before)] - before)[:, None, None]
+    xy_px = (1 - fraction) * given.xy_px[before] + fraction * given.xy_px[before + 1]
     return given.seen(xy_px, given.keypoints.frames[: len(before)])
 
 

@@ -47,8 +47,8 @@ def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float,
     points[here] = truth.xyz_m[there, at]
     net, net_sigma = said.net_acceleration_m_s2
     off = net - net_acceleration(motion.time_s, points)[0]
-    off_by, stated, share = (float(np.sqrt(np.nanmean(values**2))) for values in (error, sigma, error / sigma))
-    return off_by, stated, share, off, net_sigma, said.why_no_speed is None
+    off_by, stated, fraction = (float(np.sqrt(np.nanmean(values**2))) for values in (error, sigma, error / sigma))
+    return off_by, stated, fraction, off, net_sigma, said.why_no_speed is None
 
 
 def main() -> None:

@@ -12,8 +12,8 @@ from recon.api.epipolar import epipolar_lines_px
 def distance_px(line: np.ndarray, point: np.ndarray) -> float:
     """Return the distance of a point from a polyline, px."""
     starts, steps = line[:-1], np.diff(line, axis=0)
-    share = np.clip(((point - starts) * steps).sum(axis=1) / (steps**2).sum(axis=1), 0, 1)
-    return float(np.linalg.norm(starts + share[:, None] * steps - point, axis=1).min())
+    fraction = np.clip(((point - starts) * steps).sum(axis=1) / (steps**2).sum(axis=1), 0, 1)
+    return float(np.linalg.norm(starts + fraction[:, None] * steps - point, axis=1).min())
 
 
 def test_a_keypoint_lies_on_the_line_of_the_other_camera(two_cameras: Motion):

@@ -58,8 +58,8 @@ def test_without_noise_all_information_comes_from_the_pixels(monkeypatch):
         usual = seen_from((1.2, 0.5), **what)
         with monkeypatch.context() as without_noise:
             without_noise.setattr("recon.calibrate.camera_advice.TrajectoryOptions", lambda **settings: exact)
-            sigma, share = seen_from((1.2, 0.5), **what)
-        assert share > least > usual[1]
+            sigma, fraction = seen_from((1.2, 0.5), **what)
+        assert fraction > least > usual[1]
         assert sigma < usual[0] / 2
 
 

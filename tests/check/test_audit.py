@@ -181,9 +181,9 @@ def test_missing_frames_are_distinguished_from_a_change_of_speed():
     rng = np.random.default_rng(1)
     intervals = rng.choice([1, 2, 3], 60, p=[0.7, 0.22, 0.08])
     errors = rng.normal(0, 0.05, 59)
-    gain, share = missing_gain(np.diff(np.log(intervals)) + errors)
+    gain, fraction = missing_gain(np.diff(np.log(intervals)) + errors)
     assert gain > 40
-    assert share == pytest.approx((intervals > 1).mean(), abs=0.1)
+    assert fraction == pytest.approx((intervals > 1).mean(), abs=0.1)
     assert missing_gain(errors)[0] < 0
     gait = 0.5 * np.sin(np.arange(60))  # the logarithm of a smooth speed, which changes by 2.7 times in three frames
     assert missing_gain(np.diff(gait) + errors)[0] < 0

@@ -142,8 +142,8 @@ def test_impossible_motions_are_reported(code):
     elif code == "time_reversed":
         states = states[::-1].copy()
     else:
-        share = {"treadmill": 0.0, "camera_moves": 0.4}[code]
-        states[:, :2] = states[:1, :2] + share * (states[:, :2] - states[:1, :2])
+        fraction = {"treadmill": 0.0, "camera_moves": 0.4}[code]
+        states[:, :2] = states[:1, :2] + fraction * (states[:, :2] - states[:1, :2])
     (found,) = movement(moved(states))
     assert found.code == code
 

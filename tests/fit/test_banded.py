@@ -233,8 +233,8 @@ def in_pieces(rng, dense, T, D, W, P, stops):
     corner, of_shared = flat.T @ np.linalg.solve(dense, flat) + 2 * np.eye(P), rng.normal(size=P)
     blocks, pieces, start = blocks_of(dense, T, D, W), [], 0
     for stop in stops:
-        own, share = slice(start, stop), (stop - start) / T
-        pieces.append(Normal(blocks[own], gradient[own], border[own], share * corner, share * of_shared))
+        own, fraction = slice(start, stop), (stop - start) / T
+        pieces.append(Normal(blocks[own], gradient[own], border[own], fraction * corner, fraction * of_shared))
         start = stop
     whole = np.block([[dense, flat], [flat.T, corner]])
     return pieces, whole, np.concatenate([gradient.ravel(), of_shared])

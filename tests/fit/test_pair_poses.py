@@ -41,8 +41,8 @@ def test_hypotheses_without_evidence_keep_their_prior():
     assert np.tensordot(poses.weight, poses.is_turned, axes=1) == pytest.approx(np.full((2, 3), constants.TURNED_SHARE))
     assert poses.weight @ poses.is_moved == pytest.approx(np.full(2, constants.MOVED_SHARE))
     assert not poses.is_moved.all(axis=1).any()
-    share = np.tile([*[constants.TURNED_SHARE] * 3, *[constants.MOVED_SHARE] * 3], 2)
-    variance = share * MISPLACED**2 + (1 - share) * CALIBRATED**2
+    fraction = np.tile([*[constants.TURNED_SHARE] * 3, *[constants.MOVED_SHARE] * 3], 2)
+    variance = fraction * MISPLACED**2 + (1 - fraction) * CALIBRATED**2
     assert np.diagonal(poses.covariance_about(np.zeros(12))) == pytest.approx(variance)
     np.testing.assert_array_equal(poses.expected, np.zeros(12))
 

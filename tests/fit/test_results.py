@@ -51,8 +51,8 @@ def test_shares_and_deviations_belong_to_their_angles(whole_results):
     i = found.posture_names.index("head_yaw")
     np.testing.assert_allclose(found.posture_sigma_rad[:, i], table["head_yaw_sigma_rad"], **SIGMA)
     np.testing.assert_allclose(found.posture_data_share[:, i], table["head_yaw_data_share"], atol=6e-4)
-    for name, share in found.data_shares.items():
-        assert np.nanmedian(table[f"{name}_data_share"]) == pytest.approx(share, abs=6e-4)
+    for name, fraction in found.data_shares.items():
+        assert np.nanmedian(table[f"{name}_data_share"]) == pytest.approx(fraction, abs=6e-4)
 
 
 @pytest.mark.parametrize("results", ["whole_results", "level_results"])

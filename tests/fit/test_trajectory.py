@@ -55,9 +55,9 @@ def test_result_is_consistent():
         assert np.linalg.eigvalsh(covariance).min() > 0
     total, parts = np.trace(solution.covariance_m2, axis1=2, axis2=3), solution.relative_covariance_m2
     assert (total > np.trace(parts, axis1=2, axis2=3)).mean() > 0.99
-    share = solution.data_share
-    assert ((share >= 0) & (share <= 1)).all()
-    assert share[BODY.markers.index("r_front_paw")] > 0.5
+    fraction = solution.data_share
+    assert ((fraction >= 0) & (fraction <= 1)).all()
+    assert fraction[BODY.markers.index("r_front_paw")] > 0.5
     assert solution.starts > 1
 
 
@@ -71,9 +71,9 @@ def test_depth_is_less_certain_than_the_picture():
 def test_a_side_view_shows_pitch_and_hardly_roll():
     """Information fraction and standard deviation show that the pixels determine pitch and hardly determine roll."""
     solution = plain()
-    share = dict(zip(BODY.state_names[3:], np.median(solution.angle_data_share, axis=0), strict=True))
-    assert min(share[f"{side}_{part}_pitch"] for side in "lr" for part in ("fore_upper", "hind_thigh")) > 0.6
-    assert max(share["head_roll"], share["tail_2_yaw"]) < 0.3
+    fraction = dict(zip(BODY.state_names[3:], np.median(solution.angle_data_share, axis=0), strict=True))
+    assert min(fraction[f"{side}_{part}_pitch"] for side in "lr" for part in ("fore_upper", "hind_thigh")) > 0.6
+    assert max(fraction["head_roll"], fraction["tail_2_yaw"]) < 0.3
     assert ((solution.angle_data_share >= 0) & (solution.angle_data_share <= 1)).all()
 
 

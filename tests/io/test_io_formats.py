@@ -409,9 +409,9 @@ def test_cut_off_files_are_refused(tmp_path):
     """Files that are cut off are refused, except text tables that end with a complete row."""
     for path, read in written(tmp_path):
         content = path.read_bytes()
-        for share in (0.02, 0.3, 0.6):
+        for fraction in (0.02, 0.3, 0.6):
             cut = tmp_path / f"cut_{path.name}"
-            cut.write_bytes(content[: max(4, int(share * len(content)))])
+            cut.write_bytes(content[: max(4, int(fraction * len(content)))])
             lines = cut.read_bytes().splitlines()
             full_row = path.suffix == ".csv" and lines[-1].count(b",") == lines[0].count(b",") and len(lines) > 4
             if not full_row:

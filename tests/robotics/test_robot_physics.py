@@ -93,10 +93,10 @@ def test_standing_feet_carry_the_weight():
 
 def test_friction_limits_sideways_forces():
     model = simulated(load_robot("a1"))
-    for share, enough in ((0.6, True), (1.6, False)):
-        aside = np.outer(share * FRICTION * 9.81 * (TIME[:11] - 0.05) ** 2 / 2, [0, 1, 0])
+    for fraction, enough in ((0.6, True), (1.6, False)):
+        aside = np.outer(fraction * FRICTION * 9.81 * (TIME[:11] - 0.05) ** 2 / 2, [0, 1, 0])
         lacks = check(still(TIME[:11], aside), model)[1]["forces"][5]
-        assert (lacks > -0.1) == enough, (share, lacks)
+        assert (lacks > -0.1) == enough, (fraction, lacks)
 
 
 def test_colliding_legs_are_found():

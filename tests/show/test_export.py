@@ -122,11 +122,11 @@ def test_standard_deviations_have_three_significant_digits(world_trajectory, tmp
 
 def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
     solution, (T, A) = world_trajectory.solution, world_trajectory.angles_rad.shape
-    share = np.linspace(0, 1, T * A).reshape(T, A)
-    motion = replace(world_trajectory, solution=replace(solution, angle_data_share=share))
+    fraction = np.linspace(0, 1, T * A).reshape(T, A)
+    motion = replace(world_trajectory, solution=replace(solution, angle_data_share=fraction))
     tables.angles_sigma(motion, tmp_path / "angles_sigma.csv")
     table = read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
-    np.testing.assert_allclose(table["rear_trunk_pitch_data_share"], share[:, 1], **within(tables.SHARE))
+    np.testing.assert_allclose(table["rear_trunk_pitch_data_share"], fraction[:, 1], **within(tables.SHARE))
     np.testing.assert_array_equal(table["r_hind_foot_pitch_sigma_rad"], 0.1)
     assert table.shape == (T, 2 * A)
 

@@ -61,9 +61,9 @@ def test_figures_of_skeletons_have_all_their_text(name):
 
 def test_the_advice_on_cameras_has_all_its_text():
     shape = len(ELEVATIONS_RAD), len(AZIMUTHS_RAD)
-    share = np.linspace(0, 1, shape[0] * shape[1]).reshape(shape)
-    advice = Advice("front_trunk_yaw", "rad", 6.9, 0.3 - 0.2 * share, share)
-    beside = Advice("front_trunk_yaw", "rad", 6.9, 0.3 - 0.2 * share, share, (0.0, 0.5))
+    fraction = np.linspace(0, 1, shape[0] * shape[1]).reshape(shape)
+    advice = Advice("front_trunk_yaw", "rad", 6.9, 0.3 - 0.2 * fraction, fraction)
+    beside = Advice("front_trunk_yaw", "rad", 6.9, 0.3 - 0.2 * fraction, fraction, (0.0, 0.5))
     assert cut_off(camera_advice([advice, beside])) == []
 
 

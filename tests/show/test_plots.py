@@ -464,21 +464,21 @@ def test_a_link_slower_than_its_uncertainty_is_grey():
 def test_observability_over_time():
     body = load_skeleton("cheetah-8u")
     names = body.state_names[4:]
-    share = np.tile([0.9 if name.startswith("theta") else 0.1 for name in names], (12, 1))
-    share[:, names.index("J0_pitch")] = np.nan
-    over_the_time = plots.observability(body, share, times(12)).axes[0]
+    fraction = np.tile([0.9 if name.startswith("theta") else 0.1 for name in names], (12, 1))
+    fraction[:, names.index("J0_pitch")] = np.nan
+    over_the_time = plots.observability(body, fraction, times(12)).axes[0]
     seen, unseen = share_colours()(0.9), share_colours()(0.1)
     assert seen[2] > seen[0] + 0.3
     assert np.ptp(unseen[:3]) < 0.01
     (image,) = over_the_time.get_images()
-    np.testing.assert_array_equal(image.get_array().filled(np.nan), share.T)
+    np.testing.assert_array_equal(image.get_array().filled(np.nan), fraction.T)
     assert [label.get_text() for label in over_the_time.get_yticklabels()][2:4] == ["phi 6", "theta 6"]
     beside = [text.get_text() for text in over_the_time.texts]
     assert beside == ["–" if n == "J0_pitch" else "90 %" if n.startswith("theta") else "10 %" for n in names]
-    of_clip = plots.observability(body, share, times(12), "a stride", np.tile(0.3 * share, (2, 1))).axes[0]
+    of_clip = plots.observability(body, fraction, times(12), "a stride", np.tile(0.3 * fraction, (2, 1))).axes[0]
     assert {text.get_text() for text in of_clip.texts} == {"–", "27 %", "3 %"}
     assert "the whole clip" in of_clip.get_xlabel()
-    nothing = plots.observability(body, np.full_like(share, np.nan), times(12))
+    nothing = plots.observability(body, np.full_like(fraction, np.nan), times(12))
     assert [text.get_text() for text in nothing.texts][-1] == "no data"
 
 

@@ -423,19 +423,19 @@ def test_a_trajectory_that_did_not_converge_has_warnings(small_trajectory):
 
 def test_the_summary_states_a_distance_that_is_hardly_known(small_trajectory):
     away = small_trajectory.pictures[0].distance_m.mean()
-    for share, size_sigma, expected in (
+    for fraction, size_sigma, expected in (
         (0.05, 0.02, None),
         (0.2, 0.02, "hardly determine"),
         (0.2, 0.15, "as uncertain as the animal's size"),
     ):
-        covariance = np.broadcast_to(np.eye(3) * (share * away) ** 2, small_trajectory.solution.covariance_m2.shape)
+        covariance = np.broadcast_to(np.eye(3) * (fraction * away) ** 2, small_trajectory.solution.covariance_m2.shape)
         motion = with_solution(small_trajectory, covariance_m2=covariance, size_sigma=size_sigma)
         lines = summary_lines(build_report(motion, {}))
         if expected is None:
             assert "distance" not in dict(lines)
         else:
             assert [label for label, _ in lines][:3] == ["clip", "frames", "distance"]
-            assert f"{plus_minus(away, share * away, 'm')} from the camera" in dict(lines)["distance"]
+            assert f"{plus_minus(away, fraction * away, 'm')} from the camera" in dict(lines)["distance"]
             assert expected in dict(lines)["distance"]
 
 

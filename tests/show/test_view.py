@@ -166,9 +166,9 @@ def test_the_overview_is_filled_by_all_points() -> None:
     right = np.cross(ahead, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     seen = (points - eye) @ np.stack((right, np.cross(right, ahead), ahead), axis=1)
-    share = np.abs(seen[:, :2] / seen[:, 2:]) / np.tan(VIEW_RAD / 2) / [OVERVIEW_ASPECT, 1.0]
+    fraction = np.abs(seen[:, :2] / seen[:, 2:]) / np.tan(VIEW_RAD / 2) / [OVERVIEW_ASPECT, 1.0]
     assert ahead[2] < -0.3
-    assert 0.75 < share.max() < 1.0
+    assert 0.75 < fraction.max() < 1.0
 
 
 def test_ground_lies_under_the_paws(recording: Recording, world_motion: Motion) -> None:

@@ -195,8 +195,8 @@ def test_precision_shares_of_a_problem_computed_by_hand():
     s, p = 0.5, 2.0
     C = posterior_covariance(np.concatenate([np.eye(D) / s, np.eye(D) / p]))
     np.testing.assert_allclose(C, np.eye(D) / (1 / s**2 + 1 / p**2), atol=1e-15)
-    share = precision_shares(C, np.eye(D) / s)
-    np.testing.assert_allclose(share, p**2 / (s**2 + p**2))
+    fraction = precision_shares(C, np.eye(D) / s)
+    np.testing.assert_allclose(fraction, p**2 / (s**2 + p**2))
     undetermined = posterior_covariance(np.eye(D)[:5])
     assert np.isnan(undetermined).all()
     assert np.isnan(precision_shares(undetermined, np.eye(D)[:5])).all()

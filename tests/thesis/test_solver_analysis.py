@@ -33,8 +33,8 @@ def test_costs_agree_with_the_reports_of_the_fit(frame):
     for row, told in enumerate(frame.solution.reports):
         costs = {name: cost[row] for name, cost in frame.cost.items() if name in told.cost_shares}
         assert costs == {
-            name: pytest.approx(0.5 * share * told.squared_norm, rel=1e-5, abs=1e-6)
-            for name, share in told.cost_shares.items()
+            name: pytest.approx(0.5 * fraction * told.squared_norm, rel=1e-5, abs=1e-6)
+            for name, fraction in told.cost_shares.items()
         }
     # at a minimum, the gradient is small relative to the Jacobian's columns
     assert (frame.optimality < 1e-3 * frame.column_norm.max(axis=1)).all()

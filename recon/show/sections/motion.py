@@ -172,12 +172,12 @@ def prior_data(motion: Motion) -> dict[str, Any]:
 
 def prior_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield lines with the fractions of the pose's precision due to video and prior, and on a missing learned prior."""
-    name, share = data["name"], data["mean_data_share"]
+    name, fraction = data["name"], data["mean_data_share"]
     if name == NO_PRIOR:
         name = "the skeleton's own expectations"
         yield (
             "note",
             "Left-right swaps, lens, zoom and frame rate were not checked, because this needs a learned prior.",
         )
-    if share is not None:
-        yield "prior", f"{percent(share)} of the pose rests on the video, {percent(1 - share)} on {name}"
+    if fraction is not None:
+        yield "prior", f"{percent(fraction)} of the pose rests on the video, {percent(1 - fraction)} on {name}"
