@@ -77,7 +77,7 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
     """Let `recon ik --compare` draw only the first two of its methods."""
     write_ik_figures = ik_clip.write_figures
 
-    def of_two(solved: ik_clip._IKRun, folder: Path) -> None:
+    def of_two(solved: ik_clip.IkRun, folder: Path) -> None:
         two = {job: dict(islice(runs.items(), 2)) for job, runs in solved.runs.items()}
         write_ik_figures(replace(solved, runs=two), folder)
 

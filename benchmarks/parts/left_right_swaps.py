@@ -211,10 +211,10 @@ def findings_on_input(motion: Motion) -> list[Finding]:
 
 def stretch_of(motion: Motion, one: Finding) -> _Stretch:
     """Return the frames of a finding on a swap, and the permutation of the swapped keypoints."""
-    places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
-    places[to] = _opposites(motion.names, None)[to]
+    permutation, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
+    permutation[to] = _opposites(motion.names, None)[to]
     first, stop = np.searchsorted(motion.frames, one.frames or ())
-    return _Stretch(slice(int(first), int(stop)), places)
+    return _Stretch(slice(int(first), int(stop)), permutation)
 
 
 def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
@@ -239,8 +239,8 @@ def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
 
 def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
     """Return the indices of the keypoints that the case `name` exchanges."""
-    places = _opposites(names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
-    return tuple(int(j) for j in np.flatnonzero(places != np.arange(len(places))))
+    permutation = _opposites(names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
+    return tuple(int(j) for j in np.flatnonzero(permutation != np.arange(len(permutation))))
 
 
 def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
@@ -370,11 +370,11 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
     ratios, wrong, right, mended = [1.0], [np.zeros(len(changed), dtype=bool)], [False], view_in(view, case)
     mm = error_mm(view, motion, everywhere)
     for trial in trials:
-        rows, places = trial.stretch.rows, trial.stretch.permutation
+        rows, permutation = trial.stretch.rows, trial.stretch.permutation
         xy_px = mended.xy_px.copy()
         wrongly = wrong[-1].copy()
         wrongly[rows] |= not agreed(mended, motion, trial.stretch)
-        xy_px[rows] = xy_px[rows][:, places]
+        xy_px[rows] = xy_px[rows][:, permutation]
         mended = replace(mended, file=replace(mended.file, xy_px=xy_px))
         again, _ = fitted(mended, CASES["untouched"], folder)
         assert isinstance(solution, TrajectorySolution)

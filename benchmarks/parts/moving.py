@@ -105,7 +105,7 @@ def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:
         solutions = [solve_trajectory([one], body, prior, run.fps) for one in (still, pan)]
         a, b = (errors(run, solution) for solution in solutions)
         apart = np.linalg.norm(solutions[1].joints_m - solutions[0].joints_m, axis=-1)
-        pose, place = sigmas_m(solutions[1]) / sigmas_m(solutions[0]) - 1
+        pose, position = sigmas_m(solutions[1]) / sigmas_m(solutions[0]) - 1
         axis = pan.T_camera_world[:, 2, :2]
         turned = np.degrees(np.ptp(np.unwrap(np.arctan2(axis[:, 0], axis[:, 1]))))
         yield {
@@ -119,7 +119,7 @@ def pan_rows(run: Run, with_errors: bool = False) -> Iterator[dict]:
             "MPE, pan minus still": b["mpe_mm"] - a["mpe_mm"],
             "joints apart mm": 1000 * np.nanmean(apart),
             "pose sigma": pose,
-            "position sigma": place,
+            "position sigma": position,
             "pose inside 90 %": b["pose inside 90 %"] - a["pose inside 90 %"],
             "position inside 90 %": b["position inside 90 %"] - a["position inside 90 %"],
         }

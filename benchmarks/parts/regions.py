@@ -63,14 +63,14 @@ def fits(runs: Sequence[Run]) -> list[Fit]:
         sets = [("one", [c]) for c in run.views] + [(k, c) for k, c in cameras_of(run).items() if k != "one"]
         for label, cameras in sets:
             solution = solved(run, cameras, body)
-            place = solution.joints_m - run.truth_m
-            pose = place - place.mean(axis=1, keepdims=True)
+            position = solution.joints_m - run.truth_m
+            pose = position - position.mean(axis=1, keepdims=True)
             off = {
                 "pose": sigmas(pose, solution.relative_covariance_m2),
-                "position": sigmas(place, solution.covariance_m2),
+                "position": sigmas(position, solution.covariance_m2),
             }
             known = {what: of[np.isfinite(of)] for what, of in off.items()}
-            mm = {what: float(np.nanmean(_mm(e))) for what, e in (("pose", pose), ("position", place))}
+            mm = {what: float(np.nanmean(_mm(e))) for what, e in (("pose", pose), ("position", position))}
             found.append(Fit(run, label, known, mm, cameras == [run.named]))
     return found
 
@@ -139,10 +139,10 @@ def draw_errors(
     moved, _ = dtbtrs(own.band, rng.normal(size=(T * D, DRAWS)), uplo="L", trans="T")
     moved = np.sqrt(setting.correlation_frames) * (moved.reshape(T, D, DRAWS) - Y @ shared)
     pose = setting.body.tree.pose_with_jacobian(states)
-    place = np.einsum("tjid,tdn->ntji", pose.jacobian, moved)
-    place += setting.size_sigma * rng.normal(size=(DRAWS, 1, 1, 1)) * pose.points_m
+    position = np.einsum("tjid,tdn->ntji", pose.jacobian, moved)
+    position += setting.size_sigma * rng.normal(size=(DRAWS, 1, 1, 1)) * pose.points_m
     off = {}
-    for what, error in (("pose", place - place.mean(axis=2, keepdims=True)), ("position", place)):
+    for what, error in (("pose", position - position.mean(axis=2, keepdims=True)), ("position", position)):
         covariance = np.einsum("ntji,ntjk->tjik", error, error) / DRAWS
         scale = np.sqrt((DEGREES_OF_FREEDOM - 2) / rng.chisquare(DEGREES_OF_FREEDOM, (DRAWS, 1, 1)))
         in_sigmas = scale * sigmas(error, np.broadcast_to(covariance, (*error.shape, 3)))

@@ -97,13 +97,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 for seed in range(given.first_seed, given.first_seed + given.seeds):
                     views, true_m = random_clip(body, wrong, count, seed)
                     of_seeds.append(scored(solve_trajectory(views, body, prior_from_body(body), FPS, options), true_m))
-                place, pose, *errors_m = np.mean(of_seeds, axis=0)
-                every.append((place, pose))
+                position, pose, *errors_m = np.mean(of_seeds, axis=0)
+                every.append((position, pose))
                 print_row(
                     (
                         name,
                         count,
-                        *(f"{100 * of:.0f}" for of in (wrong, place, pose)),
+                        *(f"{100 * of:.0f}" for of in (wrong, position, pose)),
                         *(f"{1000 * e:.1f}" for e in errors_m),
                     )
                 )

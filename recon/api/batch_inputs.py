@@ -323,8 +323,8 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         notes += file_notes
     raise_problems(dict.fromkeys(problems))
     if not drafts:
-        places = names_text([str(poses) for _, poses in sessions])
-        raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
+        searched = names_text([str(poses) for _, poses in sessions])
+        raise InputError(Problem(searched, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
     folders = " and ".join(dict.fromkeys(poses.name for _, poses in sessions))
     return drafts, [
         f"{counted(len(sessions), 'Anipose session')}: {counted(len(drafts), 'file')} of {folders}.",

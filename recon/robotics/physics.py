@@ -139,11 +139,11 @@ def described(robot: Quadruped) -> MjSpec:
     capsule, sphere = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
     thick = LEGS_APART * robot.stand_m / 2
     for k, (label, leg) in enumerate(robot.legs.items()):
-        places, axes = leg.chain.positions(np.zeros(leg.chain.n)), leg.chain.joint_axes(np.zeros(leg.chain.n))
+        positions, axes = leg.chain.positions(np.zeros(leg.chain.n)), leg.chain.joint_axes(np.zeros(leg.chain.n))
         body, position, to_next = base, np.zeros(3), np.zeros(3)
         for j, name in enumerate(leg.joints):
-            body = body.add_body(name=name, pos=places[j] - position)
-            position, to_next = places[j], places[j + 1] - places[j]
+            body = body.add_body(name=name, pos=positions[j] - position)
+            position, to_next = positions[j], positions[j + 1] - positions[j]
             limit = masses.max_torque_n_m[j]
             limit_fields = {"limited": 1, "range": [leg.chain.lower_rad[j], leg.chain.upper_rad[j]]}
             body.add_joint(name=name, axis=axes[j], actfrclimited=1, actfrcrange=[-limit, limit], **limit_fields)
@@ -219,11 +219,11 @@ def _apart(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
 
 def _coordinates(model: MjModel, robot: Quadruped, states: Array) -> Array:
     """Return MuJoCo's coordinates (K, nq) of states (K, 6 + J) of the robot's tree."""
-    places = np.zeros((len(states), model.nq))
-    places[:, :3] = states[:, :3]
-    places[:, 3:7] = Rotation.from_euler("ZYX", states[:, 3:6]).as_quat(scalar_first=True)
-    places[:, [model.joint(name).qposadr[0] for name in robot.joints]] = states[:, 6:]
-    return places
+    positions = np.zeros((len(states), model.nq))
+    positions[:, :3] = states[:, :3]
+    positions[:, 3:7] = Rotation.from_euler("ZYX", states[:, 3:6]).as_quat(scalar_first=True)
+    positions[:, [model.joint(name).qposadr[0] for name in robot.joints]] = states[:, 6:]
+    return positions
 
 
 def _units(motion: RobotMotion, model: MjModel, torques: float) -> Array:
@@ -326,7 +326,7 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
         foot.contype, foot.friction = ground, [1, 0, 0]
     world = spec.compile()
     data, order = mujoco.MjData(world), [world.joint(name) for name in robot.joints]
-    places, columns = [joint.qposadr[0] for joint in order], [joint.dofadr[0] for joint in order]
+    positions, columns = [joint.qposadr[0] for joint in order], [joint.dofadr[0] for joint in order]
     limits = world.jnt_actfrcrange[[joint.id for joint in order], 1]
     lasts = float(motion.time_s[-1] - motion.time_s[0])
     time = np.linspace(0.0, strides * lasts, round(strides * lasts / TIMESTEP_S), endpoint=False)
@@ -339,7 +339,7 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     mujoco.mj_differentiatePos(world, data.qvel, STEP_S, *begin)
     for k, (state, rate, torque) in enumerate(zip(states, rates, torques, strict=True)):
         off_m[k] = np.linalg.norm(data.qpos[:3] - state[:3])
-        torque = torque + GAINS[0] * (state[6:] - data.qpos[places]) + GAINS[1] * (rate[6:] - data.qvel[columns])
+        torque = torque + GAINS[0] * (state[6:] - data.qpos[positions]) + GAINS[1] * (rate[6:] - data.qvel[columns])
         data.qfrc_applied[columns] = np.clip(torque, -limits, limits)
         mujoco.mj_step(world, data)
     return time, off_m

@@ -359,8 +359,8 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     hips = np.array([chain.positions(np.zeros(chain.n))[1] for chain in chains])
     labels = [f"{'L' if y > 0 else 'R'}{'F' if x > 0 else 'H'}" for x, y, _ in hips - hips.mean(axis=0)]
     if sorted(labels) != sorted(LEGS):
-        places = "; ".join(f"({x:.2f}, {y:.2f})" for x, y, _ in hips)
-        raise InputError(Problem(path, "hips", places, "one at each corner, x forwards and y left"))
+        hips_text = "; ".join(f"({x:.2f}, {y:.2f})" for x, y, _ in hips)
+        raise InputError(Problem(path, "hips", hips_text, "one at each corner, x forwards and y left"))
     shortest = min(float(chain.lengths_m[1:].sum()) for chain in chains)
     stand = STANDING_HEIGHT * shortest
     if not stand > SHORTEST_M:

@@ -324,9 +324,9 @@ def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
     quaternions = motion.pose.rotation.as_quat(canonical=True)
     _table(folder / f"{prefix}base.csv", names, time, motion.position_m, quaternions)
     names = ["time_s", *(f"{label}_{axis}_m" for label in LEGS for axis in "xyz"), *(f"{x}_stands" for x in LEGS)]
-    places = np.hstack([time, motion.feet_m.reshape(len(time), -1)]).tolist()
+    positions = np.hstack([time, motion.feet_m.reshape(len(time), -1)]).tolist()
     stands = motion.standing.astype(int).tolist()
-    write_rows(folder / f"{prefix}feet.csv", [names], [[*a, *b] for a, b in zip(places, stands, strict=True)])
+    write_rows(folder / f"{prefix}feet.csv", [names], [[*a, *b] for a, b in zip(positions, stands, strict=True)])
 
 
 def _table(path: Path, columns: list[str], *parts: Array) -> None:
@@ -398,12 +398,12 @@ def write_ensemble(
     joint angles (rad), for the report.
     """
     first = motions[0]
-    places = np.stack([motion.position_m for motion in motions])
+    positions = np.stack([motion.position_m for motion in motions])
     angles = np.stack([motion.angles_rad for motion in motions])
     np.savez(
         out / STACKED,
         time_s=first.time_s,
-        base_position=places,
+        base_position=positions,
         base_quaternion_wxyz=np.stack([motion.pose.rotation.as_quat(scalar_first=True) for motion in motions]),
         joint_positions=angles,
         joint_names=np.array(first.robot.joints),
@@ -416,7 +416,7 @@ def write_ensemble(
             sample_origin = dict(origin) | {"sample": number}
             path = out / f"sample_{number:02d}_{FORMATS[settings.format][0]}"
             write_for_trainer(motion, settings.format, settings.rate, path, sample_origin)
-    base, joint = (np.median(values.std(axis=0), axis=0).tolist() for values in (places, angles))
+    base, joint = (np.median(values.std(axis=0), axis=0).tolist() for values in (positions, angles))
     return {
         "count": len(motions),
         "base_sigma_m": dict(zip("xyz", base, strict=True)),

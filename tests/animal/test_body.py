@@ -293,8 +293,8 @@ def test_a_chain_is_posed_as_its_body_is(chain: UnknownsChain):
     for several in ((), (20,)):
         T_world_camera = rigid(euler_rotation(rng.uniform(-1.5, 1.5, (*several, 3))), rng.normal(size=(*several, 3)))
         found, sizes = chain.to_body(states, T_world_camera)
-        R, place = T_world_camera[..., :3, :3], T_world_camera[..., None, :3, 3]
-        expected = in_camera @ R.swapaxes(-1, -2) + place
+        R, position = T_world_camera[..., :3, :3], T_world_camera[..., None, :3, 3]
+        expected = in_camera @ R.swapaxes(-1, -2) + position
         np.testing.assert_allclose(body.tree.pose(found, sizes).points_m, expected, atol=1e-12)
 
 

@@ -58,8 +58,8 @@ def swinging(body: Body, n: int, frames: int, fps: float, seed: int = 0) -> list
         amplitude = np.sqrt(2) * SPREAD_RAD * rng.rayleigh(np.sqrt(0.5), len(body.mean_rad))
         amplitude[still] = 0
         angles = body.mean_rad + amplitude * np.sin(OMEGA_RAD_S * t + rng.uniform(0, 2 * np.pi, len(amplitude)))
-        place = np.concatenate([(i + 1) * t, 0 * t, 0 * t + 0.7, 0 * t], axis=1)
-        segments.append((f"run {i + 1}", np.concatenate([place, angles], axis=1), fps))
+        position = np.concatenate([(i + 1) * t, 0 * t, 0 * t + 0.7, 0 * t], axis=1)
+        segments.append((f"run {i + 1}", np.concatenate([position, angles], axis=1), fps))
     return segments
 
 

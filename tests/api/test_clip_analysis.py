@@ -94,9 +94,9 @@ def test_errors_of_a_slower_animal_last_longer(whole):
     runs_s = error_time_s(pose_m, 120.0)
     assert error_time_s(pose_m, 60.0) == pytest.approx(np.sqrt(2) * runs_s)
     assert error_time_s(pose_m, 1.0) == error_time_s(np.full_like(pose_m, np.nan), 60.0) == constants.ERROR_TIME_S
-    size, place, pose = (error.correlation_s for error in whole.errors)
+    size, position, pose = (error.correlation_s for error in whole.errors)
     assert size == np.inf
-    assert place > pose == pytest.approx(POSE_ERROR_TIME * error_time_s(pose_m, whole.motion.fps))
+    assert position > pose == pytest.approx(POSE_ERROR_TIME * error_time_s(pose_m, whole.motion.fps))
 
 
 def test_speed_is_proportional_to_size(whole):
@@ -246,13 +246,13 @@ def test_the_frame_methods_path_has_the_true_speed(one_sided):
 def test_without_a_path_the_straight_run_has_the_speed(frame_results, one_sided):
     """Without a path, the speed is computed for a straight run, as in the fit's summary, and is right to 10 %."""
     motion = Motion.load(frame_results)
-    told = dict(build_report(motion)["lines"])
-    assert told["speed"].startswith("at most 15.4 m/s")
-    assert told["speed"].endswith("over a path of 13.4 m")
+    as_text = dict(build_report(motion)["lines"])
+    assert as_text["speed"].startswith("at most 15.4 m/s")
+    assert as_text["speed"].endswith("over a path of 13.4 m")
     assert summarise(one_sided, "clip")["speed"]["doubt"] is None
     free = replace(motion.solution, path=None)  # as with path=free
-    told = dict(build_report(replace(motion, solution=free))["lines"])
-    assert told["speed"].startswith("about 14 m/s if the animal ran straight; not known more closely: ")
+    as_text = dict(build_report(replace(motion, solution=free))["lines"])
+    assert as_text["speed"].startswith("about 14 m/s if the animal ran straight; not known more closely: ")
 
 
 def test_too_few_poses_are_refused(frame_results):

@@ -305,8 +305,8 @@ def test_error_names_the_file_to_be_written(tmp_path, stage):
             raise error
         own = "elsewhere" if error.errno == 2 else str(tmp_path / "a.csv" if stage is staged_file else tmp_path)
         assert caught.value.filename == own
-    with pytest.raises(IsADirectoryError) as caught, stage(tmp_path / "a.csv") as place:
-        write_onto_a_folder(place if stage is staged_file else place / "a.csv")
+    with pytest.raises(IsADirectoryError) as caught, stage(tmp_path / "a.csv") as staged:
+        write_onto_a_folder(staged if stage is staged_file else staged / "a.csv")
     assert caught.value.filename == str(tmp_path / "a.csv")
 
 

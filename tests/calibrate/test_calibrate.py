@@ -290,9 +290,9 @@ def test_too_few_views_are_refused(chess_views):
 
 def test_sharp_and_different_frames_are_chosen():
     """Blurred frames, and frames that show the board at the same position as another frame, are left out."""
-    places = np.array([0.1] * 5 + [0.5, 0.9, 0.7, 0.3])
+    positions = np.array([0.1] * 5 + [0.5, 0.9, 0.7, 0.3])
     outlines = np.zeros((9, 4, 2))
-    outlines[..., 0] = places[:, None]
+    outlines[..., 0] = positions[:, None]
     sharpness = np.array([0.20, 0.21, 0.2, 0.21, 0.2, 0.2, 0.2, 0.1, 0.05])
     assert choose(sharpness, outlines) == [1, 5, 6]
     assert choose(sharpness, outlines, count=2) == [1, 6]
@@ -319,9 +319,9 @@ def test_a_video_gives_some_of_its_frames(tmp_path):
     camera, board = BOARD_CAMERAS["pinhole"], parse_board(CHARUCO)
     glide = [np.array([-0.25 + 0.02 * n, -0.16 + 0.01 * n, 0.6 - 0.01 * n]) for n in range(12)]
     with video_writer(tmp_path / "board.avi", SIZE_PX, 5.0) as write:
-        for n, place in enumerate(glide + [glide[-1]] * 6):
+        for n, position in enumerate(glide + [glide[-1]] * 6):
             tilt = Rotation.from_rotvec([0.5 * math.sin(min(n, 11)), 0.5 * math.cos(min(n, 11)), 0]).as_matrix()
-            picture = draw_board(board, camera, tilt, place, oversample=4)
+            picture = draw_board(board, camera, tilt, position, oversample=4)
             write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     views = find_views([tmp_path / "board.avi"], board)
     assert views.examined == 18

@@ -26,7 +26,7 @@ def _with_drift(views, drift_frames: float):
 @pytest.mark.parametrize("piece", [512, 1])  # all frames in one piece, and each frame in its own piece
 @pytest.mark.parametrize("drift_frames", [-4.0, 0.0, 4.0])
 def test_a_drifting_clock_is_named_with_its_rate(monkeypatch, drift_frames, piece):
-    monkeypatch.setattr("recon.check.clocks.piece_of", lambda _: piece)
+    monkeypatch.setattr("recon.check.clocks.frames_per_piece", lambda _: piece)
     solution = two()
     T = len(solution.states)
     views = _with_drift(solution.views, drift_frames)

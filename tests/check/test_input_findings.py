@@ -349,15 +349,15 @@ def test_without_a_learned_prior_neither_sides_nor_rates_are_tested():
 def test_swaps_are_undone_in_the_clip(small_trajectory: Motion, stop, code):
     """Correcting a swap exchanges the sides again. If most of the clip was swapped, the video may be mirrored."""
     (source,) = small_trajectory.sources
-    places = opposites(small_trajectory.body.markers)
-    legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(places != np.arange(24)))
+    permutation = opposites(small_trajectory.body.markers)
+    legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(permutation != np.arange(24)))
     found = (
         finding("left_right_swap", (12, stop), source.camera.name, part="all keypoints", keypoints=legs),
         finding("frame_rate", given_hz=30.0, other_hz=60.0),
     )
     (mended,), marked = without_swaps((source,), found, small_trajectory.body)
     expected = source.keypoints.xy_px.copy()
-    expected[2 : stop - 10] = expected[2 : stop - 10][:, places]
+    expected[2 : stop - 10] = expected[2 : stop - 10][:, permutation]
     np.testing.assert_array_equal(mended.keypoints.xy_px, expected)
     assert [one.code for one in marked] == [code, "frame_rate"]
     assert marked[0].numbers == found[0].numbers

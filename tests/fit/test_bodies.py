@@ -138,8 +138,8 @@ def test_intervals_widen_if_lengths_differ_from_the_skeleton():
         views, true_m = rigs.random_clip(body, 0.2, 4, 0)
         solution = solve_trajectory(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
         centred_m = aligned(solution.joints_m, true_m) - true_m
-        place = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
-        shares.append([place, coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)])
+        position = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
+        shares.append([position, coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)])
     assert np.min(shares) > 0.83  # 0.65 to 0.82 if the keypoint bias is ignored
     assert np.all(np.mean(shares, axis=0) < 0.97)  # 0.98 if an estimated bias counts twice
 

@@ -138,10 +138,10 @@ def test_standard_deviations_relative_to_the_first_camera():
 
     def relative(by: np.ndarray) -> np.ndarray:
         """Return the poses (V, 6) relative to the first camera's, in their own frames."""
-        places = [rigid(euler_rotation(own[:3]), own[3:]) for own in by.reshape(-1, 6)]
+        positions = [rigid(euler_rotation(own[:3]), own[3:]) for own in by.reshape(-1, 6)]
         moved_by = [
-            place @ T @ inverse(places[0] @ poses[0]) @ poses[0] @ inverse(T)
-            for place, T in zip(places, poses, strict=True)
+            position @ T @ inverse(positions[0] @ poses[0]) @ poses[0] @ inverse(T)
+            for position, T in zip(positions, poses, strict=True)
         ]
         return np.array([[m[2, 1], m[0, 2], m[1, 0], *m[:3, 3]] for m in moved_by])
 

@@ -274,13 +274,13 @@ def test_a_middle_piece_equals_its_part_of_the_clip(monkeypatch):
 def test_minimum_of_a_linear_problem_takes_one_step():
     """The minimum agrees with the closed form of least squares."""
     D = BODY.n_state
-    place = Linear("place", (0,), np.eye(D)[None, :4], np.array([1.0, 5.0, -0.3, 0.2]))
+    position = Linear("place", (0,), np.eye(D)[None, :4], np.array([1.0, 5.0, -0.3, 0.2]))
     linear = [
         pose_term(PRIOR, D, FPS, 1.0),
         dynamics_term(PRIOR, D, FPS, 1.0),
         root_term(D, FPS, np.array([12.0, 12.0, 9.0]), 40.0),
         climb_term(D, FPS, 0.5),
-        place,
+        position,
     ]
     problem, states = LeastSquares(BODY.tree, linear, []), some_states()
     r, J = dense_rows_of_linear(linear, states)

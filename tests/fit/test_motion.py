@@ -143,8 +143,8 @@ def test_sigmas_are_along_the_axes_of_the_frame_of_reference(small_trajectory, w
     np.testing.assert_allclose(small_trajectory.relative_sigma_m[0, 0], [0.02, 0.02, 0.08])
     # The camera looks along x.
     np.testing.assert_allclose(world_trajectory.relative_sigma_m[0, 0], [0.08, 0.02, 0.02])
-    place = np.array([0.3, 0.05, 0.05])
-    np.testing.assert_allclose(world_trajectory.joint_sigma_m[0, 0], np.hypot([0.08, 0.02, 0.02], place))
+    position = np.array([0.3, 0.05, 0.05])
+    np.testing.assert_allclose(world_trajectory.joint_sigma_m[0, 0], np.hypot([0.08, 0.02, 0.02], position))
     np.testing.assert_allclose(world_trajectory.relative_rms_m, np.sqrt(2 * 0.02**2 + 0.08**2))
 
 
@@ -155,8 +155,8 @@ def test_place_sigma_is_along_the_line_of_sight(small_trajectory):
     mixing = rng.normal(0, 0.05, (3 * J, 3 * J)) / np.sqrt(J)
     offsets = (rng.normal(size=(draws, 3 * J)) @ mixing.T).reshape(draws, J, 3)
     # The offsets and the position are correlated, so the joints' covariances are not their sums.
-    place = rng.normal(0, [0.05, 0.05, 0.3], (draws, 3)) + 2 * offsets[:, 0]
-    points = place[:, None] + offsets  # camera frame
+    position = rng.normal(0, [0.05, 0.05, 0.3], (draws, 3)) + 2 * offsets[:, 0]
+    points = position[:, None] + offsets  # camera frame
     centred = points - points.mean(axis=1, keepdims=True)
 
     def covariance(values):

@@ -30,8 +30,8 @@ def rig(count: int) -> list[Camera]:
 def points() -> np.ndarray:
     """Return the paths (T, 6, 3), m, of six points that move smoothly within half a metre."""
     time_s, random = np.arange(T) / FPS, np.random.default_rng(1)
-    phase, place = random.uniform(0, 6, (6, 3)), random.uniform(-0.4, 0.4, (6, 3)) + np.array([0, 0, 0.4])
-    return place + 0.1 * np.sin(2 * np.pi * 1.5 * time_s[:, None, None] + phase)
+    phase, position = random.uniform(0, 6, (6, 3)), random.uniform(-0.4, 0.4, (6, 3)) + np.array([0, 0, 0.4])
+    return position + 0.1 * np.sin(2 * np.pi * 1.5 * time_s[:, None, None] + phase)
 
 
 def seen(cameras: list[Camera], points_m: np.ndarray, sigma_px: float = SIGMA_PX) -> list[View]:

@@ -417,10 +417,10 @@ def _tracks() -> Iterator[Seed]:
         f"{i} 0.7071 0.7071 0 0 0.1 0.2 5 1 a/img{i:04d}.png\n1.5 2 -1\n" for i in (1, 2)
     )
     # with a camera's position, the rotation is from camera to world, the inverse
-    places = table.replace("tx,ty,tz", "x,y,z").replace("0.7071,0.7071", "0.7071,-0.7071")
+    positions = table.replace("tx,ty,tz", "x,y,z").replace("0.7071,0.7071", "0.7071,-0.7071")
     for name, content in (
         ("track.csv", table),
-        ("places.csv", places),
+        ("places.csv", positions),
         ("images.txt", images),
         ("reconstruction.json", json.dumps(SHOTS)),
         ("shots.geojson", json.dumps(FEATURES)),

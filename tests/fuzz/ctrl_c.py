@@ -170,8 +170,8 @@ def main() -> int:
     names = [name for name in commands() if not args.only or any(word in name for word in args.only)]
     rng = random.Random(args.seed)
     good, slowest_s = 0, 0.0
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         prepare(folder, names)
         takes_s = {}
         for name in names:

@@ -196,8 +196,10 @@ def write_after(path: Path) -> object:
     """Replace a record by the file at `path`, then write a fit, an analysis and a page."""
     root = _emptied(path)
     _written_folder(root)
-    place = root / next(place for name, place in _PLACES.items() if f"{name}-folder" in path.name)
-    place.write_bytes(path.read_bytes())
+    path_in_results = root / next(
+        path_in_results for name, path_in_results in _PLACES.items() if f"{name}-folder" in path.name
+    )
+    path_in_results.write_bytes(path.read_bytes())
     out = root / "out"
     before = snapshot(root)
     users = {name: before[name] for name in _USERS}
@@ -228,5 +230,5 @@ def records() -> Iterator[tuple[str, bytes]]:
     """Yield the name and the content of each kind of valid record."""
     with TemporaryDirectory() as name:
         _written_folder(Path(name))
-        for key, place in _PLACES.items():
-            yield f"{key}-folder.json", (Path(name) / place).read_bytes()
+        for key, path_in_results in _PLACES.items():
+            yield f"{key}-folder.json", (Path(name) / path_in_results).read_bytes()

@@ -36,18 +36,18 @@ def differences(function, q, step=1e-6):
 
 def test_pose_is_the_product_of_placements_and_motions():
     parts, q = random_parts(), np.random.default_rng(1).normal(size=6)
-    turn, place, origins = Rotation.identity(), np.zeros(3), []
+    turn, position, origins = Rotation.identity(), np.zeros(3), []
     for j in range(6):
-        place = place + turn.apply(parts["offsets_m"][j])
+        position = position + turn.apply(parts["offsets_m"][j])
         axis = parts["axes"][j] / np.linalg.norm(parts["axes"][j])
         if SLIDING[j]:
-            place = place + turn.apply(axis * q[j])
+            position = position + turn.apply(axis * q[j])
         else:
             turn = turn * Rotation.from_rotvec(axis * q[j])
-        origins.append(place)
+        origins.append(position)
     chain = random_chain()
     R, p = chain.pose(q)
-    np.testing.assert_allclose(p, place + turn.apply(parts["tool_m"]), atol=1e-14)
+    np.testing.assert_allclose(p, position + turn.apply(parts["tool_m"]), atol=1e-14)
     np.testing.assert_allclose(R, (turn * parts["tool_rotation"]).as_matrix(), atol=1e-14)
     np.testing.assert_allclose(chain.end(q), p)
     np.testing.assert_allclose(chain.positions(q), [*origins, p], atol=1e-14)

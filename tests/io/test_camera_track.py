@@ -205,7 +205,7 @@ def test_uncertain_rotations_make_points_uncertain():
 
 
 def test_all_faults_of_a_table_are_reported(tmp_path):
-    path, places = tmp_path / "track.csv", TRACK_HEADER.replace("tx,ty,tz", "x,y,z")
+    path, positions = tmp_path / "track.csv", TRACK_HEADER.replace("tx,ty,tz", "x,y,z")
     refuses(
         f"{TRACK_HEADER}\n0,2,0,0,0,0,0,0\n1,1,0,0,0,0,,0\n1,1,0,0,0,0,0,1e9\n",
         path,
@@ -219,7 +219,7 @@ def test_all_faults_of_a_table_are_reported(tmp_path):
     cells = ("line 2", "4 cells", 8), ("line 3, qx", "'x'", "number")
     refuses(f"{TRACK_HEADER}\n0,1,0,0\n0.5,1,x,0,0,0,0,0\n", path, *cells)
     refuses(f"{TRACK_HEADER}\n", path, ("rows", "none"))
-    refuses(f"{places}\n0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n", path, ("qw, qx, qy, qz", "line 3", "unit quaternions"))
+    refuses(f"{positions}\n0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n", path, ("qw, qx, qy, qz", "line 3", "unit quaternions"))
     refuses(f"{TRACK_HEADER},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", path, ("fx, fy, cx, cy", "line 2", "pixels"))
 
 
@@ -258,7 +258,7 @@ def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path):
     turn = Rotation.from_euler("xz", [-180, 130], degrees=True).as_matrix()
     ahead = turn[2] / abs(turn[2, 2])
     above = truth.xyz_m.mean(axis=1) * [1, 1, 0] - 12.0 * ahead
-    poses = np.stack([rigid(turn, -turn @ place) for place in above])
+    poses = np.stack([rigid(turn, -turn @ position) for position in above])
     blank = View(DRONE, poses, np.zeros((*truth.xyz_m.shape[:2], 2)), np.ones(truth.xyz_m.shape[:2]))
     xy_px = blank.project(truth.xyz_m)[0] + 2.0 * np.random.default_rng(0).normal(size=blank.xy_px.shape)
     seen = Keypoints(truth.names, xy_px, np.full(blank.confidence.shape, 0.9), truth.frames, fps=60.0)

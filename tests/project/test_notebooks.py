@@ -168,7 +168,9 @@ def difference(was: str, now: str) -> str:
     if words[0] != words[1]:
         return f"{' '.join(words[0])!r} is now {' '.join(words[1])!r}"
     for a, b in zip(NUMBER.findall(was), NUMBER.findall(now), strict=True):
-        place = 10.0 ** -max(len(x.partition("e")[0].partition(".")[2]) for x in (a, b)) if "e" not in a + b else 0.0
-        if abs(float(a) - float(b)) > max(2.01 * place, 0.05 * abs(float(a))):
+        last_digit = (
+            10.0 ** -max(len(x.partition("e")[0].partition(".")[2]) for x in (a, b)) if "e" not in a + b else 0.0
+        )
+        if abs(float(a) - float(b)) > max(2.01 * last_digit, 0.05 * abs(float(a))):
             return f"{a} is now {b}"
     return ""

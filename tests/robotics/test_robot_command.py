@@ -96,8 +96,8 @@ def test_leg_forward_and_inverse():
 
 @pytest.mark.slow
 def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
-    place = ("0.2", "0.14", "-0.25")
-    ours = [answer("dh", robot, "--tip", "LF", "--place", ",".join(place))["inverse"] for robot in (urdf, "a1")]
+    position = ("0.2", "0.14", "-0.25")
+    ours = [answer("dh", robot, "--tip", "LF", "--place", ",".join(position))["inverse"] for robot in (urdf, "a1")]
     one, other = (np.array(sorted(s["q"] for s in found["solutions"])) for found in ours)
     np.testing.assert_allclose(one, other, atol=1e-6)
     # The thigh's limits, and so its angle, exceed half a turn.

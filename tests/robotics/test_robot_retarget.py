@@ -348,8 +348,8 @@ def test_a_urdf_file_gives_the_motion_of_the_closed_form(whole, tmp_path):
     assert (hip[0]["Transform3D:parent_frame"], base[0]["Transform3D:child_frame"]) == (["trunk"], ["base"])
     half = found.angles_rad[:, found.robot.joints.index("FL_hip_joint")] / 2
     np.testing.assert_allclose([row["Transform3D:quaternion"][0][0] for row in hip], np.sin(half), atol=1e-6)
-    places = [row["Transform3D:translation"][0] for row in base]
-    np.testing.assert_allclose(places, found.pose.translation, atol=1e-6)
+    positions = [row["Transform3D:translation"][0] for row in base]
+    np.testing.assert_allclose(positions, found.pose.translation, atol=1e-6)
 
 
 def test_all_problems_are_reported_at_once(tmp_path):

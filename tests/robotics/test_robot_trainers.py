@@ -61,10 +61,10 @@ def test_bodies_agree_with_the_robots_urdf_file(solved, part):
         base = Rotation.from_matrix(found.turned[t, 0])
         for name in HIPS:
             q = np.array([at[f"{name}_{joint}_joint"] for joint in ("hip", "thigh", "calf")])
-            for body, (place, turned) in a1_bodies(name, q).items():
+            for body, (position, turned) in a1_bodies(name, q).items():
                 k = found.bodies.index(body)
                 np.testing.assert_allclose(
-                    found.position_m[t, k], found.position_m[t, 0] + base.apply(place), atol=1e-9
+                    found.position_m[t, k], found.position_m[t, 0] + base.apply(position), atol=1e-9
                 )
                 off = (base * turned).inv() * Rotation.from_matrix(found.turned[t, k])
                 assert off.magnitude() < 1e-7

@@ -330,8 +330,8 @@ def test_the_table_of_a_batch_begins_with_clips_to_check(batch):
 
 def test_a_thumbnail_shows_the_middle_pose_from_the_camera(batch, folder):
     (row,) = (row for row in Page(write_summary_page(batch)).html.split("<tr data-") if ">good<" in row)
-    places = [float(v) for points in re.findall(r'points="(.*?)"', row) for v in re.split("[ ,]", points)]
-    x, y = np.array(places[::2]), np.array(places[1::2])
+    positions = [float(v) for points in re.findall(r'points="(.*?)"', row) for v in re.split("[ ,]", points)]
+    x, y = np.array(positions[::2]), np.array(positions[1::2])
     with (folder / "reprojection.csv").open() as file:
         middle = np.array(list(csv.reader(file))[3 + 4][1:], dtype=float).reshape(-1, 3)
     width, height = np.ptp(middle[:, 0]), np.ptp(middle[:, 1])

@@ -50,7 +50,9 @@ def test_a_page_has_the_poses_of_the_motion(small_trajectory):
 def test_a_page_has_detections_errors_and_positions_of_the_cameras(two_cameras):
     data = player_data.player_data(two_cameras, None, 1)
     assert data["chosen"] == 1
-    for camera, place, picture in zip(data["cameras"], data["scene"]["cameras"], two_cameras.pictures, strict=True):
+    for camera, scene_camera, picture in zip(
+        data["cameras"], data["scene"]["cameras"], two_cameras.pictures, strict=True
+    ):
         detected = unpacked(camera["detected_px"]).reshape(8, 24, 2)
         np.testing.assert_allclose(detected, picture.detected_px, atol=0.1)
         reprojected = unpacked(camera["reprojected_px"]).reshape(8, 24, 2)
@@ -59,7 +61,7 @@ def test_a_page_has_detections_errors_and_positions_of_the_cameras(two_cameras):
         np.testing.assert_array_equal(states == player_data.OUTLIER, picture.outliers)
         np.testing.assert_array_equal(states == player_data.MISSING, ~picture.present)
         np.testing.assert_allclose(unpacked(camera["weight"]).reshape(8, 24), picture.weight, atol=0.003)
-        assert not place["moves"]
+        assert not scene_camera["moves"]
     np.testing.assert_allclose(data["scene"]["cameras"][0]["poses"][9:], [1, 2, 3], atol=1e-6)
     np.testing.assert_allclose(data["scene"]["cameras"][1]["poses"][9:], [10, -8, 2.5], atol=1e-6)
 

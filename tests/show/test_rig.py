@@ -146,8 +146,8 @@ def test_bvh(rig, tmp_path):
     text = path.read_text()
     assert text.count("position") == 3  # the root's three coordinates
     for bone, parent in ((b, rig.bones[b.parent]) for b in rig.bones if b.parent is not None):
-        place, above = (found.xyz_m[:, found.names.index(b.name)] for b in (bone, parent))
-        np.testing.assert_allclose(np.linalg.norm(place - above, axis=1), np.linalg.norm(bone.offset_m), atol=1e-12)
+        position, above = (found.xyz_m[:, found.names.index(b.name)] for b in (bone, parent))
+        np.testing.assert_allclose(np.linalg.norm(position - above, axis=1), np.linalg.norm(bone.offset_m), atol=1e-12)
 
 
 def test_gltf(rig, tmp_path):

@@ -464,11 +464,11 @@ def test_every_camera_has_its_pictures(filmed_twice: Recording, two_cameras: Mot
 
 
 def test_cameras_are_drawn_at_their_positions_over_time(filmed_twice: Recording) -> None:
-    (place,) = filmed_twice.static["/world/camera/cam1"]["Transform3D:translation"]
-    np.testing.assert_allclose(place, [1, 2, 3], atol=1e-5)
+    (position,) = filmed_twice.static["/world/camera/cam1"]["Transform3D:translation"]
+    np.testing.assert_allclose(position, [1, 2, 3], atol=1e-5)
     rows = filmed_twice.frames["/world/camera/cam2"]
-    places = [rows[frame]["Transform3D:translation"][0] for frame in range(10, 18)]
-    np.testing.assert_allclose(places, [[10 + t, -8, 2.5] for t in range(8)], atol=1e-5)
+    positions = [rows[frame]["Transform3D:translation"][0] for frame in range(10, 18)]
+    np.testing.assert_allclose(positions, [[10 + t, -8, 2.5] for t in range(8)], atol=1e-5)
     names = filmed_twice.frames["/world/camera_names"]
     np.testing.assert_allclose(names[17]["Points3D:positions"], [[1, 2, 3], [17, -8, 2.5]], atol=1e-5)
     assert filmed_twice.static["/world/camera_names"]["Points3D:labels"] == ["cam1", "cam2"]

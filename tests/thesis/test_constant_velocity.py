@@ -42,12 +42,12 @@ def test_travel_without_data_is_not_moving():
 def test_placing_a_known_shape_on_its_own_rays_is_exact_and_survives_a_wrong_ray():
     heading, up = np.array([0.8, 0, 0.6]), np.array([0.0, -1, 0])
     shape = SK.local_joints(mean_pose(SK)[None])[0] @ upright_rotation(heading, up).T
-    place = np.array([1.0, 0.5, 8.0])
-    rays = shape + place
+    position = np.array([1.0, 0.5, 8.0])
+    rays = shape + position
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0], place, atol=1e-5)
+    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0], position, atol=1e-5)
     rays[3] = [1, 0, 0]
-    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0], place, atol=0.05)
+    np.testing.assert_allclose(position_on_rays(shape, rays[None])[0], position, atol=0.05)
 
 
 def test_geometric_start_faces_the_heading_and_lies_in_front():

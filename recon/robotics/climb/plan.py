@@ -309,8 +309,8 @@ class Climb:
         A margin is negative if the rule is broken, and infinite if the rule does not apply.
         """
         step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
-        targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
-        hips, knees = (np.stack([of_leg[:, k] for of_leg in places], axis=1) for k in (0, 2))
+        targets, positions = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
+        hips, knees = (np.stack([of_leg[:, k] for of_leg in positions], axis=1) for k in (0, 2))
         shins = np.concatenate([feet + f * (knees - feet) for f in SHIN_POINTS], axis=1)
         edge = np.where(feet[..., 2] > step.height_m / 2, 1, -1) * (feet[..., 0] - step.edge_m)
         legs = list(enumerate(robot.legs.values()))
@@ -412,9 +412,11 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
                 settle(fields, fall.leg, fall.leg, number)
             number += 1
     settle(fields, NONE, NONE, number - 1)
-    poses, places, lifted, *other_legs = (np.array(column) for column in zip(*rows, strict=True))
+    poses, positions, lifted, *other_legs = (np.array(column) for column in zip(*rows, strict=True))
     time_s, standing = np.arange(len(rows)) / recipe.fps, lifted[:, None] != np.arange(4)
-    return Climb(recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), places, standing), lifted, *other_legs)
+    return Climb(
+        recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), positions, standing), lifted, *other_legs
+    )
 
 
 def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Array) -> Array:

@@ -189,14 +189,14 @@ def _plot(
         rows = sorted((row for row in clip_rows if row["group"] == group_row["group"]), key=lambda row: row["clip"])
         rows = [row for row in rows if math.isfinite(row[name])]
         reach = min(0.3 * step, 6.0 * len(rows))
-        places = np.linspace(middle - reach, middle + reach, len(rows) + 2)[1:-1]
-        for x, row in zip(places, rows, strict=True):
+        positions = np.linspace(middle - reach, middle + reach, len(rows) + 2)[1:-1]
+        for x, row in zip(positions, rows, strict=True):
             if not pd.isna(animal := row.get("animal", math.nan)):
                 dots_by_animal.setdefault(str(animal), []).append((float(x), scale.height(float(row[name]))))
         columns.append(
             {
                 "hue": HUES[place % len(HUES)],
-                "dots": [_dot(row, name, float(x), scale, pages) for x, row in zip(places, rows, strict=True)],
+                "dots": [_dot(row, name, float(x), scale, pages) for x, row in zip(positions, rows, strict=True)],
                 **_mean_of_group(group_row, name, scale, len(rows)),
                 "left": round(middle - 0.42 * step, 1),
                 "width": round(0.84 * step, 1),
