@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 import threading
@@ -95,6 +96,8 @@ def terminal(**options: Any) -> Console:
     return _Terminal(markup=False, emoji=False, **options)
 
 
+LONGEST_WORD = 24
+"""Length of a word, in characters, up to which a column of texts does not break it; longer words are often paths."""
 _WIDEST = 1000
 """Width in which every table fits without wrapping, characters."""
 
@@ -121,13 +124,21 @@ def say_table(console: Console, table: Table) -> None:
     In a file or a pipe, the table is as wide as its words need. On a narrow terminal, its columns continue in further
     tables below, each of which begins with the names of the rows.
     """
-    width = console.options.update(width=_WIDEST)
     if not console.is_terminal:
-        least = console.measure(table, options=width).minimum
-        console.print(table, width=max(console.width, least), crop=False)
+        words = sum(3 + max(map(len, _words(column)), default=0) for column in table.columns) + 1
+        if words > console.width:
+            table.width = words  # rich limits the width of a print to that of the console
+        console.print(table, crop=False)
         return
+    width = console.options.update(width=_WIDEST)
     for part in _parts(table, lambda part: console.measure(part, options=width).minimum <= console.width):
         console.print(part)
+
+
+def _words(column: Column) -> Iterator[str]:
+    """Yield the words of a column of texts, or the whole texts of a column of numbers or of one that does not wrap."""
+    for text in map(str, (column.header, *column.cells)):
+        yield from [text] if column.no_wrap or column.justify == "right" else text.split()
 
 
 def _parts(table: Table, fits: Callable[[Table], bool]) -> Iterator[Table]:
@@ -179,14 +190,14 @@ def table_of(
     rows = [[*row] for row in rows]
     columns = (
         Column(first, no_wrap=True),
-        *map(Column, more_texts),
+        *(Column(name, overflow="fold") for name in more_texts),
         *(Column(name, justify="right") for name in numbers),
     )
     for i, column in enumerate(columns):
-        cells = [str(row[i]) for row in rows] if i >= len(texts) else []
-        column.min_width = max(
-            (len(word) for text in (str(column.header), *cells) for word in text.split()), default=None
-        )
+        cells = [str(row[i]) for row in rows]
+        longest = math.inf if i >= len(texts) else LONGEST_WORD
+        words = [word for text in cells for word in text.split() if len(word) <= longest]
+        column.min_width = max(map(len, [*str(column.header).split(), *words]), default=None)
         if i >= len(texts) and all(len(text.split()) < 2 for text in (str(column.header), *cells)):
             column.no_wrap = True  # rich would make such a column narrower than its words before it wraps others
     table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **options)

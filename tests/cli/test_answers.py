@@ -77,3 +77,15 @@ def test_a_column_of_single_words_is_not_cut_before_others_wrap():
     row = ["extended-differences", "1.0", "27", "front_trunk_roll", "12"]
     say_table(narrow, table_of("method", numbers=("worst error mm", "off °", "limits", "each"), rows=[row]))
     assert {*row} <= {*narrow.file.getvalue().split()}
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_words_of_text_columns_are_not_lost(is_terminal):
+    """Short words stay whole everywhere; a long path is broken on a narrow terminal only."""
+    path = "results/a_long_folder/with_a_longer_name/of_a_clip"
+    console = terminal(file=io.StringIO(), width=60, force_terminal=is_terminal)
+    rows = [["rear_trunk", "", path, "0.000"], ["front_trunk_segment", "rear_trunk", "done", "-46 to 46"]]
+    say_table(console, table_of("segment", "parent", "folder", numbers=("angle",), rows=rows))
+    words = console.file.getvalue().split()
+    assert {"front_trunk_segment", "rear_trunk", "0.000", "done"} <= {*words}
+    assert path in (words if not is_terminal else "".join(word for word in words if word in path))
