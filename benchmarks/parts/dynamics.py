@@ -141,9 +141,8 @@ def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
     Returns
     -------
     tuple
-        The analyses from single cameras, and four fractions of frames, for the internal energy and each component of
-        the angular momentum: in these frames, the value from all cameras is inside the 90 % interval from a single
-        camera.
+        The analyses from single cameras, and the fractions of frames in which the 90 % interval from a single camera
+        contains the value from all cameras, for the internal energy and each component of the angular momentum.
     """
     found, held = [], []
     for run in runs_of(recordings("cheetah-runs")):

@@ -62,7 +62,10 @@ def two_costs(estimates: list[Estimate], frames: int) -> np.ndarray:
 
 
 def decreases(given: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return by how much the other search lowers the costs of the best and the second minimum, (2,); 0 without it."""
+    """Return by how much the other search lowers the costs of the best and the second minimum, shape (2,).
+
+    The value is 0 for a minimum that the other search lacks.
+    """
     return np.where(np.isinf(other), 0.0, given - np.where(np.isinf(other), 0.0, other))
 
 

@@ -315,10 +315,7 @@ QUICK_FIGURES = ("forces", "footfalls", "side_view", "speed")
     [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK_FIGURES)) for name in FIGURES],
 )
 def test_each_figure_is_drawn_with_all_its_text(name, whole):
-    """Each figure is drawn with all its text.
-
-    `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py` check the content of the figures.
-    """
+    """The files `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py` check what figures show."""
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275
@@ -420,7 +417,7 @@ def test_known_standard_deviations_of_angles_are_in_the_table(whole, one_sided):
 
 
 def test_the_back_bends_at_the_spine_of_the_anatomy(whole):
-    """The back bends at the spine of the anatomy, also if a marker on the skin above it follows in the trunk's limb."""
+    """The back bends at the spine of the anatomy, even if a marker on the skin above it follows in the trunk's limb."""
     solution, body = whole.motion.solution, whole.motion.body
     limbs = body.limbs | {"trunk": ("tail_base", "spine", "r_shoulder", "neck_base")}
     assert body.limbs["trunk"] == body.anatomy["spine"] == ("tail_base", "spine", "neck_base")

@@ -186,10 +186,7 @@ def test_a_clip_that_only_looks_swapped_is_a_possible_swap(monkeypatch):
 
 
 def test_other_cameras_refute_swapped_sides_without_a_fit():
-    """Other cameras refute exchanged sides without a fit.
-
-    The first of three cameras has the sides of ten frames exchanged; a single other camera refutes nothing.
-    """
+    """The first of three cameras has the sides of ten frames exchanged. A single other camera refutes nothing."""
     views = [view_of(truth_m(), pose, seed=i) for i, pose in enumerate(POSES[:3])]
     views[0] = with_exchanged(views[0], stretch("all", 15, 25))
     states = plain().states

@@ -60,10 +60,7 @@ def test_a_detection_that_was_left_out_is_listed_with_its_position(small_traject
 
 
 def test_the_ellipse_is_the_joints_covariance_in_the_picture(small_trajectory: Motion):
-    """The ellipse is the covariance of the joint in the picture.
-
-    About 10 m away, a focal length of 1536 px turns 0.054 m across the line of sight into about 9 px.
-    """
+    """About 10 m away, a focal length of 1536 px turns 0.054 m across the line of sight into about 9 px."""
     major, minor, angle_deg = to_correct(small_trajectory)[0].ellipse_px
     focal_px = small_trajectory.camera.matrix[0, 0]
     assert minor == pytest.approx(focal_px * np.hypot(0.05, 0.02) / 9.0, rel=0.1)

@@ -205,11 +205,10 @@ def test_long_clip_has_stationary_covariances_in_linear_memory(rng):
 
 
 def test_marginals_of_a_stiff_smoother_are_columns_of_the_inverse(rng):
-    """The marginals of a stiff smoother are columns of the inverse.
+    """The data are weak and the prior on second differences is strong, so gain_t extrapolates to 2 x_t+1 - x_t+2.
 
-    The data are weak and the prior on second differences is strong, so that gain_t extrapolates to 2 x_t+1 - x_t+2. The
-    expected columns come from the solver for unit vectors. A rounding error that makes the window's blocks asymmetric
-    would grow without bound.
+    The expected columns come from the solver for unit vectors. A rounding error that makes the window's blocks
+    asymmetric would grow without bound.
     """
     T, D, W = 400, 3, 2
     blocks, unused = np.zeros((T, W + 1, D, D)), np.zeros((T, D))

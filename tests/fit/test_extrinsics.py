@@ -132,7 +132,7 @@ def test_rough_poses_determine_the_size():
 
 
 def test_standard_deviations_relative_to_the_first_camera():
-    """The standard deviations agree with finite differences, also if the first camera is uncertain."""
+    """The standard deviations agree with finite differences, even if the first camera is uncertain."""
     rng, poses = np.random.default_rng(0), [AHEAD, ASIDE, BEHIND]
     root = rng.normal(size=(18, 18))
 

@@ -221,7 +221,7 @@ LENGTHS = (1, 2, 3, 4, 6, 12, 24, 40)
 LONGEST = 200
 """Number of frames of the longest clips, one in forty, which have several segments and windows."""
 RATES_HZ = (60.0, 60.0, 25.0, 400.0, 1.0, 1e4)
-"""Stated frame rates, frames per second; the points are always made for 60."""
+"""Stated frame rates, frames per second; the points always move as at `FPS`."""
 ABSURD_RATES_HZ = (1e-300, 1e-3, 0.2, 0.5, 0.999, 10001.0, 1e5, 1e7, 1e300)
 """Stated frame rates of one in sixteen clips."""
 NOISE_PX = (0.0, 2.0)

@@ -216,10 +216,9 @@ def test_to_dict_is_json_in_millimetres():
 
 
 def test_stated_uncertainty_is_compared_with_the_errors():
-    """Stated uncertainty is compared with the errors.
+    """Intervals of 50 and 90 % are 0.60 and 1.60 standard deviations.
 
-    Intervals of 50 and 90 % are 0.60 and 1.60 standard deviations; an error that all joints share counts as an error of
-    the position.
+    An error that all joints share counts as an error of the position.
     """
     off = np.zeros(TRUTH.shape)
     off[:, :, 0], off[:, :, 1], off[:, :, 2] = 0.05, 0.11, 0.17

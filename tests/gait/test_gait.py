@@ -335,10 +335,7 @@ def test_the_foot_that_lands_second_leads():
 
 @pytest.mark.parametrize(("duty", "name"), [(0.45, "transverse gallop"), (0.7, "unknown")])
 def test_feet_that_stand_longer_than_half_a_stride_do_not_gallop(duty, name):
-    """Feet that stand longer than half a stride do not gallop.
-
-    Without a complete stride, uncertain phases of a walking horse looked like those of a gallop.
-    """
+    """Without a complete stride, the uncertain phases of a walking horse can look like the phases of a gallop."""
     phases = PATTERNS["transverse gallop"][0]
     all_stances = [Stance(foot, p, p + duty, 30 * p, 30 * (p + duty), ends=p < 0.5) for foot, p in phases.items()]
     all_stances.append(Stance("LH", 0.95, 1.0, 28.5, 30.0, ends=False))  # cut by the end of the clip

@@ -176,10 +176,7 @@ def test_a_cosine_angle():
 
 
 def test_a_joint_that_passes_through_straight_has_no_peak_there():
-    """A joint that passes through a straight line has no peak there.
-
-    A link turns at 5 rad/s from one side to the other, and the angle between 0 and pi folds.
-    """
+    """A link turns at 5 rad/s from one side to the other, and its angle between 0 and pi reverses at pi."""
     turn = np.linspace(-1.0, 1.0, 25)
     tip = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
     pose = Pose3D(("a", "b", "c"), np.stack([0 * tip - [1, 0, 0], 0 * tip, tip], axis=1), np.arange(25))

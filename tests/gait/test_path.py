@@ -198,10 +198,7 @@ def test_times_must_increase():
 
 
 def test_lasting_errors_are_part_of_the_deviations_of_speeds():
-    """Errors that last are part of the standard deviations of speeds.
-
-    The noise of each frame partly continues the noise of the previous frame, from which the method starts.
-    """
+    """The noise of each frame partly continues the noise of the previous frame."""
     rng, points = np.random.default_rng(3), np.zeros((120, 3))
     points[:, 0] = 12 * np.arange(120) / 90
     noise = rng.normal(0, 0.05, points.shape)

@@ -180,10 +180,7 @@ def test_rational_lens_ends_at_its_pole():
 
 
 def test_tangential_distortion_folds_before_the_radial_limit():
-    """Tangential distortion folds before the radial limit.
-
-    Where the true map folds, the point and its ray are invalid although the radius is below the limit.
-    """
+    """A point at which the true map folds is invalid, and so is its ray, although the radius is below the limit."""
     camera = make_camera("radtan 5")
     around = np.linspace(-np.pi, np.pi, 400)
     radius = 0.999 * camera.lens.max_radius

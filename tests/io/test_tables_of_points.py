@@ -249,7 +249,7 @@ def test_a_column_that_is_repeated(tmp_path):
 
 
 def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
-    """Blank and repeated columns are left out, also if decimal commas are in quoted numbers."""
+    """Blank and repeated columns are left out, even if decimal commas are in quoted numbers."""
     path = tmp_path / "a.csv"
     rows = [
         ",scorer,net,,net,net",

@@ -59,7 +59,7 @@ def test_one_version_everywhere():
 
 
 def test_extras_come_from_where_the_package_came(installed, monkeypatch, tmp_path):
-    """Extras are installed from the package's origin, also if a folder has the package's name."""
+    """Extras are installed from the package's origin, even if a folder has the package's name."""
     checkout = tmp_path / "my checkout"
     (checkout / "recon" / "base").mkdir(parents=True)
     wheel = tmp_path / "recon_motion-0.1.0-py3-none-any.whl"
