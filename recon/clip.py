@@ -172,7 +172,7 @@ class LeftOut(Brief):
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
     def with_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return the record with further detections, a mask `points` (T, K), that were left out for `reason`.
+        """Return the record after adding the detections of the mask `points` (T, K), which were left out for `reason`.
 
         `later_frames` is the clip's frame number minus the file's frame number.
         """
@@ -304,7 +304,7 @@ def clean(
 def leave_out(
     keypoints: Keypoints, report: CleaningReport, points: np.ndarray, reason: str, later_frames: int = 0
 ) -> tuple[Keypoints, CleaningReport]:
-    """Mark further points, a mask (T, K), of cleaned keypoints as missing, and record the reason in the report.
+    """Mark the cleaned keypoints of the mask `points` (T, K) as missing too, and record the reason in the report.
 
     `later_frames` is the clip's frame number minus the file's frame number.
     """

@@ -180,9 +180,9 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
 
 
 def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]:
-    """Return a dictionary that suggests a similar missing name for unused names, beginning with the most similar pair.
+    """Suggest a similar missing name for each unused name, as a dictionary that begins with the most similar pair.
 
-    Every missing name is suggested at most once.
+    Unused names without a similar missing name are left out. Every missing name is suggested at most once.
     """
     pairs = [(likeness, a, b) for a in unused for b in missing if (likeness := _likeness(a, b)) >= _NEAR]
     matches: dict[str, str] = {}

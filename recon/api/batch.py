@@ -296,8 +296,8 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return the cells of a summary row that come from the report of a fit (columns `RESULTS`).
 
-    Speeds are speeds of the root, without the jitter from frame to frame if the jitter is known. `warnings` is the
-    number of warnings. `size` is the factor on the skeleton's lengths, which only the trajectory method estimates.
+    Speeds are those of the root, m/s, from the smoothed path if the report has one. `warnings` is the number of
+    warnings. `size` is the ratio of the animal's lengths to the skeleton's; None unless the trajectory method was used.
     """
     summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
     speeds = path["smoothed"] or path["exact"]

@@ -655,9 +655,9 @@ def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
 def _names(drafts: Sequence[_Draft]) -> list[str]:
     """Return the names of the clips.
 
-    A clip has the name that was given, or else the file name. The suffix or the folders are added if several files
-    share the name, then the animal and the frames if the row has them, and a number if the name is still not
-    unique.
+    A clip has the name that the user gave, or else its file name. If several files share a name, the suffix or the
+    folders are added. The animal and the frames follow if they were given for the clip, and a number if the name is
+    still not unique.
     """
     file_name = file_names(dict.fromkeys(draft.title for draft in drafts))
     taken = {SUMMARY, SUMMARY_PAGE, *(draft.name.casefold() for draft in drafts if draft.name is not None)}

@@ -156,7 +156,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
 
 
 def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
-    """Raise InputError if the size of the triangulated animal shows that the calibration has another unit.
+    """Raise InputError if the triangulated animal's size shows that the calibration's unit is not `camera_unit`.
 
     A fit cannot find the unit, because it keeps the animal's size and moves the animal to one of the cameras.
     """

@@ -143,7 +143,10 @@ def _with_stated_poses(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Ar
 
 
 def _in_own_worlds(cameras: Sequence[Camera], tilt_deg: float | None) -> tuple[list[Camera], list[Array]]:
-    """Return cameras that are level or tilted as given, each at the origin of a separate world, and their poses."""
+    """Return the cameras without extrinsics, each at the origin of its own world, and their poses (4, 4).
+
+    `tilt_deg` replaces the tilt of the cameras; None keeps it.
+    """
     tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
     cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
     return cameras, [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]

@@ -162,7 +162,7 @@ _adapter = cache(TypeAdapter)  # cached because making an adapter takes longer t
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
-    """Return a table converted to a model, either pydantic's or a dataclass.
+    """Return a table converted to a pydantic model or a dataclass, after a check of its types and values.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str],
 
 
 def named_file(
-    name: str | Path, folder: str, ending: str, option: str, kind: str, names: Iterable[str] | None = None
+    name: str | Path, folder: str, suffix: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[bytes, str]:
     """Return the content of a built-in file or of a user's file, and its name for messages.
 
@@ -269,10 +269,10 @@ def named_file(
     InputError
         If there is no such file, or it cannot be read.
     """
-    known = builtin_names(folder, ending)
+    known = builtin_names(folder, suffix)
     if str(name) in known:
-        return builtin_file(folder, f"{name}{ending}").read_bytes(), f"{kind} {name}"
-    path, expected = Path(name), f"a {kind} file ({ending})"
+        return builtin_file(folder, f"{name}{suffix}").read_bytes(), f"{kind} {name}"
+    path, expected = Path(name), f"a {kind} file ({suffix})"
     if not os.path.isfile(path):  # False, not an OSError, for a name that is too long
         choice = ", ".join(known if names is None else names)
         content = f"{str(name)!r}{', no such file' if path.suffix else ''}"
@@ -294,7 +294,7 @@ def builtin_file(folder: str, name: str) -> Traversable:
 
 
 @cache
-def builtin_names(folder: str, ending: str) -> tuple[str, ...]:
-    """Return the names, without their ending, of the files in a folder of the package."""
+def builtin_names(folder: str, suffix: str) -> tuple[str, ...]:
+    """Return the names, without `suffix`, of the files in a folder of the package that have this suffix."""
     files = (resources.files("recon") / folder).iterdir()
-    return tuple(sorted(f.name.removesuffix(ending) for f in files if f.name.endswith(ending)))
+    return tuple(sorted(f.name.removesuffix(suffix) for f in files if f.name.endswith(suffix)))

@@ -56,7 +56,7 @@ _UNITS = {
     "_m": "m",
     "_s": "s",
 }
-"""Units by the ending of a setting's name, longer endings first."""
+"""Units by the suffix of a setting's name, longer suffixes first."""
 _MAY_BE_FILE = object()
 """Marker of a string type whose value is a file if it ends like a file name."""
 _Value = TypeVar("_Value")

@@ -215,7 +215,7 @@ def _explain_by_only_view(
 
 
 def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
-    """Return findings on a single camera whose lens, focal length or picture differs from the camera file."""
+    """Return findings on a single camera: a wrong lens or focal length in its file, or a stretched video."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))

@@ -77,8 +77,8 @@ def pair_is_turned(refined: TrajectorySolution) -> bool:
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
     """Return the finding on two cameras whose poses were refined although the user did not request this.
 
-    The finding names the camera that was turned more. It is a warning if a camera is probably turned or moved
-    (`is_misplaced`), otherwise a note.
+    The finding names the camera that was turned more. It is a warning if a camera has probably been turned
+    or moved (`is_misplaced`), otherwise a note.
     """
     turns_rad, shifts_m = np.linalg.norm(refined.extrinsic_correction.reshape(-1, 2, 3), axis=-1).T
     most_turned = int(np.argmax(turns_rad))

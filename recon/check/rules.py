@@ -354,7 +354,7 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if one of two cameras is probably turned or moved, even if their rays still meet.
+    """Yield a finding if one of two cameras has probably been turned or moved, even if their rays still meet.
 
     In this case, the animal has different sizes in the two pictures, or an unexpected size.
     """

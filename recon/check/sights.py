@@ -53,7 +53,7 @@ class Sight:
     """Standard deviation of a detection as an angle, shape (T, 1)."""
 
     def later(self, frames: float) -> Sight:
-        """Return the directions for pictures that the camera took a number of frames later."""
+        """Return the directions as if the camera had taken every picture a number of frames later."""
         rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
         # The rotation is shifted by whole frames, because the mean of two rotation matrices is no rotation.
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))

@@ -140,10 +140,11 @@ class _SwapTrial:
 
 
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
-    """Return whether exchanging the sides in a rival stretch, instead of the best one, also makes the clip more likely.
+    """Return whether a left-right swap in other frames explains the detections instead of the most likely swap.
 
-    Such a rival lies next to the best stretch, or has no gain once the sides are exchanged in the best stretch. A rival
-    that is nearly the same as the best stretch does not contradict it.
+    The rival swap must increase the likelihood. It contradicts the best swap if it adjoins or overlaps this swap, or if
+    it no longer clearly increases the likelihood once the best swap is undone. A rival with nearly the same frames and
+    keypoints as the best swap does not contradict it.
     """
     (a, best_mask), (b, rival_mask) = (
         (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, rival)

@@ -186,7 +186,11 @@ def _cell(index: int, shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
-    """Return the expected decrease of the joints' root mean square error for each gain, with the poses centred, m."""
+    """Return how much each correction is expected to decrease the RMS error of the joints, m, shape of `gain_m2`.
+
+    `gain_m2` is the decrease of the mean squared error if a detection is corrected, m^2. Errors are those of the
+    positions of the joints relative to their mean.
+    """
     variance_m2 = np.trace(motion.solution.relative_covariance_m2[motion.solved], axis1=-2, axis2=-1)
     error_m2 = float(variance_m2.mean()) if variance_m2.size else np.nan
     return np.sqrt(error_m2) - np.sqrt(np.maximum(error_m2 - gain_m2, 0.0))

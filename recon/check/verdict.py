@@ -91,7 +91,7 @@ class Evidence:
     trunk_m: float
     """Length of the trunk."""
     posterior_m: float
-    """Mean error of the joints expected from the posterior, with poses centred and without the error of the size.
+    """Mean error of the joints relative to their mean, m, expected from the posterior without the error of the size.
 
     The error of the size moves all joints together, and is usually smaller than stated.
     """
@@ -122,7 +122,7 @@ class Evidence:
 
 
 def evidence_of(motion: Motion) -> Evidence:
-    """Return the evidence for the verdict on a motion with at least one pose."""
+    """Return the quantities from which the expected errors of a motion with at least one pose are computed."""
     solution = motion.solution
     frames = _frame_evidence(motion)
     is_trajectory = isinstance(solution, TrajectorySolution)
@@ -186,7 +186,7 @@ def _frame_evidence(motion: Motion) -> _FrameEvidence:
 
 
 def frame_rms_m(motion: Motion) -> Array:
-    """Return the expected RMS distance of the joints from their true positions in each frame, with poses centred, (T,).
+    """Return the expected RMS error in each frame of the joints' positions relative to their mean, (T,), m.
 
     The expected error of the verdict is distributed over the frames according to the posterior, the distance of the
     animal and its direction in each frame. Without an expected error, the distance follows from the posterior alone.
@@ -208,7 +208,7 @@ def _cosine(a: Array, b: Array) -> Array:
 
 
 def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
-    """Return the expected mean error of the joints, with poses centred, relative to the trunk's length."""
+    """Return the expected mean error of the joints relative to their mean, in units of the trunk's length."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
     reach = NORMAL_90 * math.hypot(LOG_ERROR_SIGMA, SPREAD_UNSEEN * evidence.unseen)
     return ExpectedError(math.exp(middle), math.exp(middle - reach), math.exp(middle + reach))

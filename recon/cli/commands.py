@@ -45,7 +45,7 @@ _SET = "set_"
 
 @dataclass(frozen=True)
 class OptionsOf:
-    """Settings of another class that a command also takes."""
+    """Options that a command takes from a class of settings."""
 
     settings: type[Settings]
     names: tuple[str, ...] = ()

@@ -57,7 +57,7 @@ class LabelSettings(Settings):
     """Open the page in the browser."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems with options that need others."""
+        """Yield a problem if --camera-name or --first-frame is given without --result."""
         if self.result is None and (self.camera_name is not None or self.first_frame):
             yield Problem("settings", "result", "nothing", "--result with --camera-name or --first-frame")
 
@@ -108,7 +108,7 @@ def _preferred(settings: LabelSettings) -> list[int]:
 
 
 def label_server(session: LabelSession) -> LocalServer:
-    """Return a server of the labelling page of a session."""
+    """Return a local web server for the labelling page of a session."""
 
     def page(_rest: str, _data: object) -> Reply:
         html = rendered(

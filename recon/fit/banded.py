@@ -80,7 +80,7 @@ class Normal:
         return replace(self.without_border(), corner=np.zeros((0, 0)), shared_gradient=np.zeros(0))
 
     def without_border(self) -> Normal:
-        """Return the normal equations without the border, most of their memory."""
+        """Return the normal equations without `border`, which takes most of their memory."""
         return replace(self, border=np.zeros((*self.gradient.shape, 0)))
 
 

@@ -259,9 +259,9 @@ class ClipProblem:
         return nominal
 
     def markers(self, states: Array) -> Array:
-        """Return the positions (T, J, 3) at which the detector sees the markers, for states of a body of nominal size.
+        """Return the positions (T, J, 3), m, at which the detector sees the markers of a body of nominal size.
 
-        Positions are relative to `origin_m`, as the states are (`nominal`).
+        Positions and states are relative to `origin_m`. `nominal` computes such states from states in the world.
         """
         return self.body.detected.pose(states).points_m
 

@@ -8,7 +8,7 @@ A correction removes two parts of the squared error: variance, because the corre
 the displacement of the pose by the wrong detection.
 
 **Notation.** H is the curvature of the cost at the minimum with respect to the states of all frames, and Z = H^-1 their
-covariance. If the states of a frame change by dx, the squared displacements of its joints, both poses centred, add up
+covariance. If the states of a frame change by dx, the squared displacements of its joints relative to their mean add up
 to dx' G dx. A detection moves in the picture by A dx, where A is (2, D). Its noise is sigma and its weight w, which is
 0 if the detection is missing or was left out.
 
@@ -61,8 +61,8 @@ def correction_gain_m2(
 ) -> Array:
     """Return the expected decrease of the pose's mean squared error if a detection were corrected, (V, T, J), m^2.
 
-    The error is the distance of the joints from their true positions, both poses centred, and the mean is over all
-    frames and joints. The decrease is NaN in frames without a pose, and if the camera cannot see the joint.
+    The error is that of the joints' positions relative to the mean of the joints, averaged over all frames and joints.
+    The decrease is NaN in frames without a pose, and if the camera cannot see the joint.
 
     Parameters
     ----------

@@ -410,17 +410,17 @@ class Motion:
 
     @property
     def unused_keypoints(self) -> tuple[str, ...]:
-        """Return the names of the files' keypoints that the skeleton does not have."""
+        """Return the names of the keypoints in the keypoint files that the skeleton does not have."""
         return tuple(name for name in self._file_names if name not in self.names)
 
     @property
     def missing_keypoints(self) -> tuple[str, ...]:
-        """Return the names of the skeleton's keypoints that no file has."""
+        """Return the names of the skeleton's keypoints that no keypoint file has."""
         return tuple(name for name in self.names if name not in self._file_names)
 
     @cached_property
     def _file_names(self) -> dict[str, None]:
-        """Return the names of all files' keypoints in the files' order, without duplicates."""
+        """Return the names of the keypoints in all keypoint files, in the order of the files, without duplicates."""
         return dict.fromkeys(name for source in self.sources for name in source.file_names)
 
     # The states
@@ -609,7 +609,7 @@ class Motion:
 
     @cached_property
     def relative_rms_m(self) -> Array:
-        """Return the expected RMS distance of the joints from their true positions, both poses centred, (T,), m."""
+        """Return the expected RMS error of the joints' positions relative to their mean, (T,), m."""
         return np.sqrt(np.trace(self.solution.relative_covariance_m2, axis1=2, axis2=3).mean(axis=1))
 
     @cached_property

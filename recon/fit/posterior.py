@@ -381,7 +381,7 @@ class _EquationsByNoise:
 
     @classmethod
     def of_problem(cls, problem: LeastSquares, estimate: Estimate) -> _EquationsByNoise:
-        """Compute the normal equations at a solution, with the nuisance unknowns, unless the clip is long."""
+        """Compute the normal equations at a solution, including nuisance unknowns; both are None for a long clip."""
         if len(estimate.states) > problem.piece:
             return cls(None, None)
         problem = _with_free_nuisance(problem)
@@ -515,9 +515,9 @@ def _add_shape(
 def _without_pixels(
     problem: LeastSquares, body: Body, estimate: Estimate, with_pixels: Iterable[Normal]
 ) -> tuple[Array, Array]:
-    """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
+    """Return the joints' information fraction (J,), and the angles' variance without the detections (T, D - 3), rad^2.
 
-    `with_pixels` are the pieces of the normal equations with the pixels, without shared unknowns. Priors do not
+    `with_pixels` are the pieces of the normal equations with the detections, without shared unknowns. Priors do not
     determine a frame's position and heading. Position and heading are therefore fixed for the information fraction,
     which compares joints within the body, and nearly free for the angles.
     """
@@ -586,9 +586,9 @@ def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: f
 def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     """Return the information fraction of each joint, (J,), 0 to 1.
 
-    The fraction is the median over the frames of 1 - variance / variance without pixels. Both variances (T, J) belong
-    to a joint's position relative to the mean of the joints, at a given position and heading. The fraction is NaN for
-    joints that cannot move relative to the mean.
+    The fraction is the median over the frames of 1 - v / v0, where v is the variance with the detections, and v0 the
+    variance from the other terms alone. Both variances (T, J) belong to a joint's position relative to the mean of the
+    joints, at a given position and heading. The fraction is NaN for joints that cannot move relative to the mean.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         fraction = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
@@ -658,7 +658,7 @@ class PriorMisfit:
 
     @property
     def unlike(self) -> bool:
-        """Return whether the misfit is too large for a motion like the prior's motions."""
+        """Return whether the misfit is too large for motions like those from which the prior was learned."""
         variance = 2.0 / (9.0 * self.freedom)  # a chi square's cube root is nearly normal (Wilson and Hilferty)
         by_chance = (1.0 - variance + constants.MISFIT_SIGMAS * variance**0.5) ** 3
         return self.level >= max(constants.MISFIT_LEVEL, by_chance)

@@ -64,9 +64,9 @@ class ExpectedError(Brief):
 
     @property
     def in_words(self) -> str:
-        """Return the error as text: in metres, or in millimetres if the upper end is below half a metre.
+        """Return the error and its 90 % interval as text, in mm if `high` is below half a metre, otherwise in m.
 
-        A lower end close to zero is left out.
+        If the interval begins close to zero, the text gives only its upper end.
         """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
         cause = f", because the finding {self.widened_by} may be right" if self.widened_by else ""
@@ -170,7 +170,7 @@ class SecondCamera:
 
     @property
     def is_misplaced(self) -> bool:
-        """Return whether the camera was probably turned or moved, unless a wrong clock is clearly more likely."""
+        """Return whether the camera has probably been turned or moved, and a wrong clock is not clearly more likely."""
         return self.misplaced > max(0.0, self.late - 1.0)
 
 
@@ -202,7 +202,7 @@ class MotionSegment(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolvedShape(Brief):
-    """Lengths and keypoint offsets that a fit of several cameras estimated."""
+    """Segment lengths and keypoint offsets, estimated by a fit to the detections of several cameras."""
 
     names: tuple[str, ...]
     """Names (L,) of the segments and markers whose distance from the origin of their parent segment was estimated.

@@ -168,7 +168,10 @@ class _ClipArrays:
         return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
 
     def fill(self, name: str, rows: slice, values: Array) -> None:
-        """Set the named array in the frames `rows` to values, an array that may be kept and rounded in place."""
+        """Set the named array in the frames `rows` to `values`.
+
+        The array `values` may be rounded in place and stored without a copy. Callers must not use it afterwards.
+        """
         if name in SINGLE:
             _round_to_single(values)
         if values.shape == self.shapes[name]:  # a copy of a whole clip would be large
@@ -182,7 +185,7 @@ class _ClipArrays:
             self.by_frame(name)
 
     def clear(self, frames: Bools) -> None:
-        """Set the values of all arrays in some frames, a mask (T,), to NaN."""
+        """Set all arrays to NaN in the frames of a mask (T,)."""
         for name in SHAPES:
             self.by_frame(name)[frames] = np.nan
 

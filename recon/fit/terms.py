@@ -107,7 +107,7 @@ ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
 
 @dataclass(frozen=True)
 class Span:
-    """Consecutive frames of a clip, from frame `first` on, with their markers and the shared unknowns.
+    """Consecutive frames of a clip, from frame `first` on, with their markers and the unknowns that all frames share.
 
     Unless `is_last` is true, the last frame is included only for stencils that reach it.
     """
@@ -341,7 +341,7 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class Scene:
-    """Markers and camera of a view in N frames of a span, with the shared unknowns applied."""
+    """Markers and camera of a view in N frames, for given values of the unknowns that all frames share."""
 
     frames: slice
     """Frames of the clip to which the pictures belong."""

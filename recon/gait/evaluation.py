@@ -507,7 +507,10 @@ def _error(pose: Array, truth: Array) -> float:
 
 
 def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
-    """Return the pose after the best rotation common to all frames, and the angle of this rotation, rad."""
+    """Return the pose rotated to fit the truth best, and the angle of this rotation, rad.
+
+    Both poses have the shape (..., 3). One rotation is used for all frames.
+    """
     is_known = np.isfinite(pose[..., 0])
     if not is_known.any():
         return pose, 0.0

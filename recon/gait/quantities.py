@@ -360,7 +360,7 @@ def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
 
 
 def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the time for which the left and the right foot both stand, negative for a time between the stances."""
+    """Return the overlap of successive left and right stances, s; negative if neither foot stands between them."""
     name, source = f"overlap_{girdle}_s", "footfalls"
     steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
     if not steps:
@@ -398,7 +398,7 @@ def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str
 
 
 def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
-    """Return the mean position (3,) during a stance of a point with the positions (N, 3) at the times (N,)."""
+    """Return the mean position (3,) of a point during a stance, from its positions (N, 3), m, at the times (N,), s."""
     first, stop = np.searchsorted(time_s, [stance.start_s, stance.end_s])
     return np.asarray(points_m[first : max(stop, first + 1)].mean(axis=0))
 

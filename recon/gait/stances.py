@@ -315,7 +315,7 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
 
 
 def ground_plane(foot_m: Array, slow: Bools) -> Plane:
-    """Return a plane fitted to the positions (N, F, 3) in metres of the feet where they are slow, a mask (N, F).
+    """Return a plane fitted to the positions (N, F, 3), m, of the feet, where the mask `slow` (N, F) is true.
 
     The fit uses least squares with Tukey weights and a prior on the slopes. If no foot is slow, the plane is horizontal
     through the lowest position.

@@ -465,11 +465,11 @@ class Tree(Brief):
         Returns
         -------
         points : ndarray
-            Positions of the markers relative to the root's origin, in the axes of the world, shape (J, 3, N).
+            Positions of the markers minus that of the root's origin, in the world frame, shape (J, 3, N), m.
         axes : ndarray
             Unit vectors along the axes of the rotations, in the world frame, shape (K, 3, N).
         moved : ndarray
-            Derivative of a marker with respect to a rotation, for each of the M pairs of `_Plan`, shape (M, 3, N).
+            Derivative of a marker with respect to a rotation, m/rad, for each of the M pairs of `_Plan`, (M, 3, N).
         """
         plan, N = self.plan, len(state)
         frames, cosine, sine = self._frames(state)

@@ -197,7 +197,7 @@ LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _Ra
 
 
 def lens_named(text: str) -> str | None:
-    """Return recon's name of the model that a file calls `text`, or None if unknown."""
+    """Return recon's name for the lens model that a file calls `text`, or None if recon does not know this model."""
     return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
 
 

@@ -204,7 +204,7 @@ def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterF
 
 
 def vector_names(joints: Sequence[str]) -> list[str]:
-    """Return the column names of the components of the vector g, one for each joint, such as "g1_theta_9"."""
+    """Return the column names, such as "g1_theta_9", of the vector g of gradient projection, one for each joint."""
     return [f"g{k}_{joint}" for k, joint in enumerate(joints, 1)]
 
 

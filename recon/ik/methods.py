@@ -156,9 +156,11 @@ class GradientProjection(Method):
 
 @dataclass(frozen=True, eq=False)
 class SelectivelyDamped(Method):
-    """Method that damps each singular direction i, v_i (u_i . dx) / s_i, on its own (Buss and Kim 2005).
+    """Inverse kinematics by selectively damped least squares (Buss and Kim 2005).
 
-    Within one interval, direction i turns no joint by more than
+    The singular value decomposition of the Jacobian J, with singular values s_i and vectors u_i and v_i, splits the
+    joint rates for a foot velocity dx into directions v_i (u_i . dx) / s_i. Each direction is damped separately. J_j is
+    column j of J. Within one interval, direction i turns no joint by more than
 
         gamma_i = min(1, 1 / M_i) gamma_max,   M_i = sum_j |v_ji| |J_j| / s_i
 

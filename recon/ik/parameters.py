@@ -163,7 +163,7 @@ def _weights(frames: Frames, pull: float) -> ParameterFit:
 
 
 def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
-    """Fit n coefficients on which the rates depend linearly."""
+    """Fit the n coefficients of a method whose joint rates depend linearly on them."""
     base = rates_of(method(np.zeros(n)), frames)
     columns = np.array([(rates_of(method(unit), frames) - base).ravel() for unit in np.eye(n)])
     c = np.array(np.linalg.lstsq(columns.T, (frames.dq - base).ravel())[0], float)

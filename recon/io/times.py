@@ -68,10 +68,10 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
 
 
 def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float | None) -> StoredPoints:
-    """Return points with the frame numbers of their times (T,), and a note if the times are uneven.
+    """Return points with frame numbers computed from their times (T,) in seconds, and a note if the times are uneven.
 
-    Uneven times are kept for `with_rate`. Times that fit no frame rate are a problem, which `with_rate` raises unless a
-    rate is given.
+    Uneven times are kept for `with_rate`. If the times fit no frame rate, the result stores the error, and `with_rate`
+    raises it unless the user gives a frame rate.
     """
     try:
         frames, fps, note = _frames_of_times(path, times_s, fps)
@@ -128,15 +128,15 @@ def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
 
 
 def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
-    """Return times in seconds, counted from the first one if they are stamps since 1970.
+    """Return times in seconds, counted from the first one if they are Unix timestamps.
 
     Parameters
     ----------
     times : (T,)
         Times in a unit of `PER_SECOND`; NaN if unknown.
     unit : str, optional
-        Unit that the file states. If it is None, times are in seconds, and stamps since 1970 in the unit that gives
-        plausible dates.
+        Unit stated in the file. If None, Unix timestamps have the unit that gives plausible dates, and other times are
+        in seconds.
     """
     largest = float(np.nanmax(times)) if np.isfinite(times).any() else 0.0
     is_stamp = {name: EPOCH_S[0] <= largest / by < EPOCH_S[1] for name, by in (PER_SECOND | {"s": 1.0}).items()}
@@ -250,7 +250,7 @@ def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tupl
 def _even_count(times_s: np.ndarray, rounded: bool) -> tuple[np.ndarray, float] | None:
     """Return frame numbers from 0, and the period, of rounded or jittered times; None for a variable rate.
 
-    `rounded` states that steps longer than a period are known not to be gaps.
+    If `rounded` is true, steps longer than a period are not taken as gaps.
     """
     rows = np.arange(len(times_s))
     period_s, start_s = np.polyfit(rows, times_s, 1)

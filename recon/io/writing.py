@@ -162,7 +162,7 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def _arrow_array(values: np.ndarray) -> pa.Array:
-    """Return a column (N,) as an array of pyarrow, with NaN as null.
+    """Return a column (N,) as a pyarrow array, with NaN as null.
 
     The array is made from bytes, because `pa.array` imports pandas, which takes longer than writing a short clip's
     tables.

@@ -365,7 +365,10 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Return a spline through the states of `Quadruped.tree`, less the displacement of a repeating stride."""
+        """Return a spline through the states of `Quadruped.tree` at the sample times.
+
+        For a repeating stride, the displacement of the body is subtracted first, so that the spline is periodic.
+        """
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:

@@ -43,9 +43,9 @@ MAX_METRE = 7
 
 
 def metre_decimals(motion: Motion) -> int:
-    """Return the number of decimals of positions in metres, such as 5 for a dog or a cheetah and 6 for a mouse.
+    """Return how many decimals tables give positions in metres, such as 5 for a dog or a cheetah and 6 for a mouse.
 
-    The rounding step is at most a thousandth of the distance between keypoints and joints.
+    The last decimal is at most a thousandth of the typical distance between a keypoint and its joint.
     """
     return int(np.clip(np.ceil(-np.log10(motion.body.keypoint_sigma_m / 1000)), MIN_METRE, MAX_METRE))
 

@@ -83,7 +83,7 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
     camera
         Camera with the lens of the view, whose pose is ignored.
     points_m
-        Points (T, K, 3) in metres in the world.
+        Points (T, K, 3) in world coordinates, m.
     T_camera_world
         Pose (4, 4) of the camera, or poses (T, 4, 4) of a moving camera.
     sigma_px

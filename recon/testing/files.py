@@ -47,7 +47,7 @@ def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str
 
 
 def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
-    """Write the true joint positions of a clip in metres in the world."""
+    """Write the true joint positions of a clip to a CSV file, in world coordinates, m."""
     rows = [
         ["bodyparts"] + [name for name in clip.names for _ in range(3)],
         ["coords"] + ["x", "y", "z"] * len(clip.names),

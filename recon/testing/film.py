@@ -114,7 +114,7 @@ def _parts() -> list[tuple[str, str, float, float, float]]:
 
 
 def _between(points_m: Array, t: float) -> Array:
-    """Return points at time t in frames, interpolated linearly, and extrapolated at the ends."""
+    """Interpolate points (T, ...) linearly at a fractional frame number `t`, or extrapolate beyond the ends."""
     a = min(max(math.floor(t), 0), len(points_m) - 2)
     return points_m[a] + (t - a) * (points_m[a + 1] - points_m[a])
 

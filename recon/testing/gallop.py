@@ -93,7 +93,7 @@ class SyntheticClip:
     """Exact detections; points outside the picture are missing."""
     camera: Camera
     truth_m: Array
-    """True positions of the keypoints in metres in the world, shape (T, K, 3)."""
+    """True positions of the keypoints in world coordinates, shape (T, K, 3), m."""
     names: tuple[str, ...]
     """Names of the keypoints, shape (K,)."""
     state: Array

@@ -88,7 +88,7 @@ def random_clip(body: Body, length_sigma: float, cameras: int, seed: int) -> tup
     Returns
     -------
     tuple
-        A view of each camera, and the true markers (T, J, 3) in metres in the world.
+        A view of each camera, and the true positions (T, J, 3) of the markers in world coordinates, m.
     """
     random = np.random.default_rng(seed)
     shape = Shape.of_body(body)

@@ -59,12 +59,12 @@ class UnknownsChain(Chain):
 
     @cached_property
     def theta_slice(self) -> slice:
-        """Return the slice of the state that holds theta of every free link, in rad."""
+        """Return the slice of the state that holds theta, the first angle of every free link, in rad."""
         return slice(0, self.n_angles)
 
     @cached_property
     def phi_slice(self) -> slice:
-        """Return the slice of the state that holds phi of every free link, in rad."""
+        """Return the slice of the state that holds phi, the second angle of every free link, in rad."""
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property

@@ -121,7 +121,7 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's line on the base length."""
+    """Yield the line on the base length, which scales all links, for the summary that a fit prints."""
     base = _base_length(motion)
     fraction = number(100 * base["data_share"], ".0f").lstrip("-")
     expected = f"expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m"

@@ -127,8 +127,9 @@ def furthest_turned(pairs: Sequence[TurnedPair]) -> list[TurnedPair]:
 def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -> tuple[float, float] | None:
     """Return the log ratio of the focal length to the camera file's, and its standard deviation.
 
-    The standard deviation combines the errors of the points and the scatter between earlier pictures. The result is
-    None if too few pairs have points. `limit_px` is the largest error of a point.
+    The standard deviation combines the errors of the points and the scatter between the keyframes of the pairs' earlier
+    pictures. The result is None for fewer than `MIN_PAIRS` pairs. Points with larger errors than `limit_px` count as
+    outliers while a first value is searched for.
     """
     if len(pairs) < MIN_PAIRS:
         return None

@@ -85,7 +85,10 @@ def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_text(angle_rad: float | None) -> str:
-    """Return an angle in rad between the animal's heading and the image plane as text in degrees."""
+    """Return a text that states the angle between the animal's heading and the image plane in degrees.
+
+    The angle is positive if the animal moves away from the camera. None stands for an unknown angle.
+    """
     if angle_rad is None:
         return "unknown"
     if (degrees := round(math.degrees(angle_rad))) == 0:

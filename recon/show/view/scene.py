@@ -289,7 +289,7 @@ def grid_lines(low_m: Array, high_m: Array, spacing_m: float) -> list[Array]:
 
 
 def write_world(motion: Motion, scene: Scene, log: Log) -> None:
-    """Write the skeleton, the path, the ground and the cameras of a motion in the world."""
+    """Log the skeleton, the path, the ground and the cameras of a motion to rerun's 3D view."""
     joints, solved = motion.joints_m, motion.solved
     if motion.frame_of_reference == "camera":
         log.fix("world", rr.ViewCoordinates.RDF)
