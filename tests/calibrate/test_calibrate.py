@@ -103,8 +103,7 @@ def test_every_fault_of_a_board_is_named(text, fields):
 
 @pytest.mark.parametrize("text", ["charuco:5x8:40mm:30mm:DICT_4X4_50", "charuco:5x8:40mm:30mm:DICT_4X4_50:legacy"])
 def test_a_rendered_charuco_board_equals_the_picture_by_opencv(text):
-    """A ChArUco board, rendered head-on at 10 px per cell, equals the picture of OpenCV's
-    `CharucoBoard.generateImage`."""
+    """A ChArUco board rendered head-on equals the picture by OpenCV's `CharucoBoard.generateImage`."""
     board = parse_board(text)
     printed = board.charuco.generateImage((5 * 60, 8 * 60), marginSize=0)
     camera = Camera("c", np.array([[1500.0, 0, -0.5], [0, 1500, -0.5], [0, 0, 1]]), np.zeros(0), "pinhole", (300, 480))

@@ -100,7 +100,7 @@ def test_directions_are_put_into_words():
 
 @pytest.mark.parametrize("directions", [2, pytest.param(12, marks=pytest.mark.slow)])
 def test_command(directions, tmp_path, monkeypatch):
-    """The command advises among all directions, or compares the best one with the one ahead."""
+    """The command advises among all directions, or compares the best direction with the direction ahead."""
     out = tmp_path / "advice"
     if directions == 2:
         for module in ("recon.api.camera_advice", "recon.calibrate.camera_advice", "recon.show.plots.configurations"):

@@ -472,7 +472,7 @@ def test_an_animal_that_runs_upside_down_is_reported(code, axis, changed):
     ],
 )
 def test_a_cause_that_all_cameras_have_in_common(changed, numbers, code):
-    """The cause is one under which the rays meet, although each camera alone prefers another one."""
+    """The cause is one under which the rays meet, although each camera alone prefers another cause."""
     views, _ = random_clip(load_skeleton("dog-27"), 0.0, 3, 0)
     baselines = [SimpleNamespace(view=changed(one), clip=SimpleNamespace(fps=FPS)) for one in views]
     gains = {("world_not_z_up", "-z"): 450.0, ("keypoints_y_up", None): 500.0, ("picture_upside_down", None): 400.0}

@@ -332,7 +332,7 @@ def test_two_cameras_are_named_if_one_is_turned_moved_or_late(turn_deg, shift_m,
 
 @pytest.mark.parametrize("slower", [1, 4, 10])
 def test_a_treadmill_is_reported_at_any_speed(slower):
-    """A treadmill is reported at any speed, also in slow motion, because the body stays while the feet slide."""
+    """A treadmill is reported at any speed, even in slow motion, because the body stays while the feet slide."""
     states = plain().states.copy()
     states[:, :2] -= np.linspace(0, 1, len(states))[:, None] * (states[-1, :2] - states[0, :2])
     motion = moved(states)

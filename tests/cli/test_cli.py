@@ -879,7 +879,7 @@ def test_view_opens_the_recording(fitted, monkeypatch):
 
 
 def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypatch):
-    """`recon view` makes a playback that `playback=false` left out, also if results with a playback were replaced."""
+    """`recon view` makes a playback that `playback=false` left out, even if results with a playback were replaced."""
     out, opened = tmp_path / "clip", []
     monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.name, path.read_bytes()[:4])))
     settings, motion = read_config(fitted[0] / CONFIG, {}), Motion.load(fitted[0])

@@ -89,7 +89,7 @@ def test_lower_band_follows_lapack(rng, T, D, W):
 
 @pytest.mark.parametrize(("T", "D", "W"), SIZES)
 def test_solution_and_inverse_equal_dense_results(rng, T, D, W):
-    """The solution equals the dense solution, and marginal blocks equal those of the dense inverse, or 0 outside it."""
+    """The solution equals the dense solution, and marginal blocks are blocks of the dense inverse, or 0 outside it."""
     dense = dense_system(rng, T, D, W)
     factor = factored(split(dense, T, D, W))
     b = rng.normal(size=(T, D))

@@ -89,7 +89,7 @@ def test_levelled_cameras_determine_the_upward_direction():
 
 
 def test_cameras_are_placed_relative_to_known_cameras():
-    """The third camera has frames in common only with the second camera, which also has some with the first."""
+    """The third camera shares frames only with the second camera, and the second camera also with the first."""
     poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]
     views = [with_frames_unseen(view_of(points, p, 0.5), rows) for p, rows in zip(poses, unseen, strict=True)]
     (placed,) = _initial_poses([setting(views)], silent)

@@ -126,7 +126,7 @@ CLIPS = {name: one_camera(name) for name in builtin_names()}
 ODD = ("offset", "bare root", "away")
 """Clips whose points are also written in every format."""
 QUICK = ("cheetah-24", "mouse-top", "track")
-"""Clips that are always tested, one for each kind of code; the other skeletons only have other numbers."""
+"""Clips that are always tested, because they run different code. Other skeletons differ only in numbers."""
 CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}
 CLIPS |= {"six, drafted": six_that_began_apart}
 

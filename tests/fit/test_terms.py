@@ -114,7 +114,7 @@ def test_mixture_of_one_component_is_a_gaussian():
 
 
 def test_distant_detection_hardly_pulls():
-    """An error of 1000 px has a smaller gradient than one of 20 px, and a missing point has none."""
+    """An error of 1000 px has a smaller gradient than an error of 20 px, and a missing point has no gradient."""
     states = some_states()
     xy_px = pixels(states)
     pulls = []

@@ -16,7 +16,7 @@ from recon.io.deeplabcut import write_csv
 
 BODY, FPS, T = load_skeleton("quadruped"), 60.0, 180
 WORLD = Rotation.from_rotvec([1.3, -0.7, 0.4]).as_matrix()
-"""Rotation matrix of the calibration's world, by 87 degrees."""
+"""Rotation matrix from z up to the world of the calibration, which turns by 88 degrees."""
 
 
 def walking(scale: float) -> np.ndarray:

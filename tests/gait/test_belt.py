@@ -1,4 +1,4 @@
-"""Test that a treadmill is detected at any speed, and that results relative to the belt equal those over ground."""
+"""Test that a treadmill is detected at any speed, and that results relative to the belt equal results over ground."""
 
 from __future__ import annotations
 

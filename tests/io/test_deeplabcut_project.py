@@ -90,7 +90,7 @@ def test_a_configuration(project):
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_labels_of_a_project(project, name):
-    """A project's labels are its scorer's, even if another person labelled a folder too."""
+    """A project's labels are the labels of its scorer, even if another person labelled a folder too."""
     with refusal((project, "label files", "none", "labeled-data")):
         read_labels(project / name)
     for folder, people in (("run1", ("another", "me")), ("run2", ("another",))):
