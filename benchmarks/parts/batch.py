@@ -176,7 +176,7 @@ def watch(process: subprocess.Popen[bytes], out: Path) -> Iterator[tuple[int, fl
 
 
 def throughput_and_memory(clips: Path, work: Path, total: int) -> None:
-    """Measure half of the clips with one job, all clips with two jobs, and the other half with one job."""
+    """Print the throughput of a batch with one job and with two jobs, and the memory of the processes."""
     halves = [clips / "first" / "*.csv", clips / "second" / "*.csv"]
     one_s, _ = run(halves[:1], work / "one", "--jobs", 1)
     began = time.perf_counter()
