@@ -99,7 +99,7 @@ class ClipPlan(Brief):
     identity: Mapping[str, Any]
     """Input digests, settings and version that determine the clip's results."""
     row: Mapping[str, Any] | None = None
-    """Row of the summary, if the clip is already done."""
+    """Row of summary.csv, if the clip is already done."""
 
 
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
@@ -248,7 +248,7 @@ def run_batch(
 
 
 def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[EventCallback], None], on_event: OnEvent) -> Summary:
-    """Run the tasks of a plan with `run`, a function that takes a callback, and keep the summary up to date."""
+    """Run the tasks of a plan by calling `run` with a callback, and keep summary.csv up to date."""
     summary = Summary(plan, out)
 
     def update(event: Event) -> None:

@@ -462,7 +462,7 @@ def _joined(
 
 
 class _FileOfClip(NamedTuple):
-    """A draft as given, and the same draft with the names of the camera and the clip that its file name contains."""
+    """Draft of a clip as the user gave it, and the same draft with the camera and clip names found in its file name."""
 
     stated: _Draft
     with_camera: _Draft

@@ -189,7 +189,9 @@ def _require_unit(inputs: ClipInputs, settings: FitSettings) -> None:
 
 
 def require_size_of_animal(points_m: np.ndarray, camera_unit: Unit) -> None:
-    """Raise InputError if triangulated points show that the calibration is in another unit, without a skeleton.
+    """Raise InputError if triangulated points show that the calibration's unit is not `camera_unit`.
+
+    The check needs no skeleton.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ class CompareSettings(Settings):
     """Replace an earlier comparison."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems with options that need or exclude others."""
+        """Yield problems with options that are missing, or that exclude each other."""
         is_experiment = self.design is not None or self.names is not None
         if self.table is not None and is_experiment:
             yield Problem("--table", "table", "another table of the clips", "one of --table, --design and --names")

@@ -62,7 +62,7 @@ def staged_file(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a file of text, whole or not at all."""
+    """Write a text to a file in UTF-8, so that the file is either complete or unchanged."""
     with staged_file(path) as staged:
         staged.write_text(encodable(text), encoding="utf-8")
 

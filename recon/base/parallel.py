@@ -368,7 +368,7 @@ def _lost(reason: str) -> InputError:
 
 
 def _stop(batch: str) -> None:
-    """Mark a batch as ended, on a Dask worker."""
+    """Mark a batch as ended in this process of a Dask worker."""
     _STOPPED.add(batch)
 
 

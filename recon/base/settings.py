@@ -244,11 +244,11 @@ class Settings:
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterable[Problem]:
-        """Return contradictions between the given settings, even if individual values cannot be used."""
+        """Return contradictions between the given settings, some of which may be invalid on their own."""
         return ()
 
     def problems(self) -> Iterable[Problem]:
-        """Return contradictions between the settings, once all individual values can be used."""
+        """Return contradictions between the settings, given that every value is valid on its own."""
         return ()
 
     @classmethod

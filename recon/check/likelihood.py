@@ -155,7 +155,10 @@ def log_tail(residual: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """A view of a clip as given, and its estimated states (T, D), of an animal of nominal size about the origin."""
+    """Unchanged view of a clip, with which other hypotheses are compared, and the states (T, D) fitted to it.
+
+    The states are those of an animal of nominal size, relative to the origin of the clip's problem.
+    """
 
     clip: ClipProblem
     states: Array
@@ -178,7 +181,7 @@ class Baseline:
         return single_view(self.clip, view)
 
     def refit(self, part: slice) -> Refit:
-        """Return the solution of a part of the clip as given.
+        """Return the solution of a part of the clip, with its detections and camera unchanged.
 
         For the whole clip, the estimated states are used, unless other cameras contributed to them.
         """
@@ -483,7 +486,7 @@ def feet_below_trunk(clip: ClipProblem, view: View) -> float:
 
 
 def smaller(camera: Camera, times: float) -> Camera:
-    """Return the camera of the same video reduced in size by the factor `times`."""
+    """Return the camera of a video after its pictures were made smaller by the factor `times`."""
     scale = np.array([[1.0 / times], [1.0 / times], [1.0]])
     # Pixel coordinates are 0 in the middle of the first pixel.
     shift = np.array([[0, 0, 0.5 / times - 0.5], [0, 0, 0.5 / times - 0.5], [0, 0, 0]])

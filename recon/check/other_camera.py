@@ -69,7 +69,7 @@ def gains_of(baseline: Baseline, noise_px: Array, cameras: Sequence[Camera]) -> 
 
 
 def _turned(states: Array, turn: Array) -> Array:
-    """Return states (T, D) after a rotation about the origin, the camera's centre, with the animal still upright."""
+    """Return states (T, D) rotated about the camera's centre, which is the origin, with the animal still upright."""
     turned = states.copy()
     turned[:, ROOT] = states[:, ROOT] @ turn.T
     turned[:, YAW] += math.atan2(turn[1, 0], turn[0, 0])

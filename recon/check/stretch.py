@@ -34,7 +34,7 @@ MIN_FOOT_FRACTION = 0.25
 
 
 def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
-    """Return the estimated logarithm of the stretch in a clip of one camera, or None if it cannot be estimated."""
+    """Return the estimated logarithm of the factor by which a video is stretched along x; None if unknown."""
     return one_steps(clip, solution, {0: _by_stretch}, fixed=(focal_scale(0),)).get(0)
 
 

@@ -29,7 +29,7 @@ from recon.fit.result import Finding
 MIN_JUMP_GAIN = -3.0
 """Log-likelihood gain of a jump above which a swap may begin or end, negative because crossing legs hardly jump."""
 MIN_TRIED_GAIN = 15.0
-"""Log-likelihood gain of the cheap signs above which a swap of a stretch of frames is tried by a fit."""
+"""Log-likelihood gain, from jumps of the tracks and from appearance, above which a possible swap is tested by a fit."""
 MAX_REFITS = 3
 """Maximum number of stretches that are tried by a fit in each round of the search."""
 MAX_SWAPS = 4
@@ -58,7 +58,7 @@ MAX_TRACK_DEVIATION = 1.0
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Stretch of frames of a clip in which sides are exchanged, and the permutation (J,) that exchanges them."""
+    """Stretch of frames with a possible left-right swap, and the permutation (J,) of the markers that undoes it."""
 
     rows: slice
     permutation: Index
@@ -76,7 +76,7 @@ class _Stretch:
 
 
 def with_exchanged(view: View, stretch: _Stretch) -> View:
-    """Return the view with the sides exchanged in a stretch of frames."""
+    """Return the view with left and right keypoints swapped in a stretch of frames."""
     return replace(view, **exchanged_rows(view, stretch.rows, stretch.permutation))
 
 
@@ -89,7 +89,7 @@ def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> d
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
-    """Return a dictionary of the permutations (J,) that exchange the sides of all markers, or of one pair of legs."""
+    """Return the permutations (J,) that swap left and right for all markers ("all") or one pair of legs, by name."""
     permutation, none = opposites(body.markers), np.arange(len(body.markers))
     kinds = {"all": permutation}
     for name, end in (("fore", "F"), ("hind", "H")):
@@ -130,13 +130,13 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """Stretch in which the sides were exchanged on trial, with the solution around it and the log-likelihood gain."""
+    """Tested left-right swap: its stretch of frames, the solution with the swap undone, and the log-likelihood gain."""
 
     stretch: _Stretch
     refit: Refit
     ratio: float
     clear: bool = True
-    """Whether no contradicting stretch is about as likely."""
+    """Whether no contradicting swap is about as likely."""
 
 
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
@@ -157,14 +157,14 @@ def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) 
 
 
 def try_undone(baseline: Baseline, stretch: _Stretch) -> _SwapTrial:
-    """Exchange the sides in a stretch, solve the second around it again, and return the trial."""
+    """Swap left and right in a stretch, and solve the second of the clip around the stretch again."""
     part = _part(baseline.view, stretch.rows, baseline.clip.fps)
     refit = likelihood.refit_view(baseline.with_view(with_exchanged(baseline.view, stretch)).part(part))
     return _SwapTrial(stretch, refit, refit.gain_over(baseline.refit(part)))
 
 
 def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
-    """Return the baseline with the sides exchanged in a stretch, and with the resulting motion."""
+    """Return the baseline after undoing a left-right swap, with the motion that was fitted to the result."""
     states = baseline.states.copy()
     states[_part(baseline.view, trial.stretch.rows, baseline.clip.fps)] = trial.refit.states
     clip = baseline.with_view(with_exchanged(baseline.view, trial.stretch))
@@ -192,9 +192,9 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
 
 
 def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
-    """Return whether other cameras confirm the sides as given in a stretch of a view.
+    """Return whether other cameras show that left and right are not swapped in a stretch of a view.
 
-    Points triangulated from the other cameras show the sides without another fit.
+    Points triangulated from the other cameras show left and right without another fit.
     """
     view, clip, rows = baseline.view, baseline.clip, stretch.rows
     # The pictures of a delayed view lie between two frames.
@@ -266,7 +266,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """Return a dictionary of each frame's log-likelihood gain if the sides are exchanged, (T,), for each kind of swap.
+    """Return each frame's log-likelihood gain from swapping left and right, (T,), as a dictionary by kind of swap.
 
     The gain of the kind "all" is computed from all legs.
     """
@@ -284,7 +284,7 @@ def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
 
 
 def jumps(view: View, permutation: Index) -> Array:
-    """Return the log-likelihood gain of the tracks if the sides are exchanged from each frame on, shape (T,).
+    """Return the log-likelihood gain of the tracks if left and right are swapped from each frame on, shape (T,).
 
     The difference between the left and the right point of a pair is assumed to change linearly for a few frames. The
     gain is minus infinity if one of these frames has no detection, or if the tracks deviate from lines by about the

@@ -111,7 +111,7 @@ class Evidence:
 
     @property
     def factors(self) -> dict[str, float]:
-        """Return a dictionary of the logarithms of the factors of the expected error, which `POWERS` multiply."""
+        """Return the terms of the expected error's logarithm by name, before they are multiplied by `POWERS`."""
         return {
             "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),

@@ -63,7 +63,7 @@ class FixSettings(ResultSettings):
     """Replace existing files."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems with options that need others."""
+        """Yield a problem for each option that has no effect or cannot be used without another option."""
         if self.export_labels is not None and self.video is None:
             yield Problem("settings", "video", "nothing", "the video, whose frames are exported with the labels")
         if self.export_labels is None and self.with_accepted:

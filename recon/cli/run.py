@@ -392,7 +392,7 @@ def _detect(job: _Job, output: Output, progress: Progress) -> Answer:
 
 
 def _record(settings: ViewSettings, progress: Progress) -> Answer:
-    """Write the recording, with the video unless the clip is long."""
+    """Write the rerun recording of a result. The video is left out if the clip is long."""
     frames = len(Motion.load(settings.folder).frames)
     if frames <= RECORDED_FRAMES:
         return write_recording(settings, progress)
@@ -466,7 +466,7 @@ def run_folder(
 
 
 def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:
-    """Run one video, and return the cells of its row in the summary."""
+    """Process one video with `recon run`, and return the cells of its row in summary.csv."""
     stages, report_of_fit = run_video(job, progress)
     is_new = any(outcome.status == "done" for outcome in stages)
     return {

@@ -346,7 +346,10 @@ class ClipProblem:
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
-        """Return shared unknowns of mean 0 whose errors persist, so that they count once for any number of frames."""
+        """Return unknowns of mean 0 and standard deviation `sigma` that all frames share.
+
+        Their variances are divided by `correlation_frames`, because these errors persist for the whole clip.
+        """
         sigmas = np.asarray(np.atleast_1d(sigma) / np.sqrt(self.correlation_frames), dtype=float)
         return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
 

@@ -131,7 +131,7 @@ class Posterior:
     state_by_size_alone: Array
     """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns fixed."""
     joint_by_size_m: Array
-    """Derivatives q of the joints with respect to the size (see the module), shape (T, J, 3)."""
+    """Derivatives of the joints' positions with respect to the animal's size, a factor, shape (T, J, 3), m."""
     size_precision: float
     """Precision of the size from all terms without its prior, nearly all from the pixels; 0 if the size is fixed."""
     shared_sigma: dict[str, Array]
@@ -598,7 +598,10 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
 def _joint_covariances(
     body: Body, states: Array, state_covariance: Array, size: float = 1.0, state_by_size: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return absolute and relative covariances of joints (T, J, 3, 3) in m^2, and the module's q (T, J, 3) in m."""
+    """Return the joints' absolute and relative covariances (T, J, 3, 3), m^2, and derivatives by size (T, J, 3), m.
+
+    Relative covariances are those of the positions relative to the mean of the joints.
+    """
     T, J = len(states), len(body.markers)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     for first in range(0, T, _FRAMES_AT_ONCE):

@@ -124,7 +124,7 @@ def _px_per_m(view: View, markers_m: Array) -> Array:
 
 
 def _noise_m(solution: Solution) -> Array:
-    """Return the noise of detections at the keypoints' distance, the median over the views, shape (T, J), m."""
+    """Return the detections' noise at the keypoints' distance, the median over all views, shape (T, J), m."""
     noise_m = [
         noise_px / _px_per_m(view, solution.markers_m)
         for view, noise_px in zip(solution.views, solution.noise_px, strict=True)

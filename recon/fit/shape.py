@@ -76,7 +76,7 @@ class ShapeFit:
         return np.sqrt(np.diagonal(self.covariance))
 
     def length_of(self, names: Sequence[str], prior_size_sigma: float) -> tuple[float, float, float]:
-        """Return the summed length of segments end to end, its standard deviation, and its information fraction.
+        """Return the total length of connected segments (m), its standard deviation (m), and its information fraction.
 
         Parameters
         ----------

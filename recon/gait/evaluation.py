@@ -48,7 +48,7 @@ SAME_RATE = 2e-3
 WHOLE_FRAME = 1e-4
 """Difference between a time and a frame's time, in frames, below which the two count as equal."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
-"""Names of two files that `recon triangulate` writes, the positions and the summary."""
+"""Names of the files with positions and with a summary that `recon triangulate` writes."""
 LEVELS = (0.5, 0.9)
 """Probabilities of the stated intervals whose coverage is evaluated."""
 

@@ -75,7 +75,7 @@ MAX_SHOTS_BYTES = 1 << 28
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraTrack(FramePoses):
-    """Poses of one camera in N frames of its video, in a world in metres with z up."""
+    """Poses of one camera in N frames of its video, in a world frame with z up, in metres."""
 
     max_gap_s: ClassVar[float] = 0.1
     """Longest gap between two poses that is interpolated, in seconds."""

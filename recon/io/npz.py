@@ -44,7 +44,7 @@ def _has(path: Path, name: str, damaged: bool) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the positions in recon's archive.
+    """Return the positions in a .npz archive that recon wrote.
 
     Raises
     ------

@@ -564,7 +564,7 @@ def place(
 
 
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
-    """Build the motion of a robot from its poses T_world_body (N) and its feet (N, 4, 3) in the world.
+    """Build the motion of a robot from N poses T_world_body and the positions (N, 4, 3) of its feet in the world, m.
 
     `standing` (N, 4) marks the feet that stand. Feet out of reach are moved into reach.
     """

@@ -22,7 +22,7 @@ TO_DO = {
 }
 """Advice for each level of a verdict except "use", which needs none."""
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
-"""Labels of the report's lines that the summary shows after the verdict. The page shows all lines."""
+"""Labels of the lines that the summary on the terminal shows after the verdict. The HTML page shows all lines."""
 NOTES = 2
 """Largest number of notes in a summary. The page has all notes."""
 

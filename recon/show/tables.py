@@ -64,7 +64,7 @@ def _rounded_sigma(sigma: np.ndarray, decimals: int) -> np.ndarray:
 
 
 def pose3d(motion: Motion, path: Path) -> None:
-    """Write x, y, z of each keypoint's joint in metres in the motion's frame of reference, a row for each frame."""
+    """Write a table with one row per frame: x, y, z of each joint, m, in the motion's frame of reference."""
     _write_points(path, motion, ("x", "y", "z"), _rounded(motion.joints_m, metre_decimals(motion)))
 
 
@@ -79,7 +79,7 @@ def pose3d_sigma(motion: Motion, path: Path) -> None:
 
 
 def angles(motion: Motion, path: Path) -> None:
-    """Write the fitted state of each frame, a column for each component, with angles in rad and positions in metres."""
+    """Write a table with one row per frame and one column per component of the fitted state, in rad or metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
     is_angle = np.array([not name.endswith("_m") for name in motion.state_names])
     angles_rad, positions_m = _rounded(motion.states, ANGLE), _rounded(motion.states, metre_decimals(motion))
@@ -588,7 +588,7 @@ def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
 
 
 def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
-    """Return the rows of several tables as one table, or empty columns without any table."""
+    """Concatenate tables by rows. Without tables, return an empty table with the columns `names`."""
     return {name: np.concatenate([part[name] for part in parts]) if parts else np.empty(0) for name in names}
 
 

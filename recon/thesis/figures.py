@@ -140,7 +140,7 @@ def solver_matrices(record: SolverRecord) -> Figure:
 
 
 def solver_rotation(record: SolverRecord) -> Figure:
-    """Draw the camera's angles, the base length and the reprojection error for a free and a fixed camera rotation."""
+    """Draw the camera's angles, the base length and the reprojection error, with an estimated and a fixed rotation."""
     (view,) = record.other_solution.views
     labels, names = (*(f"{name} (°)" for name in CAMERA_ANGLES), "base length (m)", "error (px)"), []
     with style.drawing(24 * len(labels) + 20) as figure:

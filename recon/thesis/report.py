@@ -76,7 +76,7 @@ def summary(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's lines on solved frames, uncertainty, iterations and time."""
+    """Yield the lines on solved frames, uncertainty, iterations and time for the summary that a fit prints."""
     yield (
         "frames",
         f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
@@ -106,7 +106,7 @@ def travel(motion: Motion) -> dict[str, Any]:
 
 
 def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's lines on speed, path and heading."""
+    """Yield the lines on speed, path and heading for the summary that a fit prints."""
     run_m_s = data["median_speed_m_s"]
     if (reason := motion.derived(ClipAnalysis).why_no_speed) is None:
         path = motion.derived(ClipAnalysis).reference_motion

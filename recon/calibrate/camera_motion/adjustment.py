@@ -22,7 +22,7 @@ from recon.geometry.camera import Camera
 ADJUST_STEPS = 4
 """Number of Gauss-Newton steps in which all frames are adjusted together."""
 MAX_PAIRS = 60
-"""Maximum number of pairs of pictures, those with the largest rotations, that determine the focal length."""
+"""Maximum number of pairs of pictures that determine the focal length. Those with the largest rotations are used."""
 MIN_PAIRS = 4
 """Minimum number of pairs of pictures required to estimate the focal length."""
 MAX_LOG_FACTOR = 0.7

@@ -46,7 +46,7 @@ KEYS_AT_ONCE = 3
 KEYS_TO_LINK = 5
 """Number of keyframes with which a new keyframe is compared."""
 MAX_PICTURES = 120
-"""Maximum number of keyframes, those used last, whose pictures stay in memory."""
+"""Maximum number of keyframes whose pictures stay in memory, which are the most recently used keyframes."""
 NEW_FRAME_WEIGHT = 0.15
 """Weight of a new frame in the running mean of a point's agreement with the background."""
 MIN_AGREEMENT = 0.75

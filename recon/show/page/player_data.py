@@ -126,7 +126,7 @@ def packed_states(values: Array) -> dict[str, Any]:
 
 
 def _scene(motion: Motion) -> dict[str, Any]:
-    """Return joints, uncertainty, ground and cameras in metres in the frame of `Motion.upright`, with z up."""
+    """Return joints, uncertainty, ground and cameras in the frame of `Motion.upright` (z up), m."""
     joints_m = motion.upright.xyz_m
     posed_m = joints_m[motion.solved]
     every = -(-len(joints_m) // MAX_UNCERTAINTY_FRAMES)

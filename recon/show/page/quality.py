@@ -79,7 +79,7 @@ LITTLE_WEIGHT = 0.1
 
 
 def keypoint_notes(motion: Motion, picture: Picture) -> list[str]:
-    """Return a text for each keypoint on its wrong detections and their weight in the fit, empty if it has none."""
+    """Return a text for each keypoint on its wrong detections and their weight in the fit, or an empty text."""
     swapped = swapped_frames(motion, picture).sum(axis=0)
     notes = []
     for j in range(len(motion.names)):

@@ -21,7 +21,7 @@ from recon.show.sections.motion import given_size, size_sources, trajectory_solu
 from recon.show.sections.section import Line
 
 MAX_SCORER_CHARACTERS = 60
-"""Largest number of characters of a scorer's name in the summary."""
+"""Maximum number of characters of a scorer's name in the summary that a fit prints."""
 
 
 def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:

@@ -18,7 +18,7 @@ from recon.show.plain import by_name
 from recon.show.sections.section import Line
 
 BEST_FRACTION = 0.9
-"""Fraction of the detections, those with the smallest errors, that `mean_best_90_percent` averages."""
+"""Fraction of the detections that `mean_best_90_percent` averages, beginning with the smallest error."""
 OF_JOINT = ("outliers", "mean_error_px", "noise_px", "mean_weight")
 """Fields of a keypoint's entry in report.json that are null unless the keypoint was fitted."""
 

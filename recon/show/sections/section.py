@@ -9,12 +9,12 @@ from typing import Any
 from recon.fit.motion import Motion
 
 Line = tuple[str, str]
-"""Label and value of a line in the summary."""
+"""Label and value of a line in the summary that a fit prints."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """Field of report.json, with functions that compute its content and the summary's lines on it."""
+    """Field of report.json, with functions that compute its content and its lines in the summary that a fit prints."""
 
     name: str
     """Name of the field."""
