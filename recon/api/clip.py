@@ -317,7 +317,7 @@ def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
 
 
 def _with_correction_gain(motion: Motion, fit: _Fit, inputs: ClipInputs) -> Motion:
-    """Return the motion with the expected decrease of its error for a correction of each detection by hand."""
+    """Return the motion with the expected decrease of its error if each detection were corrected by hand."""
     gain_m2 = correction_gain_m2(fit.solution, inputs.prior, inputs.fps, fit.options)
     return replace(motion, correction_gain_m2=gain_m2)
 

@@ -43,7 +43,7 @@ _Class = TypeVar("_Class")
 
 
 def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
-    """Write a dataclass, whole or not at all.
+    """Write a dataclass to a file atomically.
 
     `schema` is the name and version of the format, which `load_record` expects.
 

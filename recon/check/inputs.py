@@ -644,7 +644,9 @@ MAX_OUTLIER_FRACTION = 0.5
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
-    """Return each frame's log-likelihood gain of keypoints anywhere in the picture over the fitted pose, shape (T,).
+    """Return each frame's log-likelihood gain if its keypoints are unrelated to the fitted pose, shape (T,).
+
+    Unrelated keypoints are equally likely anywhere in the picture.
 
     `markers_m` are the fitted markers, shape (T, J, 3), and `noise_px` the standard deviations of the detections, shape
     (T, J). The gain is NaN in frames without keypoints or without a pose.

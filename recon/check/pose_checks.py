@@ -75,7 +75,7 @@ def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
-    """Return the pairs of points that bones probably connect, the tree of pairs whose distances vary least."""
+    """Return the pairs of points that bones probably connect: the tree of points whose distances vary least."""
     values, K = points.positions, len(points.names)
     spread = np.zeros((K, K))
     for i in range(K - 1):

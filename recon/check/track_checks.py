@@ -390,7 +390,7 @@ def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
-    """Return the log-likelihood gain of a reversal of P side vectors (T, P, C) relative to the frame before, (T, P)."""
+    """Return the log-likelihood gain (T, P) if right-to-left vectors (T, P, C) reverse from one frame to the next."""
     gains = np.zeros(vectors.shape[:2])
     floor = SIDE_STEP * points.extent
     for p in range(vectors.shape[1]):

@@ -25,7 +25,7 @@ TABLE, PAGE = "audit.csv", "audit.html"
 
 
 class _AuditSettings(Settings):
-    """The settings of `recon audit`."""
+    """Settings of `recon audit`."""
 
     source: Annotated[Path, Option(argument="FILE")]
     """2D keypoints or 3D poses from any program, such as clip.csv, or a results folder."""

@@ -102,7 +102,7 @@ class SettingsCommand(TyperCommand):
 
 
 def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
-    """Return the command made from a function, as the module's docstring describes."""
+    """Return a command that runs a function, with the function's settings as options and its docstring as help."""
     takes = typing.get_type_hints(function, include_extras=True)
     own_infos: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
     other_infos = takes["options"].__metadata__[0].infos if "options" in takes else {}

@@ -159,7 +159,7 @@ class Window:
     def reduced(self) -> Array:
         """Return the window's contribution to the equations of the shared unknowns, [S, c - Y' b], (P, P + 1).
 
-        The contributions of all windows add up to both matrices, as the module's docstring defines them.
+        The contributions of all windows add up to the Schur complement S and the reduced gradient c - Y' b.
         """
         flat = self.whitened.reshape(-1, self.whitened.shape[-1])
         by_frames = flat.T @ flat
@@ -383,7 +383,7 @@ class _Factor:
 
 
 def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False) -> _Factor:
-    """Return the Cholesky factor of H.
+    """Return the Cholesky factor of a banded matrix H of normal equations, given as `Normal.blocks`.
 
     Parameters
     ----------

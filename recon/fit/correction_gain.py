@@ -120,7 +120,7 @@ def _segment_gain(
     parts = [slice(first, first + _FRAMES_AT_ONCE) for first in range(0, n, _FRAMES_AT_ONCE)]
 
     def curvature(frames: slice) -> Array:
-        """Return the matrices G (N, D, D) of N frames, as the module's docstring defines them."""
+        """Return G (N, D, D), with dx' G dx the squared displacements of the joints, relative to their mean, for dx."""
         jacobian = clip.body.tree.pose_with_jacobian(states[frames]).jacobian
         flat = (size * (jacobian - jacobian.mean(axis=1, keepdims=True))).reshape(len(jacobian), -1, D)
         return flat.swapaxes(1, 2) @ flat

@@ -574,7 +574,7 @@ def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: f
     """Scale covariances of joints (T, J, 3, 3), m^2, to a size in place, add the size's uncertainty, and return them.
 
     `covariance_m2` belongs to a skeleton of size 1, and `by_size_m` (T, J, 3) holds the derivatives of the joints with
-    respect to the size (part 2 of the module).
+    respect to the size, m.
     """
     for first in range(0, len(covariance_m2), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)

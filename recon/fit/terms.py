@@ -181,7 +181,7 @@ class ReprojectionErrors(NamedTuple):
 
 
 class Term(Protocol):
-    """Term of the least-squares problem, as the module's docstring describes."""
+    """Term of the least-squares problem, which gives residuals and derivatives for a span of frames."""
 
     @property
     def name(self) -> str:

@@ -233,7 +233,7 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
 
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
-    """Solve one segment without an earlier solution, by steps 1 to 4 of the module's docstring."""
+    """Solve one segment without an earlier solution, from the search for starts to the last estimate of the noise."""
     options, T = clip.options, len(clip)
     rounds = constants.NOISE_ROUNDS
     if options.fast:  # if the shape is estimated, a first round is needed to estimate the noise

@@ -41,7 +41,8 @@ def longest_stretch(is_known: Bools) -> Index:
 def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf) -> tuple[int, float] | None:
     """Return the frames at which a foot's nearest return begins and ends, or None if the foot does not return.
 
-    The end may be a fraction of a frame. The module's docstring defines the nearest return.
+    In a return, the foot moves away and comes back almost to its first position. The nearest return is the return whose
+    end is closest to its beginning. The end may be a fraction of a frame.
 
     Parameters
     ----------

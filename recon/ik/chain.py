@@ -117,7 +117,7 @@ class SerialChain:
         return (self.base @ jacobian[..., self.columns]).reshape(*q.shape[:-1], self.dim, self.n)
 
     def joint_axes(self, q: Array) -> Array:
-        """Return unit vectors (n, 3) along the joint axes of a chain of `joint_chain`, in the base frame."""
+        """Return unit vectors (n, 3) along the joint axes, in the base frame, of a chain that `joint_chain` made."""
         return derivatives_of(self.tree, self._moved(q))[1].copy()
 
     def geometric_jacobian(self, q: Array) -> Array:

@@ -51,7 +51,7 @@ PARAMETERS = {
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Joint angles and velocities in T frames of a chain, or of several chains of one kind one after the other."""
+    """Joint angles and velocities in T frames of a chain, or in the concatenated frames of several similar chains."""
 
     q: Array
     """Joint angles, shape (T, n), rad."""

@@ -114,7 +114,7 @@ class Leg:
 
     @property
     def _pqr(self) -> tuple[float, float, float]:
-        """Return p, q and r + n^2 of the formula for the knee in the module's docstring."""
+        """Return p, q and c, m^2, in n^2 = p cos(knee) + q sin(knee) + c, with n from the swing joint to the foot."""
         l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
         return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
 

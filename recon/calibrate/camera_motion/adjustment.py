@@ -153,7 +153,7 @@ def focal_factor(camera: Camera, pairs: Sequence[TurnedPair], limit_px: float) -
 
 
 def _information(camera: Camera, pair: TurnedPair, log_factor: float) -> tuple[float, float]:
-    """Return a pair's precision for the log focal-length ratio, and the gradient of its cost with respect to it."""
+    """Return a pair's precision for the log focal-length ratio, and the negative slope of its cost along this ratio."""
     residual_px, *ends = (_residuals_px(camera, pair, log_factor + change) for change in (0.0, LOG_STEP, -LOG_STEP))
     slope, weights, size = (
         (ends[0] - ends[1]) / (2 * LOG_STEP),

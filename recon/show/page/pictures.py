@@ -139,7 +139,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
 
 
 def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
-    """Return width in pixels and quality at which `count` similar pictures fit, and the step between frames."""
+    """Return the width in px and quality at which `count` similar pictures fit a page, and the step between frames."""
     allowed = [
         (width, quality)
         for width, quality in SIZES_AND_QUALITIES

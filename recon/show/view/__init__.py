@@ -243,7 +243,7 @@ def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """Return an eye that sees the cameras and the animal's path."""
+    """Return a viewpoint for rerun's 3D view that shows the cameras and the animal's path."""
     cameras_m = [picture.T_reference_camera[..., :3, 3].reshape(-1, 3) for picture in motion.pictures]
     box_m = np.array([*product(*zip(scene.low_m, scene.high_m, strict=True))]) @ scene.axes
     points = np.concatenate([box_m, *cameras_m])
