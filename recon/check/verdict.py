@@ -318,7 +318,7 @@ class _UnusableClip(Problem):
 
 
 def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
-    """Return a motion unchanged if its verdict is not "do not use".
+    """Return a motion unchanged, or raise InputError if its verdict is "do not use".
 
     Parameters
     ----------

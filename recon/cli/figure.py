@@ -25,7 +25,7 @@ KINDS = {".pdf": "pdf", ".svg": "svg", ".png": "png"}
 
 
 class FigureSettings(Settings):
-    """The settings of `recon figure`."""
+    """Settings of `recon figure`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Results folder, such as results/clip."""

@@ -656,7 +656,7 @@ class PriorMisfit:
 
     @property
     def prior_weight(self) -> float:
-        """Return the new factor on the prior's weight, at most 1, the inverse of the factor on its variances."""
+        """Return the factor, at most 1, by which the prior's weight is multiplied to allow for the misfit."""
         return 1.0 / max(self.level, 1.0)
 
     @property
@@ -694,7 +694,7 @@ def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) ->
 
 
 def sigmas(error: Array, covariance: Array) -> Array:
-    """Return the Mahalanobis lengths (...) of errors (..., k) with covariances (..., k, k); NaN if one is unknown."""
+    """Return Mahalanobis lengths (...) of errors (..., k) with covariances (..., k, k); NaN if either is unknown."""
     is_known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
     sizes = np.full(is_known.shape, np.nan)
     e, V = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])

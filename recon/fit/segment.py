@@ -76,7 +76,7 @@ def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
 def solved_views(
     views: Sequence[View], offsets: Iterable[float], corrections: Iterable[Array], focal_scales: Iterable[float]
 ) -> tuple[View, ...]:
-    """Return views with time offsets, frames, added, and with corrected poses and focal lengths."""
+    """Return views after adding time offsets (in frames) and correcting the cameras' poses and focal lengths."""
     return tuple(
         replace(view, offset_frames=view.offset_frames + frames).corrected(correction).with_focal_scale(factor)
         for view, frames, correction, factor in zip(views, offsets, corrections, focal_scales, strict=True)

@@ -254,7 +254,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
 
 
 def _rods(motion: Motion) -> Array:
-    """Return the ends of the rods that represent the segments, upright, shape (T, S, 2, 3).
+    """Return the ends of the rods that represent the segments in the upright frame, shape (T, S, 2, 3), m.
 
     A rod with half of the segment's mass at each point has the moment of inertia of the segment's capsules about an
     axis perpendicular to the longest principal axis.

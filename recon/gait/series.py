@@ -175,9 +175,9 @@ def spans_of(time_s: Array, values: Array, max_gap_s: float, min_points: int) ->
 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
-    """Return the spline through values x (n, ...) at times t (n,), exact for lam 0.
+    """Return a smoothing spline of values x (n, ...) at times t (n,), which interpolates them if `lam` is 0.
 
-    The spline is a function of times (M,) and the order of the derivative.
+    The spline is a function of times (M,) and of the order of the derivative.
     """
     known = np.isfinite(x)
     if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges

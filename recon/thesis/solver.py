@@ -303,7 +303,7 @@ class FrameSolver:
     def problem(self, frame: int, sigma_px: float) -> FrameProblem:
         """Return the least-squares problem of a frame with a noise of `sigma_px` pixels.
 
-        Terms that tie frames are left out of the first frame.
+        Terms that depend on the previous frame are left out of the first frame.
         """
         if earlier := self.solved_before(frame):
             previous, dt_s = self.chain.pose(self.states[earlier[-1]][None]), (frame - earlier[-1]) / self.fps

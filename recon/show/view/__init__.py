@@ -224,7 +224,7 @@ _orbit = partial(rrb.EyeControls3D, kind=rrb.Eye3DKind.Orbital)
 
 
 def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """Return an eye that follows the animal, on the camera's side and slightly raised."""
+    """Return a viewpoint for rerun's 3D view that follows the animal, on the camera's side and slightly raised."""
     up = scene.axes[2]
     poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
     if not len(poses):
@@ -252,7 +252,7 @@ def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:
-    """Return the eye (3,) slightly above points (N, 3) that sees all of them from nearby, and its target (3,).
+    """Return a viewpoint (3,) slightly above points (N, 3), near but showing all of them, and its target (3,).
 
     `axes` are `Scene.axes`, and `margin_m` is added to the distance from the target.
     """
