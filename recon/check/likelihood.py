@@ -165,7 +165,7 @@ class Baseline:
     other_views: tuple[View, ...] = ()
     """The other views of the clip, which contributed to the states."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
-    """Cache of the fits of parts of the clip as given, with the first frame and the frame after the last as keys."""
+    """Cache of the results of `refit`, with the first frame of a part and the frame after the last as keys."""
     _settled: dict[tuple[int, int], Estimate] = field(default_factory=dict, init=False, repr=False)
     """Cache of the results of `settled`, with the first frame of a part and the frame after the last as keys."""
     _points_elsewhere_m: dict[int, Array] = field(default_factory=dict, init=False, repr=False)

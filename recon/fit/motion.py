@@ -604,7 +604,7 @@ class Motion:
 
     @property
     def relative_sigma_m(self) -> Array:
-        """Return the standard deviations along the axes of the joints relative to their mean, shape (T, J, 3), m."""
+        """Return the standard deviations (T, J, 3), m, of the joints relative to their mean along each axis."""
         return _sigmas(self.relative_covariance_m2())
 
     @cached_property

@@ -301,7 +301,7 @@ class Solution(Brief):
 
     @property
     def constant_velocity_m_s(self) -> Array | None:
-        """Return the speed of the search's start at constant velocity, shape (T,), m/s; None if it is not kept."""
+        """Return the speed (T,), m/s, of the straight run from which the search started; None if it is not stored."""
         return None
 
     @property

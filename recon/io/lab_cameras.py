@@ -38,7 +38,7 @@ from recon.io.camera_files import (
 
 EXTRINSICS = "extri.yml"
 _STEREO_ENDS = (("1", "2"), ("0", "1"), ("left", "right"), ("Left", "Right"), ("L", "R"), ("l", "r"))
-"""Ends of the keys of the first and of the second camera in OpenCV's stereo files."""
+"""Suffixes of the keys of the first and of the second camera in OpenCV's stereo files."""
 _STEREO_MATRIX = r"(?:K|M|cameraMatrix|camera_matrix|intrinsic_matrix|mtx)_?"
 _STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficients", "distortion")
 
