@@ -31,7 +31,7 @@ _USUAL: Mapping[str, tuple[int, ...]] = {"runs": (1, 2), "strides": (3, 10), "ca
 
 @dataclass(frozen=True)
 class Plan:
-    """Effect to detect, with the numbers of animals, runs, strides and cameras that are known or to be tried."""
+    """Effect to detect, and the numbers of animals, runs, strides and cameras to calculate with."""
 
     effect: float
     """Difference between two groups, in the unit of the quantity or relative to the mean."""

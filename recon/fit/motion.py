@@ -604,7 +604,7 @@ class Motion:
 
     @property
     def relative_sigma_m(self) -> Array:
-        """Return the standard deviations (T, J, 3), m, of the joints relative to their mean along each axis."""
+        """Return the standard deviations of the joints' positions relative to their mean, (T, J, 3), m."""
         return _sigmas(self.relative_covariance_m2())
 
     @cached_property
