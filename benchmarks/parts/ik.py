@@ -287,9 +287,8 @@ class Leg:
 
     def online(self, stride: StridePath) -> dict[str, list[Method]]:
         """Refit the parameters of each method at every frame of a stride."""
-        return fit_parameter_series(
-            Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, REFIT_FRAMES
-        )[1]
+        limb = Limb("", self.chain, self.q, self.fps, first_s=0.0, base="UVW", base_at="", misfit_m=0.0)
+        return fit_parameter_series(limb, stride, None, REFIT_FRAMES)[1]
 
 
 @cache

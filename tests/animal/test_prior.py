@@ -560,7 +560,7 @@ def test_pose_segments(tmp_path):
         ("0,5,1", "0,5.5,1", [("row 1 below the header", "'5.5'")]),
         (",,x,y,z", ",,x,y,likelihood", [("line 2", "no z")]),
         (",,x,y,z\n0,5,1,2,3", ",,x\n0,5,1,two,3", [("line 2", "3 cells", 5)]),
-        (",,x,y,z", ",,x,y,y", [("bodypart nose", "more than one")]),
+        (",,x,y,z", ",,x,y,y", [("bodypart nose", "several columns y with different numbers")]),
         (SEGMENTS, "segment,frame,nose,nose,nose\n,,x,y,z\n", [("rows", "no frames")]),
         (SEGMENTS, "segment,frame,nose\n", [("line 2", "0 cells")]),
     ],

@@ -151,7 +151,11 @@ def test_impossible_motions_are_reported(code):
 @pytest.mark.parametrize(
     ("prior", "severity", "text"),
     [
-        ("running-cheetah", "warning", "(0 m/s), but the prior was learned from moving animals: poses may be further"),
+        (
+            "running-cheetah",
+            "warning",
+            "(0 m/s), but the prior was learned from moving animals: the errors of poses may be larger",
+        ),
         ("none", "note", "(0 m/s): the clip has no strides to measure."),
     ],
 )

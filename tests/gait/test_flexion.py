@@ -173,7 +173,7 @@ def test_a_clip_without_strides_has_angles_and_no_curves(fitted):
     ("line", "field", "expected"),
     [
         ('knee = ["l_hip", "l_back_knee", "l_back_ankle"]', "anatomy.knee", "one of shoulder, elbow"),
-        ('hock = ["l_hip", "l_hip", "l_back_ankle"]', "anatomy.hock", "three markers"),
+        ('hock = ["l_hip", "l_hip", "l_back_ankle"]', "anatomy.hock", "three different markers"),
         ('hock = ["l_hip", "l_back_ankle", "l_toe"]', "anatomy.hock", "l_toe"),
     ],
 )

@@ -478,8 +478,8 @@ def test_binary_after_the_header(tmp_path):
         (SINGLE.replace(",x,y,likelihood\n", "\n"), ("header rows", "7 in scorer, 7 in bodyparts, 4 in coords")),
         (SINGLE.replace("x,y,l", "x,why,l", 1), ("column nose/why", "'why'", "x, y, z, likelihood")),
         (SINGLE.replace("x,y,l", "x,why,l"), ("column nose/why", ["'why'", "1 more column"], "x, y, z")),
-        (SINGLE.replace("tail", "nose"), ("bodypart nose", "more than one")),
-        (SINGLE.replace("tail", "nose "), ("bodypart nose", "more than one")),
+        (SINGLE.replace("tail", "nose"), ("bodypart nose", "several columns")),
+        (SINGLE.replace("tail", "nose "), ("bodypart nose", "several columns")),
         (SINGLE.replace("likelihood", "z"), ("coords", "3D positions", "2D keypoints")),
         (SINGLE.replace("\n1,", "\n0,"), ("frames", "0 after 0")),
         (SINGLE.replace("\n1,", "\n1.5,"), ("row 2 below the header", "'1.5'")),
@@ -507,7 +507,7 @@ def test_the_problem_of_a_table_is_reported(tmp_path, text, expected):
 def test_all_wrong_columns_are_reported(tmp_path):
     nameless = ((f"column {kind}", "without a printable name") for kind in ("x", "y", "likelihood"))
     refuses(save(tmp_path, SINGLE.replace("nose", "")), *nameless)
-    twice = (("bodypart nose", "more than one"), ("bodypart nose", "no y"))
+    twice = (("bodypart nose", "several columns"), ("bodypart nose", "no y"))
     refuses(save(tmp_path, SINGLE.replace("coords,x,y,", "coords,x,likelihood,")), *twice)
 
 
