@@ -1,4 +1,4 @@
-"""Measure pages in a browser, and the processor time of pages and of `recon run` as whole commands.
+"""Measure how smoothly pages play in a browser, and the processor time of the commands that write them.
 
     python benchmarks/parts/pages.py browser [--frames 4000] [--clips 100]
     python benchmarks/parts/pages.py costs [--runs 3]
@@ -8,8 +8,8 @@
 
 - `browser` opens three pages in Chromium: one with the rendered film (90 frames), one of a simulated clip of 4,000
   frames, and one of a batch of 100 clips. The slider then moves to another frame at each refresh of the screen for
-  three seconds, and the refreshes are counted. The second number is the processor time of all processes of the browser,
-  which draws without a graphics card; if a frame takes 33 ms of one processor, 30 frames per second are drawn
+  three seconds, and the refreshes are counted. The processor time of all processes of the browser is also measured.
+  The browser draws without a graphics card; if a frame takes 33 ms of one processor, 30 frames per second are drawn
 - `costs` measures the processor time of `recon report` and `recon analyse` with their default options on 40 frames,
   relative to the fit in the same run, as medians of RUNS runs
 - `pages` writes the pages of the rendered film with its video, of a sample of 60 frames, and of twenty such samples in

@@ -247,7 +247,7 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
 
     The remedy is another skeleton, a built-in name map or, if no built-in map has every name, the lines of a new map.
     """
-    detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
+    detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} in the skeleton"
     if matching := skeleton_of(names):
         return Problem(source, "bodyparts", detail, f"with these names: --skeleton {matching}")
     maps, (options, count) = fitting_maps(names, wanted), fitting_skeleton(names)

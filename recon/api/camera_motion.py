@@ -167,9 +167,10 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
         raise InputError(Problem(s.camera, "focal length", note, expected))
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
-        actual = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
-        actual += "without structure, or hidden"
-        raise InputError(Problem(s.video, "background", actual, f"{percent(MAX_LOST)} of the frames at most"))
+        actual = f"too little background to follow in {len(motion.lost)} of {number} frames, because it is blurred, "
+        actual += "hidden or without structure"
+        expected = f"at most {percent(MAX_LOST)} such frames: leave the worst part of the video out"
+        raise InputError(Problem(s.video, "background", actual, expected))
 
 
 def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:

@@ -43,7 +43,8 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         if len(matches) != 1:
             from recon.io.camera_track import track_label
 
-            actual = f"{track_label(track)}, with the name of {' and of '.join(matches) or 'no camera'}"
+            contained = " and ".join(matches) or "no camera's name"
+            actual = f"{track_label(track)}, which contains {contained}"
             yield Problem(track, "name", actual, f"a file name that contains one of {', '.join(names)}")
     moving = [matches[0] for matches in owners.values() if len(matches) == 1]
     for name in sorted({name for name in moving if moving.count(name) > 1}):

@@ -256,13 +256,13 @@ class FitSettings(Settings):
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
         for name in ("refine_cameras", "focal_sigma"):
             if getattr(self, name) and self.camera_track is not None:
-                yield Problem("settings", name, "together with a camera track", "cameras that stand still")
+                yield Problem("settings", name, "a camera track as well", "cameras that stand still")
         if self.cameras_known and self.refine_cameras:
-            yield Problem("settings", "cameras_known", "together with refine_cameras", "only one of the two")
+            yield Problem("settings", "cameras_known", "refine_cameras as well", "only one of the two")
         if self.height_m is not None and self.size is not None:
             yield Problem("settings", "height_m", f"{self.height_m:g} and size {self.size:g}", "only one of the two")
         if self.camera_fps is not None and self.fps is not None:
-            yield Problem("settings", "camera_fps", f"together with fps {self.fps:g}", "only one of the two")
+            yield Problem("settings", "camera_fps", f"fps {self.fps:g} as well", "only one of the two")
         if count > 1 and self.method == "frame":
             actual = f"{count} files with the frame method, which uses one camera"
             yield Problem("settings", "keypoints", actual, "one file, or --set method=trajectory")

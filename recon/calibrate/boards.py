@@ -258,7 +258,7 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
     for name, fraction, image in _frames(files[0]) if is_video else _images(files):
         progress("looking for the board", fraction)
         if image is None:
-            problems.append(Problem(name, "file", "OpenCV cannot read this picture", ", ".join(IMAGE_SUFFIXES)))
+            problems.append(Problem(name, "file", "a picture that OpenCV cannot read", ", ".join(IMAGE_SUFFIXES)))
             continue
         sizes[name] = (image.shape[1], image.shape[0])
         if len(set(sizes.values())) > 1 or problems:

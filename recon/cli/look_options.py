@@ -66,4 +66,4 @@ class ViewSettings(ResultSettings):
             if getattr(self, name) and self.video is None:
                 yield Problem("settings", name, "no --video", "both or neither")
         if self.web and self.out is not None:
-            yield Problem("--web", "viewer", f"--out {self.out} together with it", "only one of the two")
+            yield Problem("--web", "viewer", f"--out {self.out} as well", "only one of the two")

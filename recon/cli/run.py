@@ -235,7 +235,7 @@ def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> 
     if run_settings.camera_motion is not None and options.get("camera") is None:
         yield Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens")
     if run_settings.camera_motion is not None and options.get("camera_track"):
-        yield Problem("--camera-motion", "motion", "a camera track together with it", "only one of the two")
+        yield Problem("--camera-motion", "motion", "a camera track as well", "only one of the two")
 
 
 def run_video(

@@ -409,7 +409,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
     if turn:
         is_enough = np.isfinite(centred[0]).all(axis=2).sum(axis=1)[:, None, None] >= 3
         u, _, vt = np.linalg.svd(np.swapaxes(pose_part, 1, 2) @ truth_part)
-        vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # instead of a reflection, turn the least certain axis over
+        vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # flip the least certain axis to avoid a reflection
         aligned_m, pose_part = (part @ (u @ vt) for part in (np.where(is_enough, aligned_m, np.nan), pose_part))
     if scale:
         product, square = (np.sum(pose_part * part, axis=(1, 2)) for part in (truth_part, pose_part))

@@ -180,7 +180,7 @@ class _Plan:
             self.placed = np.array([_IDENTITY, *(_IDENTITY if s.rotation is None else s.rotation for s in segments)])
         slides = [k for k, (_, axis) in enumerate(rotations) if axis == "s"]
         self.slides = np.array(slides, dtype=np.intp)
-        """Indices of the L rotations that are slides, shape (L,)."""
+        """Indices of the L entries of `rotations` that are translations along a sliding joint, shape (L,)."""
         reached = [*paths, *(paths[i] for i in carriers[S - 1 :])]
         self.slid = np.array([[float(rotations[k][0] in path) for k in slides] for path in reached])
         """Matrix with 1 where a slide shifts an origin or a marker, otherwise 0, shape (S + J, L)."""

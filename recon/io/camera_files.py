@@ -420,7 +420,7 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
 
 
 def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
-    """Return the camera of a picture that ROS crops to a region of interest and bins.
+    """Return the camera of a picture that ROS has cropped (region of interest) and downsampled (binning).
 
     The file's matrix belongs to the whole picture. As in ROS' image_geometry, the region's corner is subtracted from
     the principal point, and the result is divided by the binning.

@@ -157,7 +157,7 @@ def read_camera_track(path: Path) -> CameraTrack:
     upward, downward = -track.T_camera_world[:, 1:3, 2].T
     leans = (upward < np.cos(LEANING_MAX_RAD)) & (downward < np.sin(LOOKING_DOWN_RAD))
     if leans.mean() > 0.5:
-        detail = f"a camera whose picture is not upright, taking z as up, in {leans.sum()} of {len(leans)} frames"
+        detail = f"pictures that are not upright, if z is up, in {leans.sum()} of {len(leans)} frames"
         expected = "a world with z up, and poses from the world to the camera: turn the model so that z points up"
         raise InputError(Problem(path, "poses", detail, expected))
     return track

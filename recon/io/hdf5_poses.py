@@ -485,7 +485,7 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
             problems.append(Problem(path, f"{name}/{point}", f"{positions.shape} positions", expected))
         elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
             problems.append(
-                Problem(path, f"{name}/{point}", f"other times than {first}", "the same times for all points")
+                Problem(path, f"{name}/{point}", f"times other than those of {first}", "the same times for all points")
             )
     raise_problems(problems)
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()

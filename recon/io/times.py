@@ -27,7 +27,7 @@ JITTER_RMS = 0.2
 Uniformly random times have a root mean square distance of 0.29.
 """
 ROUNDED_GAPS = 3
-"""Minimum number of steps longer than 1.5 units required to conclude that times are rounded to the unit."""
+"""Minimum number of steps longer than 1.5 units of time (such as 1 ms) at which times count as rounded to the unit."""
 ROUNDED_OFF = 0.6
 """Largest deviation of rounded times from evenly spaced times, in units, of which rounding alone explains 0.5."""
 PHASE_SHARED = 0.5

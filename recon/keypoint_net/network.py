@@ -246,7 +246,7 @@ Window = tuple["torch.Tensor", float]
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
-    """Return a mask (B, K, h, w) of the cells inside the window of each keypoint, empty if its centre is NaN."""
+    """Return a mask (B, K, h, w) of the cells inside the window of each keypoint; no cells if the centre is NaN."""
     return _distance2(window[0], size) <= window[1] ** 2
 
 

@@ -177,7 +177,8 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
         detail = f"no moving joint from {names[start - 1]} to {tip}"
         raise InputError(Problem(path, "chain", detail, "a link moved by joints"))
     unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # MuJoCo: 2 is a slide, 3 a hinge
-    raise_problems(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in unlike)
+    expected = "a joint that turns or slides"
+    raise_problems(Problem(path, f"joint {name}", "a joint of another kind", expected) for name in unlike)
     mujoco = require_mujoco(path)
     mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))

@@ -500,7 +500,7 @@ def _amp(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
     robot = samples.robot
     if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
         expected = f"a robot with {AMP_JOINTS} joints per leg, or another format"
-        raise InputError(Problem(robot.name, "joints for amp", f"{len(robot.joints)}", expected))
+        raise InputError(Problem(robot.name, "format amp", f"{len(robot.joints)} joints", expected))
     order = [joint for label in AMP_LEGS for joint in robot.legs[label].joints]
     columns = [robot.joints.index(joint) for joint in order]
     feet = [samples.feet[LEGS.index(label)] for label in AMP_LEGS]

@@ -323,7 +323,7 @@ def test_refinement_that_makes_a_camera_an_outlier_is_dropped(runs, monkeypatch)
 def test_only_several_static_cameras_are_refined(runs):
     with refusal(("settings", "refine_cameras", "one keypoint file", "several cameras")):
         settings(runs, 1, refine_cameras=True)
-    with refusal(("settings", "cameras_known", "together with refine_cameras", "only one of the two")):
+    with refusal(("settings", "cameras_known", "refine_cameras as well", "only one of the two")):
         settings(runs, 1, 2, refine_cameras=True, cameras_known=True)
     with refusal(("settings", "refine_cameras", "camera track", "stand still")):
         settings(runs, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])

@@ -104,7 +104,7 @@ def test_cameras_with_different_frame_rates_are_combined(runs):
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(59))
     assert np.flatnonzero(second.keypoints.present.any(axis=1)).tolist() == list(range(20, 59))
     assert second.cleaning.notes[-1].startswith("cam2 filmed at 45 Hz: ")
-    with refusal(("settings", "camera_fps", "together with fps 90", "only one of the two")):
+    with refusal(("settings", "camera_fps", "fps 90 as well", "only one of the two")):
         settings(runs, 1, 2, camera_fps=[FPS, FPS / 2])
 
 

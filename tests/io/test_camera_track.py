@@ -244,7 +244,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
 def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
     """COLMAP's world, whose y points down, is refused. Cameras that lean by less than 60 degrees are accepted."""
     down = np.tile(np.eye(4), (3, 1, 1))
-    with refusal(("track.csv", "poses", ["not upright, taking z as up", "3 of 3 frames"], "z up")):
+    with refusal(("track.csv", "poses", ["not upright, if z is up", "3 of 3 frames"], "z up")):
         read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down))
     down[:2] = LEVEL
     assert len(read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down)).frames) == 3

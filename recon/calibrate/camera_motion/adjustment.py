@@ -26,7 +26,7 @@ MAX_PAIRS = 60
 MIN_PAIRS = 4
 """Minimum number of pairs of pictures required to estimate the focal length."""
 MAX_LOG_FACTOR = 0.7
-"""Largest absolute logarithm of a factor on the focal length that is tried."""
+"""Largest absolute logarithm of a trial factor on the focal length; the refined factor may reach twice this."""
 LOG_STEP = 1e-3
 """Step in the logarithm of the focal length with which derivatives are computed numerically."""
 STEPS = 6

@@ -212,7 +212,7 @@ SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": st
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _COLOUR_KEY = "left blue, right orange; pale: first configuration, full colour: last"
 _REFERENCE_KEY = "; +: the reference joint"
-"""Addition to the key if the reference joint is marked."""
+"""Text added to the legend if the reference joint is marked."""
 _MIN_COLOUR = 0.25
 """Fraction of a side's colour in the first, palest configuration."""
 _ROOM = 0.04
