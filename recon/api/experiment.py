@@ -397,10 +397,11 @@ def _title(name: str) -> str:
 def _joined_levels(models: Sequence[QuantityModel]) -> Iterator[str]:
     """Yield notes on the components of variance that the data cannot separate."""
     if any(model.model.runs == model.model.animals for model in models):
-        yield "Each animal has one run: the variance between runs is part of that between animals."
+        yield "Each animal has one run: the variance between runs is part of the variance between animals."
     single = [_title(model.name) for model in models if model.model.strides == model.model.runs]
     if single:
-        yield f"One value per run of {names_text(single)}: the variance between strides is part of that between runs."
+        part = "the variance between strides is part of the variance between runs"
+        yield f"One value per run of {names_text(single)}: {part}."
 
 
 def _fit(

@@ -169,7 +169,7 @@ The values come from the reconstructions behind the prior `running-cheetah`, as 
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Standard deviation of the root's angular acceleration about the vertical, rad/s^2."""
 LATERAL_M_S = 0.5
-"""Standard deviation (m/s) of the root's velocity across the trunk (10 m/s forwards and 0.5 m/s across: 0.05 rad)."""
+"""Standard deviation (m/s) of the root's velocity across the trunk, an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
 """Standard deviation (rad) of the constant angle between the trunk and the direction of travel for several cameras.
 

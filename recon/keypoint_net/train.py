@@ -403,7 +403,7 @@ LINE = (60, 60, 230)
 SUSPICIOUS_DISTANCE = 0.2
 """Distance of a label from the network's point, in body lengths, above which the label is suspicious."""
 SUSPICIOUS_EXCESS = 0.15
-"""Excess of a label's distance from the other labels over the usual distance, in body lengths, that is suspicious."""
+"""Distance from the other labels, in body lengths beyond the usual distance, above which a label is suspicious."""
 REASONS = {
     "network": "body lengths from the network's point",
     "others": "body lengths farther from every other label than usual",
