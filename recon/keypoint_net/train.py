@@ -660,7 +660,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
-    """Return the smallest excess in px of each label's distance from another label over the usual distance, (N, K)."""
+    """Return how far each label is beyond its usual distances from all other labels, px, shape (N, K)."""
     n, k = xy_px.shape[:2]
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan

@@ -386,7 +386,7 @@ def test_check_lists_what_is_in_a_file(tmp_path):
     shin = next(part for part in check["parts"] if part["name"] == "l_hind_shin")
     (angle,) = shin["angles"]
     assert (shin["parent"], shin["joint"], shin["length_m"]) == ("l_hind_thigh", "hinge", 0.11)
-    # 1.3 rad and twice 0.5 rad; 250 rad/s^2
+    # The file states a mean of 1.3 rad, a sigma of 0.5 rad (the range is ±2 sigma), and 250 rad/s^2.
     assert [angle[of] for of in ("mean_deg", "low_deg", "high_deg")] == pytest.approx([74.48, 17.19, 131.78], abs=0.01)
     assert angle["rate"] == "14324 °/s²"
     text = output("skeleton", "check", file)

@@ -221,7 +221,7 @@ def test_wrong_inputs_of_several_cameras_are_refused(runs, tmp_path):
     with refusal(("scene.json", "camera", ["2 cameras", "clip.csv"], ["cam1, cam2", "--camera-name"])):
         prepare(given)
     gone = tmp_path / "gone.csv"
-    with refusal((gone, "file", "no such file")):  # its name without a camera is not reported as well
+    with refusal((gone, "file", "no such file")):  # that its name contains no camera is not reported
         prepare(replace(given, keypoints=(gone, runs / "run_cam2.csv")))
     with refusal((gone, "file", "no such file")):
         prepare(replace(given, keypoints=(gone,)))

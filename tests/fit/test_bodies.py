@@ -445,5 +445,5 @@ def test_refined_cameras_of_a_small_rig_stay_near_their_poses():
         return float(np.degrees(max(turns))), float(np.linalg.norm(found.markers_m - true_m, axis=2).mean())
 
     held, refined = off(False), off(True)
-    assert refined[0] < 3  # 4.3 to 5.0° if the cameras may move by the 5 cm of a 1 m animal
+    assert refined[0] < 3  # 4.3 to 5.0 degrees if the camera positions' prior is 5 cm
     assert refined[1] < min(0.007, 1.1 * held[1])

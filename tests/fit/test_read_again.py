@@ -154,7 +154,7 @@ def test_later_commands_read_the_results_of_a_fit(clip, tmp_path, undrawn, monke
         if target.writes == ("2D",) or (clip not in ODD and "3D" in target.writes):
             continue
         made = tmp_path / f"pose.{target.name}{target.suffixes[0]}"
-        # Despite the finding on a mouse 7 m away.
+        # Convert despite the finding on the mouse, which is 7 m away.
         convert(ConvertSettings(source=out, out=made, to=target.name, anyway=True))
         if "3D" in target.reads and "3D" in target.writes:
             np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)

@@ -123,7 +123,7 @@ def test_short_gaps_are_bridged_and_nothing_is_extrapolated():
 
 def test_long_gaps_are_not_bridged():
     points = straight(TIME_S)
-    points[12:18] = np.nan  # 7 intervals, 0.233 s
+    points[12:18] = np.nan  # a gap of 7 intervals, 0.233 s
     path = point_kinematics(TIME_S, points)
     assert np.isnan(path.speed_m_s[111:180]).all()
     assert np.isnan(path.acceleration_m_s2[111:180]).all()
@@ -141,7 +141,7 @@ def test_a_gap_is_a_missing_frame_at_any_frame_rate():
 
 def test_short_stretches_between_long_gaps_are_unknown():
     points = straight(TIME_S)
-    points[20:30] = points[33:] = np.nan  # leaves 30, 31, 32
+    points[20:30] = points[33:] = np.nan  # only frames 30, 31 and 32 remain
     assert np.isnan(speed_at_frames(TIME_S, points)[20:]).all()
 
 

@@ -148,7 +148,7 @@ def opened(tab, messages) -> Iterator[Callable[..., Any]]:
     tab.on("request", hear)
     yield open_page
     tab.remove_listener("request", hear)
-    # A warning because the tests read pixels.
+    # Chromium warns that pixels are read from a canvas, which only the tests do.
     assert [text for text in messages if not text.startswith("Canvas2D: Multiple readback")] == []
     assert [url for url in fetched if not url.startswith(("file:", "data:", "blob:"))] == []
 

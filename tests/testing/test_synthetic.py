@@ -207,7 +207,7 @@ def test_samples_are_those_that_the_script_makes(tmp_path):
     made = {path.name for path in tmp_path.iterdir()}
     data = {path.name for path in SAMPLES.iterdir() if path.is_file() and path.suffix not in (".md", ".py")}
     read = {"detector.toml"}
-    # Make_rendered.py writes the others.
+    # data/samples/make_rendered.py writes the other files.
     assert made == {name for name in data - read if not name.startswith("rendered")}
     for name in sorted(made):
         if name.endswith(".csv"):
