@@ -124,7 +124,7 @@ class Keypoints(Brief):
         Raises
         ------
         InputError
-            If the dataset is not one of movement's poses, or its content is not valid.
+            If the dataset is not a poses dataset of the `movement` package, or its content is not valid.
         """
         from recon.io.columns import from_xarray
 
@@ -450,7 +450,7 @@ class View(Brief):
     camera: Camera
     """Camera with the lens, intrinsics and picture size, whose pose is not used (see `T_camera_world`)."""
     T_camera_world: Array
-    """Camera poses, shape (T, 4, 4), or (4, 4) for a still camera."""
+    """Camera poses, shape (T, 4, 4), or (4, 4) for a static camera."""
     xy_px: Array
     """Detected keypoints, shape (T, J, 2), NaN if missing."""
     confidence: Array
@@ -464,7 +464,7 @@ class View(Brief):
 
     @property
     def is_still(self) -> bool:
-        """Return whether the camera stands still."""
+        """Return whether the camera is static."""
         return self.T_camera_world.ndim == 2
 
     @property
@@ -600,7 +600,7 @@ class View(Brief):
 
 
 def world_from_reference(first: Camera) -> Array:
-    """Return the transform (4, 4) from the frame of reference to the world, for a first camera that stands still.
+    """Return the transform (4, 4) from the frame of reference to the world, for a static first camera.
 
     `recon.geometry.frames` defines both frames.
     """
@@ -608,19 +608,19 @@ def world_from_reference(first: Camera) -> Array:
 
 
 def camera_poses(cameras: Sequence[Camera]) -> list[Array]:
-    """Return the pose T_camera_world (4, 4) of each still camera, in the world frame of `recon.geometry.frames`."""
+    """Return the pose T_camera_world (4, 4) of each static camera, in the world frame of `recon.geometry.frames`."""
     T_reference_world = inverse(world_from_reference(cameras[0]))
     return [_pose(camera) @ T_reference_world for camera in cameras]
 
 
 def _pose(camera: Camera) -> Array:
-    """Return a still camera's pose as T_camera_reference (4, 4)."""
+    """Return a static camera's pose as the transform T_camera_reference (4, 4)."""
     rotation = np.eye(3) if camera.rotation is None else camera.rotation
     return rigid(rotation, np.zeros(3) if camera.translation_m is None else camera.translation_m)
 
 
 def still_view(camera: Camera, xy_px: Array, confidence: Array) -> View:
-    """Return a still camera's view of a clip, in the world that this camera defines on its own."""
+    """Return a static camera's view of a clip, in the world that this camera defines on its own."""
     return View(camera, camera_poses([camera])[0], xy_px, confidence)
 
 
@@ -668,7 +668,7 @@ class Source(Brief):
     offset_frames: float = 0.0
     """Delay of the pictures relative to the clip's frames, in frames, at least 0 and below 1."""
     poses: FramePoses | None = None
-    """Poses of a moving camera; None for a still camera, whose pose is in `camera`.
+    """Poses of a moving camera; None for a static camera, whose pose is in `camera`.
 
     Frames without a pose have no detections.
     """
@@ -689,7 +689,7 @@ class Source(Brief):
 def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
     """Return the views of a clip's sources.
 
-    If one camera moves, still cameras must have a pose in the same world.
+    If one camera moves, static cameras must have a pose in the same world.
     """
     still_cameras = [source.camera for source in sources if not source.moves]
     poses, views = iter(camera_poses(still_cameras) if still_cameras else ()), []

@@ -240,7 +240,7 @@ class Body(Brief):
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
         """Return a dictionary of the feet's markers, with the labels LF, RF, LH and RH as keys.
 
-        `side` is the fitted side of a chain; None for a whole animal.
+        `side` is the side of the animal to which a one-sided model is fitted, None for a model of the whole animal.
         """
         start = "" if side is None else side[0].upper()
         labels = (label if label in FOOT_LABELS.values() else start + label for label in self.foot_labels)
@@ -254,7 +254,7 @@ class Body(Brief):
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
         """Return the side of each limb; None for a limb on the midline or with markers on both sides.
 
-        `side` is the fitted side of a chain; None for a whole animal.
+        `side` is the side of the animal to which a one-sided model is fitted, None for a model of the whole animal.
         """
         one_sided = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
         return {

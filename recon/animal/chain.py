@@ -224,7 +224,10 @@ class Chain(Skeleton):
 
     @cached_property
     def body_angles(self) -> Index:
-        """Return the columns of the body's state with the theta angles, followed by the phi angles, shape (2 A,)."""
+        """Return the columns of the body's state that hold the angles of the A free links, shape (2 A,).
+
+        The columns of theta, in the sagittal plane, come first, followed by those of phi, in the transverse plane.
+        """
         # After the six unknowns of the root, every free link has its yaw and then its pitch.
         pitch = 7 + 2 * np.arange(self.n_angles)
         return np.concatenate([pitch, pitch - 1])

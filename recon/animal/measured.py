@@ -134,7 +134,10 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
 
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
-    """Write a motion prior to an .npz file without pickles, with arrays in single precision and texts as JSON."""
+    """Write a motion prior to an .npz file without pickles.
+
+    Arrays are stored in single precision, and names and segments as JSON.
+    """
     description: dict[str, Any] = {"format": 1, "name": prior.name, "source": prior.source}
     description |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}

@@ -325,9 +325,9 @@ def summary_output(out: Path) -> Output:
 
 
 class Summary:
-    """Rows of a batch by clip, and the file that they are written to.
+    """Summary table of a batch, with one row for each clip, and the file summary.csv to which it is written.
 
-    Clips that an earlier run finished have their rows from the start.
+    Clips that an earlier run finished are included from the start.
     """
 
     def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:

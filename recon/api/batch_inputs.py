@@ -112,8 +112,8 @@ def find_clips(
         other folders, in which every file that a reader recognises is read. If files of a folder differ only in their
         suffix, the last one is read (.h5 rather than .csv, since DeepLabCut writes each table twice).
     common
-        Settings for every clip by name, None if not given. These settings override `config`, and the cells of a
-        manifest override these settings.
+        Settings for every clip, keyed by their names; None if not given. These settings override `config`, and the
+        cells of a manifest override these settings.
     config
         The config.toml of an earlier fit.
     cameras_by

@@ -262,7 +262,11 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """Return the focal length in the camera file, and its estimate from the background with a sigma, px."""
+    """Return focal lengths in pixels: "file", in the camera file, and "found", estimated from the background.
+
+    "sigma" is the standard deviation of the estimate in pixels. `focal` holds the logarithm of the estimate divided by
+    the value in the file, and the standard deviation of this logarithm.
+    """
     file_px = float(lens.matrix[0, 0])
     background_px = file_px * float(np.exp(focal[0]))
     return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

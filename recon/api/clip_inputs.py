@@ -243,7 +243,10 @@ def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
-    """Return the named keypoints in the given order, as missing in all frames if the file lacks them."""
+    """Return the keypoints `names` in this order.
+
+    A name that `keypoints` does not contain becomes a keypoint that is missing in all frames.
+    """
     T = len(keypoints.frames)
     xy, confidence = np.full((T, len(names), 2), np.nan), np.zeros((T, len(names)))
     for column, name in enumerate(names):

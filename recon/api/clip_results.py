@@ -362,8 +362,8 @@ def read_settings(config: Path | None, options: Mapping[str, Any] | None = None)
     config
         TOML file, in which paths are relative to the folder of the file.
     options
-        Settings by name; None means not given. If another camera or method is given, the file's settings that belong
-        to its own camera or method do not apply.
+        Values keyed by the settings' names; None means not given. If another camera or method is given, the file's
+        settings that belong to its own camera or method do not apply.
 
     Raises
     ------

@@ -134,7 +134,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Results:
-    """Results that a comparison uses, keyed by name, and results that it leaves out, with notes on the reasons."""
+    """Results that a comparison uses, by their names, and results that it leaves out, with notes on the reasons."""
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]
@@ -200,7 +200,7 @@ def _parquet(name: str) -> str:
 
 
 def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
-    """Return the results folders by name, from paths of results folders and of batches.
+    """Return the results folders among `paths` and in the batches among `paths`, keyed by their names.
 
     Raises
     ------
@@ -511,9 +511,9 @@ def known_quantities(clips: pd.DataFrame) -> list[str]:
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Draw the mean of each clip or run, and of each group of more than one, with 90 % intervals.
+    """Draw the gait quantities of each clip or run with their 90 % intervals, in one panel for each quantity.
 
-    There is one panel for each quantity.
+    A group of two or more clips or runs also has its mean and interval.
     """
     with drawing(62.0) as figure:
         quantities = known_quantities(clips)

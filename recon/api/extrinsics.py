@@ -153,7 +153,10 @@ def _in_own_worlds(cameras: Sequence[Camera], tilt_deg: float | None) -> tuple[l
 
 
 def _require_known_rotations(cameras: Sequence[Camera], rig: Rig) -> None:
-    """Raise InputError that names the cameras whose rotation the clips do not determine."""
+    """Raise an InputError if the clips do not determine every camera's rotation to within `MAX_TURN_SIGMA_DEG`.
+
+    The message names the cameras.
+    """
     turn_sigma_deg = np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1))
     expected = "clips in which the animal crosses the view in other directions"
     raise_problems(

@@ -48,7 +48,7 @@ class PriorFitSettings(Settings):
     fps: str | None = None
     """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one rate per segment."""
     subject: str | None = None
-    """Measured animal, by name or TOML file, such as phantom."""
+    """Measured animal, given by its name, such as phantom, or by a TOML file."""
     estimate_size: bool = False
     """Scale the skeleton to the animal in each file."""
     components: Count = 16
@@ -136,7 +136,7 @@ def _pose_count(states: Array) -> int:
 
 
 def _sound_states(motion: Motion) -> Array:
-    """Return the states (T, D), NaN in frames without a pose or with a flag."""
+    """Return the states (T, D) of a motion, NaN in flagged frames and in frames without a pose."""
     flagged = np.array([bool(flags) for flags in motion.flags])
     return np.where(flagged[:, None], np.nan, motion.states)
 

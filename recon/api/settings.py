@@ -327,7 +327,7 @@ class FitSettings(Settings):
         Returns
         -------
         dict
-            Values by name; None if a setting is not given and has no default.
+            Values keyed by the settings' names; None if a setting is not given and has no default.
         """
         of_method = {name: info for name, info in SETTINGS.items() if info.option.method in (None, self.method)}
         plain = {name: info.plain(getattr(self, name)) for name, info in of_method.items()}
@@ -353,7 +353,7 @@ class FitSettings(Settings):
 
 
 SETTINGS = FitSettings.infos()
-"""Settings by name, in the order of `FitSettings`."""
+"""Settings keyed by their names, in the order of `FitSettings`."""
 OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corrections"))
 """Names of the settings that several clips can share."""
 

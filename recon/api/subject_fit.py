@@ -46,7 +46,7 @@ def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
 
 
 def _bones(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
-    """Yield the bones by name, with the points that they connect, their length and its interval.
+    """Yield a dictionary for each bone with its name, the points that it connects, its length and its interval.
 
     `data_share` is the fraction of the information that comes from the pixels.
     """

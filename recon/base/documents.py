@@ -283,7 +283,10 @@ def named_file(
 def named_table(
     name: str | Path, folder: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[dict[str, Any], str]:
-    """Return the table of a built-in or a user's TOML file, and the file's name for messages, as `named_file` does."""
+    """Return the content of a built-in TOML file or of the user's own, and the file's name for messages.
+
+    The parameters are those of `named_file`.
+    """
     content, source = named_file(name, folder, ".toml", option, kind, names)
     return parse_toml(text_of(content, source, f"a {kind} file"), source), source
 

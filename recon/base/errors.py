@@ -47,9 +47,9 @@ class Problem:
 
 
 def printable(text: str) -> str:
-    """Return a string with codes for characters that cannot be printed.
+    """Return a string in which escape sequences replace the characters that cannot be printed.
 
-    Bytes of file names get codes as `encodable` writes them.
+    Bytes of file names that are not UTF-8 are escaped too, as in `encodable`.
     """
     if text.isprintable():
         return text

@@ -15,7 +15,7 @@ _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
 
 
 def encodable(text: str) -> str:
-    r"""Return a string that UTF-8 can encode, with codes for bytes that are not UTF-8, as in caf\xe9.csv."""
+    r"""Return a string that UTF-8 can encode, with escape sequences for invalid bytes, as in caf\xe9.csv."""
     return _SURROGATE.sub(_code, text) if not text.isascii() else text
 
 

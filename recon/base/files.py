@@ -62,7 +62,7 @@ def staged_file(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text to a file in UTF-8, so that the file is either complete or unchanged."""
+    """Write a string to a file in UTF-8, so that the file is either complete or unchanged."""
     with staged_file(path) as staged:
         staged.write_text(encodable(text), encoding="utf-8")
 
@@ -193,7 +193,7 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
     folder
         The destination.
     leaving
-        The files in the folder that are replaced or removed, by name, with their states when they were examined.
+        States of the files that are replaced or removed, when they were examined, keyed by the files' names.
 
     Raises
     ------
@@ -268,7 +268,7 @@ class Manifest:
 
     folder: Path
     files: Mapping[str, tuple[int, str]]
-    """Size in bytes and SHA-256 (hexadecimal) of each file, by name."""
+    """Size in bytes and SHA-256 (hexadecimal) of each file, keyed by the file's name."""
     kind: str | None = None
     """Command that wrote the files, such as fit; None in manifests of version 0.2."""
 

@@ -57,9 +57,9 @@ class LocalServer(ThreadingHTTPServer):
     Parameters
     ----------
     pages
-        Handlers of GET requests, by name, where "" is the page itself.
+        Handlers of GET requests, keyed by the first part of the request's path, which is "" for the page itself.
     posts
-        Handlers of POST requests, by name.
+        Handlers of POST requests, keyed by the first part of the request's path.
     policy
         The page's Content-Security-Policy.
     """

@@ -118,7 +118,7 @@ def rough_length(length_m: float) -> str:
 
 
 def known_within(sigma_m: float) -> str:
-    """Return a text for a length that is known only roughly, such as "known to within 2 m"."""
+    """Return words for a length that is known only roughly, such as "known to within 2 m"."""
     scale, unit = (1e3, "mm") if sigma_m < SHORT_M else (1.0, "m")
     return (
         f"known to within {scale * sigma_m:.1g} {unit}"

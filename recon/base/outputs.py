@@ -47,7 +47,7 @@ MAX_NAMED_FILES = 3
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """Record of a file as a run wrote it."""
+    """Origin, size and checksum of an output file, recorded when the file was written."""
 
     kind: str
     """Command that wrote the file, such as analyse."""

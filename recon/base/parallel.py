@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Outcome = Mapping[str, Any]
-"""Results of a task, by name: at least the status, and the error if the task failed."""
+"""Results of a task, keyed by their names: at least "status", and "error" if the task failed."""
 _Task = TypeVar("_Task")
 Work = Callable[[_Task, Progress], Outcome]
 """Function that does a task, defined at the top level of a module, so that another process can import it."""

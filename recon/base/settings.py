@@ -81,7 +81,7 @@ class Option:
     help: str = ""
     """Help on the command line; if empty, the text below the field.
 
-    If the default is None, a text in brackets says what happens without the setting.
+    If the default is None, text in brackets says what happens without the setting.
     """
     expected: str = ""
     """Description of the expected value for messages; if empty, it is made from the type."""
@@ -290,7 +290,7 @@ def input_paths(settings: Settings) -> tuple[Path, ...]:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except (OSError, ValueError):  # a text that cannot be the name of a file
+    except (OSError, ValueError):  # the string cannot be a file name
         return False
 
 
@@ -322,6 +322,9 @@ def _parts(kind: object) -> Iterator[object]:
 
 
 def on_command_line(problem: Problem, infos: Mapping[str, SettingInfo]) -> Problem:
-    """Return the problem with a setting, named as the user gives it on the command line."""
+    """Return a problem in which the command-line name, such as --fps, replaces the name of the setting.
+
+    A problem that does not concern a setting in `infos` is returned unchanged.
+    """
     known = problem.file == "settings" and problem.field in infos
     return replace(problem, file=infos[problem.field].on_command_line) if known else problem

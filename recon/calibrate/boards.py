@@ -131,7 +131,7 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """Return the board described by a text of the form `CHESSBOARD_FORM` or `CHARUCO_FORM`, also with `:legacy`.
+    """Return the board described by a string of the form `CHESSBOARD_FORM` or `CHARUCO_FORM`, also with `:legacy`.
 
     Raises
     ------

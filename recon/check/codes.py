@@ -23,7 +23,7 @@ MAX_NAMES = 5
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
 """Names of the numbers of findings that are shown as lengths.
 
-For example, {height_length} in a text shows the number height_m, with sigma_m if the finding has this number.
+For example, {height_length} in a message shows the number height_m, with sigma_m if the finding has this number.
 """
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which the detections of a camera are wrong."""

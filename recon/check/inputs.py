@@ -514,7 +514,7 @@ MAX_PATH_COSTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Terms of the fit's cost, per 1/90 s, above which the body's path is implausible for an animal.
 
 The unit is half a squared standard deviation. The costs are up to 0.53, 0.22 and 0.76 in 32 real views, and 0.69, 0.02
-and 0.68 in the rendered film. They are up to 5.6, 1.2 and 4.7 (medians 3.3, 0.29 and 2.5) if a stabiliser moved the
+and 0.68 in the rendered video. They are up to 5.6, 1.2 and 4.7 (medians 3.3, 0.29 and 2.5) if a stabiliser moved the
 picture (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 

@@ -458,7 +458,7 @@ def _with_transposed_rotation(transform: Array) -> Array:
 
 
 def _raising(up: Array) -> Array:
-    """Return the rotation by 90 degrees that turns a horizontal unit vector (3,) upwards, to z."""
+    """Return the matrix (3, 3) of the rotation by 90 degrees that turns a horizontal unit vector (3,) to the z axis."""
     level = np.cross(up, [0.0, 0.0, 1.0])
     return np.outer(level, level) + np.outer([0.0, 0.0, 1.0], up) - np.outer(up, [0.0, 0.0, 1.0])
 
@@ -502,7 +502,7 @@ ZOOM_PER_S = 0.2
 
 A smaller zoom may also fit better because an animal of other proportions comes nearer. The best zoom is -0.42 to 0.20
 (median 0) in 30 correct views, and 0.06 to 0.57 (median 0.31) if the picture zooms by 1.5 in a clip. At twice the
-value, most of these zooms would be missed. At half the value, the rendered film (0.09) would not be reported either
+value, most of these zooms would be missed. At half the value, the rendered video (0.09) would not be reported either
 (`python benchmarks/wrong_inputs.py --only input-limits`). The gain of a zoom must also exceed `REPORTED_GAIN`, so only
 some of these zooms are reported (`--only zoom` counts them).
 """

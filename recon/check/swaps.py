@@ -89,7 +89,10 @@ def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> d
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
-    """Return the permutations (J,) that swap left and right for all markers ("all") or one pair of legs, by name."""
+    """Return the permutations (J,) that swap the left and right markers.
+
+    The keys are "all" for all markers, and "fore" and "hind" for one pair of legs.
+    """
     permutation, none = opposites(body.markers), np.arange(len(body.markers))
     kinds = {"all": permutation}
     for name, end in (("fore", "F"), ("hind", "H")):
@@ -239,9 +242,10 @@ def _part(view: View, rows: slice, fps: float) -> slice:
 
 
 def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str, tuple[int, int]]]:
-    """Return the most likely stretches of one kind of swap that hardly overlap, the most likely first.
+    """Return the ranges of frames in which left and right are most likely swapped, the most likely first.
 
-    Each is a tuple of the log-likelihood gain, the kind, and the first frame and the frame after the last.
+    Ranges that largely overlap a more likely range are left out. Each range is a tuple of the log-likelihood gain, the
+    kind of swap `name`, and a pair of the first frame and the frame after the last.
     """
     T = len(jump)
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > MIN_JUMP_GAIN), [T]])

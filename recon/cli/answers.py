@@ -97,7 +97,7 @@ def terminal(**options: Any) -> Console:
 
 
 LONGEST_WORD = 24
-"""Length of a word, in characters, up to which a column of texts does not break it; longer words are often paths."""
+"""Number of characters up to which a word in a table's column is not broken; longer words are often paths."""
 _WIDEST = 1000
 """Width in which every table fits without wrapping, characters."""
 
@@ -136,7 +136,10 @@ def say_table(console: Console, table: Table) -> None:
 
 
 def _words(column: Column) -> Iterator[str]:
-    """Yield the words of a column of texts, or the whole texts of a column of numbers or of one that does not wrap."""
+    """Yield the strings of a table's column that must not be broken.
+
+    These are whole cells if the column has numbers or does not wrap, and otherwise words.
+    """
     for text in map(str, (column.header, *column.cells)):
         yield from [text] if column.no_wrap or column.justify == "right" else text.split()
 

@@ -337,7 +337,10 @@ class _Group(TyperGroup):
 
 
 class _Commands(_Group):
-    """Group of all commands of `COMMANDS`, which Ctrl-C ends with one line and exit code 130."""
+    """Group of all commands in `COMMANDS`.
+
+    If the user presses Ctrl-C, the running command ends with a one-line message and exit code 130.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -432,7 +435,7 @@ _NO_MEMORY = re.compile(
 def main() -> None:
     """Run the command line.
 
-    An error of the user ends the command with one message and exit code 2.
+    Invalid input from the user ends the command with error messages and exit code 2.
     """
     console = terminal(stderr=True, soft_wrap=True)
     try:

@@ -135,7 +135,7 @@ def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> A
 
 
 def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output | None]:
-    """Return the outputs of labels and of a table.
+    """Return the outputs for the exported labels and for the exported table, None for what is not exported.
 
     Raises
     ------

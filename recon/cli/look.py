@@ -92,9 +92,9 @@ def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
-    """Return the index of the camera with the given name, or of the camera that the video's file name contains.
+    """Return the index of the camera with the given name, or of the camera whose name is part of the video's file name.
 
-    Without a name and a video, the first camera is chosen.
+    If neither a name nor a video is given, the index is 0.
 
     Raises
     ------
@@ -303,15 +303,15 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
 
 
 class PagePictures(NamedTuple):
-    """Overlay and pictures that the page of a result shows."""
+    """Pictures of the video for a result's page, and the reprojected motion to draw over them."""
 
     drawn: Overlay
     rows: Index
-    """Rows of the motion that have a still, shape (n,)."""
+    """Rows of the motion that the page shows as still pictures, shape (n,)."""
     strip: PictureStrip | None
     """Pictures of the video for the player, None without a video."""
     stills: list[Image] | None
-    """Pictures of the video behind the stills, None without a video."""
+    """Background of each still picture, taken from the video; None without a video."""
 
 
 def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:

@@ -66,7 +66,7 @@ def _pose_text(answer: dict[str, Any]) -> str:
 
 
 def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:
-    """Return values as texts in the user's units: degrees, or metres for sliding joints."""
+    """Return angles (rad) as strings in degrees, and, where `slides` is true, lengths (m) as strings in metres."""
     return [f"{x:z.4f}" if slide else _deg([x])[0] for x, slide in zip(values, slides, strict=True)]
 
 

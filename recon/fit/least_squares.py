@@ -127,11 +127,11 @@ class LeastSquares:
         return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
 
     def expected(self) -> dict[str, Array]:
-        """Return the prior means of the shared unknowns, by name."""
+        """Return the prior means of the shared unknowns, as a dictionary whose keys are their names."""
         return {unknown.name: unknown.mean for unknown in self.shared}
 
     def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
-        """Return the cost of each term and of the prior of each shared unknown, by name."""
+        """Return the cost of each term and of each shared unknown's prior, keyed by the name of the term or unknown."""
         shared = self.expected() if shared is None else shared
         costs: dict[str, float] = {}
         for unknown in self.shared:

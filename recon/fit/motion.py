@@ -126,7 +126,7 @@ class Motion:
     The array is None if the method cannot compute the decrease (`recon.fit.correction_gain`).
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
-    """Seconds that each part of the fit took, by name, apart from the solver's stages (`solution.stage_s`)."""
+    """Duration of each part of the fit in seconds, keyed by its name; `solution.stage_s` has the solver's stages."""
 
     def __repr__(self) -> str:
         """Return one line of text with the clip, the animal and the verdict."""
@@ -475,7 +475,10 @@ class Motion:
 
     @cached_property
     def data_shares(self) -> dict[str, float]:
-        """Return the median information fraction of each posture angle over the frames, by name; NaN if unknown."""
+        """Return the fraction of the information on each posture angle that comes from the pixels.
+
+        The fraction is the median over the frames, NaN if it is unknown. The keys are the names of the angles.
+        """
         return dict(zip(self.posture_names, map(median, self.posture_data_share.T), strict=True))
 
     # The world in which the motion was solved, with z up

@@ -117,7 +117,7 @@ def pair_poses(
     problem
         The problem. If the poses of both cameras are not among its shared unknowns, the result is None.
     shared
-        Values of the shared unknowns, by name.
+        Values of the shared unknowns, as a dictionary whose keys are their names.
     normal
         Precision (P, P) and gradient (P,) of all shared unknowns at the values `shared`.
     variance_factor

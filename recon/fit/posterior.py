@@ -135,7 +135,7 @@ class Posterior:
     size_precision: float
     """Precision of the size from all terms without its prior, nearly all from the pixels; 0 if the size is fixed."""
     shared_sigma: dict[str, Array]
-    """Standard deviations (P,) of the estimated shared unknowns, and of lengths and offsets, by name.
+    """Standard deviations (P,) of the estimated shared unknowns, of lengths and of offsets, keyed by their names.
 
     The uncertainty of the lengths includes the uncertainty of the size.
     """
@@ -545,7 +545,7 @@ def _without_pixels(
 def _shared_sigma(
     problem: LeastSquares, at_minimum: Curvature, is_measured: bool, variance_factor: float
 ) -> dict[str, Array]:
-    """Return the standard deviations (P,) of the shared unknowns, by name, as in `Posterior.shared_sigma`.
+    """Return the standard deviations (P,) of the shared unknowns, keyed by their names, for `Posterior.shared_sigma`.
 
     `is_measured` states whether the animal's lengths were measured. If they were not, the prior standard deviation of
     lengths is at least `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the
@@ -686,7 +686,7 @@ _ROUNDING_M2 = 1e-12
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
-    """Return the radius, in standard deviations, of the region that holds the truth with probability `level`.
+    """Return the radius, in standard deviations, of the region that contains the true value with probability `level`.
 
     The radius is the square root of e' V^-1 e at the region's edge.
     """

@@ -32,7 +32,7 @@ class Finding:
     camera: str | None = None
     """Name of the camera that the finding is about; None for all cameras, or for the clip."""
     numbers: dict[str, Number] = field(default_factory=dict)
-    """Evidence as numbers or texts, by names that end in the unit (rad, m, s, px)."""
+    """Evidence as numbers or strings, keyed by names that end in the unit (rad, m, s, px)."""
 
     def names(self, number: str) -> tuple[str, ...]:
         """Return the names in the evidence under a key; empty if the evidence has none."""
@@ -289,7 +289,10 @@ class Solution(Brief):
     segments: tuple[MotionSegment, ...]
     """Parts of the clip that have a pose, each with its own ground."""
     stage_s: dict[str, float]
-    """Seconds that each stage took, by name, and in total under "all"; empty if the method measures no times."""
+    """Duration of each stage of the fit in seconds, keyed by its name, and of all stages under the key "all".
+
+    The dictionary is empty if the method measures no times.
+    """
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the findings that only the fitting method of the solution can provide."""

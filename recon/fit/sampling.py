@@ -102,7 +102,7 @@ def sample_joints(
     fps
         Frames per second.
     settings
-        Settings of the fit, by name, from which the problem is set up again.
+        Settings of the fit as a dictionary keyed by their names, from which the problem is set up again.
     count, seed
         Number of draws, and the seed of the random numbers.
 

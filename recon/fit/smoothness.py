@@ -51,7 +51,7 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
     states
         The solution, (T, D).
     shared
-        Values of the solution's shared unknowns, by name.
+        Values of the solution's shared unknowns, as a dictionary whose keys are their names.
     scale
         Factors that the problem uses, (D,).
 
@@ -91,7 +91,7 @@ def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Arra
 
 
 def _second_difference(states: Array) -> Array:
-    """Return the second differences x(t - 1) - 2 x(t) + x(t + 1) of states (T, D), (T - 2, D)."""
+    """Return the second differences x(t - 1) - 2 x(t) + x(t + 1), shape (T - 2, D), of states (T, D)."""
     return states[:-2] - 2 * states[1:-1] + states[2:]
 
 

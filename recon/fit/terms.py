@@ -6,7 +6,7 @@ weighted deviation to the cost. `Reprojection` compares with the detections, `po
 `OnGround` with standing feet, and `KnownAngles` with given states.
 
 **Input and output.** A term gets N consecutive frames (`Span`) and returns its cost (N,), its residual r (N, M), the
-Jacobian J (N, M, S, D) and, by name, the derivatives (N, M, P) with respect to unknowns that all frames share. J'r is
+Jacobian J (N, M, S, D) and a dictionary of the derivatives (N, M, P) by unknowns that all frames share. J'r is
 the exact gradient of the cost, and J'J its curvature. Residuals are divided by standard deviations and multiplied by
 the square root of a robust loss's slope, so the cost is not half of r'r. The stencil (S,) holds the offsets of the
 frames that a row reads. The offsets are at most (-1, 0, 1) in a `Linear` term, and (0, 1) in a class, because spans
@@ -59,7 +59,7 @@ def time_offset(view: int) -> str:
 
 
 def offset_values(offsets_frames: Array) -> dict[str, Array]:
-    """Return the cameras' time offsets (V,) in frames as values of shared unknowns by name."""
+    """Return the time offsets (V,) of V cameras, in frames, as a dictionary whose keys are names of shared unknowns."""
     return {time_offset(i): np.array([frames]) for i, frames in enumerate(offsets_frames)}
 
 
@@ -151,7 +151,10 @@ class PointRows:
     by_point: Array
     """Derivatives with respect to the markers at nominal size, shape (N, J, 2, 3)."""
     by_shared: dict[str, Array]
-    """Derivatives (N, 2J, P) with respect to the size and the camera's unknowns except its keypoint bias, by name."""
+    """Derivatives (N, 2J, P) with respect to the size and the camera's unknowns except its keypoint bias.
+
+    The keys are the names of the unknowns.
+    """
     number: int = 0
     """Index of the view among the clip's views."""
     by_bias: Array | None = None
@@ -241,7 +244,10 @@ def _rate(fps: float, weight: float) -> float:
 
 
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term that keeps the angles near the prior's mean pose, with a single Gaussian of poses."""
+    """Return the term that keeps the angles near the mean pose of the prior, which is taken as a single Gaussian.
+
+    `n_state` is the number of columns of a state, `fps` the frame rate in Hz, and `weight` the weight of the term.
+    """
     rows = np.zeros((len(prior.mean), n_state))
     rows[:, ANGLES] = prior.pose_whitener * _rate(fps, weight)
     return Linear(POSE, (0,), rows[None], rows[:, ANGLES] @ prior.mean)
@@ -380,7 +386,10 @@ class Reprojection:
     name: str = "reprojection"
 
     def on_own_markers(self, count: int) -> tuple[Integers, Reprojection]:
-        """Return the indices of the markers that the term reads, which are all markers, and the term itself."""
+        """Return the indices of all `count` markers, and this term unchanged.
+
+        Other terms depend on some markers only, and return a term for these markers.
+        """
         return np.arange(count), self
 
     @property
@@ -546,7 +555,10 @@ class Heading:
     stencil: tuple[int, ...] = (0, 1)
 
     def on_own_markers(self, count: int) -> tuple[Integers, Heading]:
-        """Return the indices of the markers that the term reads, and the term for these markers alone."""
+        """Return the indices of the markers that this term depends on, and a copy of the term for these markers alone.
+
+        `count` is the body's number of markers, which only other terms need.
+        """
         return np.array([self.rear, self.front]), replace(self, rear=0, front=1)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
@@ -600,7 +612,10 @@ class StanceVelocity:
     stencil: tuple[int, ...] = (0, 1)
 
     def on_own_markers(self, count: int) -> tuple[Integers, StanceVelocity]:
-        """Return the indices of the markers that the term reads, and the term for these markers alone."""
+        """Return the indices of the markers that this term depends on, and a copy of the term for these markers alone.
+
+        `count` is the body's number of markers, which only other terms need.
+        """
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def contact(self, points_m: Array, size: float) -> tuple[Array, Array, Array]:
@@ -660,7 +675,10 @@ class OnGround:
     stencil: tuple[int, ...] = (0, 1)
 
     def on_own_markers(self, count: int) -> tuple[Integers, OnGround]:
-        """Return the indices of the markers that the term reads, and the term for these markers alone."""
+        """Return the indices of the markers that this term depends on, and a copy of the term for these markers alone.
+
+        `count` is the body's number of markers, which only other terms need.
+        """
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:

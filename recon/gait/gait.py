@@ -272,7 +272,7 @@ def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ..
 
 
 def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
-    """Return a mask (N,) of the times at which all feet of a four-footed animal stand."""
+    """Return a mask (N,) of the times at which all feet of an animal with at least four feet are in stance."""
     stands = np.zeros((len(tracks.time_s), len(tracks.feet)), dtype=bool)
     for stance in all_stances:
         first, stop = np.searchsorted(tracks.time_s, [stance.start_s, stance.end_s])

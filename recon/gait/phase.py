@@ -161,7 +161,10 @@ def pose_vector_field(
 
 
 class FieldMeans(NamedTuple):
-    """Means of a link's vector field over the frames in which the field is known; NaN if there are none."""
+    """Mean velocities of a link's tip relative to its parent link, over the frames in which they are known.
+
+    The means are NaN if there are no such frames.
+    """
 
     link: str
     parent: str

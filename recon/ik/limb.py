@@ -168,7 +168,7 @@ def methods_of(
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
-    """Build a cost from a text that names one of `COSTS`, or a weighted sum such as "energy,differences=0.1".
+    """Build a cost from a string that names one of `COSTS`, or a weighted sum such as "energy,differences=0.1".
 
     Raises
     ------

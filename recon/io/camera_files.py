@@ -492,7 +492,7 @@ def _with_indented_lists(text: str) -> str:
 
 
 def _nesting(text: str) -> int:
-    """Return an upper bound on how deeply OpenCV's parsers descend into a text.
+    """Return an upper bound on how deeply OpenCV's parsers descend into a string.
 
     OpenCV has no limit of its own. The bound counts brackets, elements, and for YAML the list markers in a line times
     the number of indents. Closing brackets do not count, because they may stand in comments.
@@ -518,7 +518,7 @@ def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
 
 
 def write_camera(camera: Camera, path: str | Path) -> None:
-    """Write a file of one camera, which `read_camera` reads back without being given a name."""
+    """Write one camera to a TOML file, which `read_camera` reads without the camera's name."""
     write_text(path, tomli_w.dumps({"camera": _table(camera)}))
 
 

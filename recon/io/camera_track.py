@@ -39,7 +39,7 @@ from recon.io.common import MAX_FRAME, first_problems, frame_number, number_rows
 POSE, INTRINSICS = ("qw", "qx", "qy", "qz", "tx", "ty", "tz"), ("fx", "fy", "cx", "cy")
 SIGMA = "sigma_deg"
 Columns = dict[str, Array]
-"""Columns (N,) of a table of N poses, by name: frame, `POSE`, and `INTRINSICS` or `SIGMA` if known."""
+"""Columns (N,) of a table of N poses, keyed by their names: frame, `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
 """Largest difference between a quaternion's length and 1, wide enough for quaternions written with three digits."""
 MAX_METRES = 1e7

@@ -88,7 +88,7 @@ class _Layout:
 
 
 def parse_map(text: str) -> dict[str, str]:
-    """Return the name of the column for each role in a text such as "frame=Frame, x=X".
+    """Return the name of the column for each role in a string such as "frame=Frame, x=X".
 
     Raises
     ------
@@ -493,7 +493,7 @@ def _points_of_levels(source: Path, table: pd.DataFrame, individual: str | None)
 
 
 def from_xarray(dataset: xr.Dataset, fps: float | None, individual: str | None) -> Keypoints:
-    """Return keypoints from movement's dataset, as described in `recon.Keypoints.from_xarray`."""
+    """Return keypoints from a dataset of the `movement` package, as described in `recon.Keypoints.from_xarray`."""
     from recon.io.hdf5_poses import points_of_dataset
 
     source = Path("Dataset")

@@ -385,7 +385,10 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
 
 
 def frame_number(text: str, least: int = 0) -> int | None:
-    """Return a text of digits as a frame number, or None for other texts and numbers outside `least` to `MAX_FRAME`."""
+    """Return a string of digits as a frame number.
+
+    Return None for any other string, and for numbers that are below `least` or above `MAX_FRAME`.
+    """
     frame = int(text) if re.fullmatch(r"-?[0-9]{1,15}", text) else None
     return frame if frame is not None and least <= frame <= MAX_FRAME else None
 

@@ -41,7 +41,7 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f
 """NumPy type for each type number of an element that holds numbers."""
 _TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16-le", 16: "utf-8", 17: "utf-16-le"}
 _CELL, _STRUCT, _CHAR = 1, 2, 4
-"""Class numbers of cell arrays, structs and texts in MATLAB's format."""
+"""Class numbers of cell arrays, structs and strings in MATLAB's format."""
 
 
 def recognises(path: Path) -> bool:
@@ -68,7 +68,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _all_texts(value: object) -> tuple[str, ...]:
-    """Return the texts of a cell array, or an empty tuple for anything else."""
+    """Return the strings of a cell array, or an empty tuple for anything else."""
     return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
 
 

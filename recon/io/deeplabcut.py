@@ -121,7 +121,7 @@ def points_of_rows(
 
 
 def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dict[str, list[str]], int]:
-    """Return the header's texts by level without the index columns, and the number of index columns."""
+    """Return the strings of each header row without the index columns, and the number of index columns."""
     header: dict[str, list[str]] = {}
     first = ""
     for _, row in rows:

@@ -138,7 +138,7 @@ def label_files(folder: Path, scorer: str = "") -> list[Path]:
 
 
 def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
-    """Return a table of predictions for each of a project's videos, by name, and the files left out.
+    """Return the file of predictions for each video of a project, keyed by the video's name, and the files left out.
 
     Tables are in the folders of the videos: `videos`, or as configured. Within one network's tables of a video,
     unfiltered tables are preferred to filtered ones, tracked animals to untracked ones, and H5 to CSV.

@@ -88,7 +88,7 @@ class Format:
         Raises
         ------
         InputError
-            If the file is damaged. Errors of Python and of libraries in reading the file are converted.
+            If the file is damaged. Exceptions of Python and of libraries during reading are converted to InputError.
         """
         with damage_as_input_error(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)

@@ -195,7 +195,7 @@ def scale_of(scale: h5py.Dataset, dataset: h5py.Dataset) -> list[int]:
 
 
 def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute as a number, a text, an array of numbers or a list of texts, or None if it is absent.
+    """Return an attribute as a number, a string, an array of numbers or a list of strings, or None if it is absent.
 
     Bytes are read as UTF-8.
 
@@ -220,7 +220,7 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> object:
     Raises
     ------
     ValueError
-        If the attribute is neither a number nor a text, or is too large.
+        If the attribute is neither a number nor a string, or is too large.
     """
     if not h5py.h5a.exists(holder.id, name.encode()):
         return None
@@ -252,7 +252,7 @@ def numbers(dataset: h5py.Dataset) -> np.ndarray:
 
 
 def is_text(dataset: h5py.Dataset) -> bool:
-    """Return whether a dataset has texts."""
+    """Return whether the elements of a dataset are strings."""
     return dataset.id.get_type().get_class() == h5t.STRING
 
 
@@ -283,7 +283,7 @@ def texts(dataset: h5py.Dataset) -> list[str]:
 
 
 def texts_in(group: h5py.Group, name: str) -> list[str]:
-    """Return the texts of a dataset in a group, or an empty list if the dataset is absent or empty."""
+    """Return the strings of a dataset in a group, or an empty list if the dataset is absent or empty."""
     dataset = child(group, name)
     return texts(dataset) if getattr(dataset, "size", 0) else []
 
@@ -333,7 +333,7 @@ def _require_readable(dataset: h5py.Dataset) -> None:
 
 
 def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
-    """Return whether an HDF5 type is a number, a text, or a record of numbers, texts or arrays of these."""
+    """Return whether an HDF5 type is a number, a string, or a record of numbers, strings or arrays of these."""
     type_class = kind.get_class()
     if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
@@ -352,7 +352,7 @@ def _is_variable_length(kind: h5t.TypeID) -> bool:
 
 
 def _require_short_texts(dataset: h5py.Dataset) -> None:
-    """Raise ValueError if a text claims to be longer than the file, for which the library would allocate memory.
+    """Raise ValueError if a string claims to be longer than the file, for which the library would allocate memory.
 
     Each text is stored as its length (4 bytes), the address of its heap (8 bytes), and its number there (4 bytes).
     """

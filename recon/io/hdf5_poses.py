@@ -8,10 +8,10 @@
   counts from frame 0 of the video. Frames in which a track is not occupied are left out.
 - sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, with the first frame number and
   the one after the last. Files of other programs also have names, and the frame rate as `recording_frame_rate`.
-- movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
-  `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a unit that
-  only recon's own files state (`length_unit`, `up_axis`). Recon's files have the names of movement 0.17, and times in
-  seconds since frame 0 if the frame rate is known, otherwise in frames.
+- netCDF 4 of the `movement` package: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are
+  called `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a
+  unit that only recon's own files state (`length_unit`, `up_axis`). Recon's files have the names of movement 0.17, and
+  times in seconds since frame 0 if the frame rate is known, otherwise in frames.
 - NWB: one `PoseEstimationSeries` for each point, in one container for each animal. Groups are identified by the types
   that they state, so that all versions of the extension can be read. Recon's files state 1970-01-01 as the start of
   their session, because NWB requires a start and the real one is unknown.
@@ -171,7 +171,10 @@ def _label(label: object) -> Label:
 
 
 def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute written by PyTables, which is a text, a number, or a pickle that ends in a dot."""
+    """Return the value of an attribute of a file that PyTables wrote.
+
+    PyTables stores strings and numbers directly, and other values as a pickle, which ends in a dot.
+    """
     value = raw_attribute(holder, name)
     if not isinstance(value, bytes):
         return value
@@ -286,7 +289,7 @@ Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
 
 
 def recognises_movement(path: Path) -> bool:
-    """Return whether a file is in movement's format, 2D or 3D.
+    """Return whether a file is in the format of the `movement` package, 2D or 3D.
 
     Raises
     ------
@@ -300,7 +303,7 @@ def recognises_movement(path: Path) -> bool:
 
 
 def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal in movement's netCDF file."""
+    """Return the points of one animal in a netCDF file of the `movement` package."""
     variables = {}
     with opened(path) as file:
         scales = {name: item for name in names(file) if hdf5.is_scale(item := child(file, name))}
@@ -321,7 +324,7 @@ def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, individual: str | None) -> StoredPoints:
-    """Return the points of one animal in movement's dataset.
+    """Return the points of one animal in a dataset of the `movement` package.
 
     `fps` replaces the dataset's frame rate if it is given.
 
@@ -341,7 +344,13 @@ def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, indi
 def _points_of_variables(
     path: Path, stored: Variables, attributes: Mapping[str, Any], individual: str | None
 ) -> StoredPoints:
-    """Return the points of one animal in movement's variables, or raise InputError for an invalid file."""
+    """Return the points of one animal in variables of the `movement` package.
+
+    Raises
+    ------
+    InputError
+        If the variables are not valid.
+    """
 
     def ordered(name: str, dims: tuple[str, ...]) -> np.ndarray:
         """Return a variable with its axes in the order `dims`, or an empty array if it is absent."""
@@ -398,7 +407,7 @@ def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[
 
 
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write movement's netCDF file of keypoints (x, y in pixels), or of 3D points (x, y, z in metres with z up).
+    """Write keypoints (x, y in px) or 3D points (x, y, z in m, with z up) to a netCDF file of the `movement` package.
 
     The format requires a confidence, which is NaN for 3D points.
     """
@@ -408,7 +417,7 @@ def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
 
 
 def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
-    """Return keypoints or 3D positions as movement's `xarray.Dataset`.
+    """Return keypoints or 3D positions as an `xarray.Dataset` of the `movement` package.
 
     Raises
     ------

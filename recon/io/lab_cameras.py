@@ -137,7 +137,7 @@ def _stereo_ends(text: str) -> tuple[str, str] | None:
 
 
 def read_stereo(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the two cameras of OpenCV's stereo file."""
+    """Return the two cameras of a stereo calibration file written with OpenCV; `individual` is not used."""
     document, ends = document_of(path), _stereo_ends(read_calibration(path))
     matrices = [next((key for key in document if re.fullmatch(_STEREO_MATRIX + end, key)), "K") for end in ends or ()]
     size = size_in(document) or document.get(key_in(document, ALIASES["image_size_px"]) or "")

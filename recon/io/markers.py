@@ -107,7 +107,7 @@ MIPS = 86
 """Processor type in the header of C3D files with big-endian numbers."""
 
 Parameters = dict[str, dict[str, Any]]
-"""Parameters of a C3D file, as lists of texts or arrays of numbers, by group and name."""
+"""Parameters of a C3D file, as lists of strings or arrays of numbers, keyed by group and then by name."""
 
 
 def recognises_c3d(path: Path) -> bool:
@@ -202,7 +202,7 @@ def _parameters(section: bytes, order: str) -> Parameters:
 
 
 def _value(section: bytes, position: int, order: str) -> list[str] | np.ndarray:
-    """Return a parameter's data, which are texts (type -1), bytes (1), whole numbers (2) or floats (4)."""
+    """Return a parameter's data, which are strings (type -1), bytes (1), whole numbers (2) or floats (4)."""
     kind, dimensions = struct.unpack_from("bB", section, position)
     shape = tuple(section[position + 2 : position + 2 + dimensions])
     position += 2 + dimensions

@@ -21,7 +21,7 @@ PLAIN_PICKLES = {
     *("TUPLE1", "TUPLE2", "TUPLE3", "APPEND", "APPENDS", "SETITEM", "SETITEMS", "PROTO", "FRAME", "STOP"),
     *("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE", "GET", "BINGET", "LONG_BINGET"),
 }
-"""Instructions of pickles that build texts, numbers, lists, tuples and dictionaries, and import or call nothing."""
+"""Instructions of pickles that build strings, numbers, lists, tuples and dictionaries, and import or call nothing."""
 _SCALARS = {
     *((module, "scalar") for module in ("numpy.core.multiarray", "numpy._core.multiarray")),
     ("numpy", "dtype"),

@@ -97,7 +97,7 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
 
 
 def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
-    """Return the segments of motion in one CSV file, by name.
+    """Return the segments of motion in one CSV file, as a dictionary whose keys are the segments' names.
 
     The file has a first header row `segment, frame, <joints>`, a second with x, y, z, and positions in metres. Any
     other file that `read_pose3d` reads is one segment with the file's name.

@@ -63,7 +63,7 @@ def frames_text(frames: np.ndarray) -> list[str]:
 
 
 def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
-    """Return the frame numbers in a text from `frames_text`, or None for anything else."""
+    """Return the frame numbers in a string that `frames_text` made, or None for anything else."""
     frames: list[np.ndarray] = []
     last = -MAX_FRAME - 1
     for text in ranges:
@@ -179,7 +179,7 @@ def _arrow_array(values: np.ndarray) -> pa.Array:
 
 
 def _guarded_column(values: np.ndarray) -> np.ndarray:
-    """Return a column (N,) with texts escaped so that a spreadsheet does not run them."""
+    """Return a column (N,) with strings escaped so that a spreadsheet does not run them."""
     if values.dtype.kind != "U":
         return np.ascontiguousarray(values)
     texts, numbers = np.unique(values, return_inverse=True)

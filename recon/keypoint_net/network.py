@@ -65,7 +65,7 @@ FORMAT = 1
 MODEL_FILE = "model.pt"
 
 CHANNELS = 6
-"""Number of input channels: three colours, and their differences from the still background."""
+"""Number of input channels: three colours, and their differences from the static background."""
 GREY = 115.0
 """Grey level, 0 to 255, that becomes 0 in the network's input."""
 SPREAD = 64.0
@@ -440,9 +440,10 @@ class TrainedNetwork:
     def _stage_points(
         self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return points (B, K, 2) in px, raw likelihoods (B, K), and variances along each axis (B, K) in px^2.
+        """Return points (B, K, 2) in px, raw likelihoods (B, K), and variances (B, K) in px^2.
 
-        `near_px` holds the centres (B, K, 2) of the second stage's windows.
+        The variance of a point is the same along both axes. `near_px` holds the centres (B, K, 2) of the second
+        stage's windows.
         """
         torch = require_torch()
         spec = self.spec

@@ -5,7 +5,7 @@ elsewhere, changing the light, blurring, covering parts, and adding noise. Each 
 generator, which is seeded by the run's seed and the picture's number. A run that is resumed therefore uses the same
 pictures.
 
-The still background of a clip is what a camera on a tripod sees without moving objects. The network's input is a
+The static background of a clip is what a camera on a tripod sees without moving objects. The network's input is a
 picture and its difference from this background, which shows what has moved, in any scene and light. Training also
 pastes the animal onto other parts of the background. If the camera moves, or if there are too few pictures, there is no
 background, and the difference is 0.
@@ -66,7 +66,7 @@ MAX_BYTES = 2**28
 STILL_LEVELS = 12.0
 """Largest difference of a still pixel from the background, in grey levels."""
 MIN_STILL_FRACTION = 0.6
-"""Fraction of still pixels in a picture above which the camera counts as still."""
+"""Fraction of still pixels in a picture above which the camera counts as static."""
 MOVED_LEVELS = 22.0
 """Difference from the background, in grey levels of any colour, above which a pixel belongs to the animal."""
 

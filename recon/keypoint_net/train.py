@@ -177,7 +177,7 @@ def train(
     threads : int, optional
         Number of CPU threads; by default as many as the run had before, or all.
     progress : callable
-        Called with a text and the fraction that is done.
+        Called with a description of the current step and the fraction of the work that is done.
     """
     torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
@@ -689,7 +689,7 @@ def run_training(
     out : Path
         Folder that gets the network, a checkpoint and the report.
     progress : callable
-        Called with a text and the fraction that is done.
+        Called with a description of the current step and the fraction of the work that is done.
     announce : callable
         Called with each sentence of `expectations` before the first step.
     **options

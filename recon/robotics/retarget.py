@@ -637,7 +637,7 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
 
 
 class _Swings(NamedTuple):
-    """Times of N samples relative to the stances of one foot; each array has the shape (N,)."""
+    """Stances of one foot before and after each of N samples, and the time to them; arrays of shape (N,)."""
 
     last_standing: Array
     """Index of the last sample in stance up to this sample, -1 if there is none."""

@@ -79,7 +79,7 @@ def build_report(motion: Motion) -> dict[str, Any]:
 
 
 def warnings(report: Mapping[str, Any]) -> list[str]:
-    """Return the texts of a report's errors and warnings, without its notes."""
+    """Return the messages of a report's errors and warnings, without its notes."""
     return [finding["text"] for finding in report["findings"] if finding["severity"] != "note"]
 
 

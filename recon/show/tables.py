@@ -255,7 +255,7 @@ Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
 """Names of a table's columns, and its rows."""
 Columns = dict[str, np.ndarray]
-"""Columns, by name, of a table that has one row for each frame or sample."""
+"""Columns of a table that has one row for each frame or sample, keyed by the columns' names."""
 
 
 def joints(analysis: ClipAnalysis) -> Table:
@@ -555,7 +555,7 @@ TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
 
 
 def unit_of(column: str) -> str:
-    """Return the unit at the end of a column's name, or an empty text for fractions, counts and texts."""
+    """Return the unit at the end of a column's name, or an empty string for fractions, counts and strings."""
     return next((unit for end, unit in UNITS.items() if column.endswith(f"_{end}")), "")
 
 

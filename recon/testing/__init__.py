@@ -1,4 +1,4 @@
-"""Simulate animals, cameras, rigs, boards and films with known ground truth, for tests.
+"""Simulate animals, cameras, rigs, boards and videos with known ground truth, for tests.
 
 Fits do not use these modules:
 
@@ -8,7 +8,7 @@ Fits do not use these modules:
 - `recon.testing.cameras`: cameras that look at a point, rings of cameras, cameras that pan;
 - `recon.testing.rigs`: an animal of any skeleton inside a ring of cameras, and the files of such a clip;
 - `recon.testing.boards`: pictures of calibration boards;
-- `recon.testing.film`: films of the cheetah;
+- `recon.testing.film`: videos of the cheetah;
 - `recon.testing.files`: keypoint, label and truth files of simulated clips;
 - `recon.testing.detectors`: keypoint names and files of other programs;
 - `recon.testing.bones`: readers of bone files that share no code with recon's writers;

@@ -114,7 +114,7 @@ def panning_camera(clip: SyntheticClip, seed: int = 0) -> Callable[[float], Came
     Parameters
     ----------
     clip
-        Clip of a still camera.
+        Clip of a static camera.
     seed
         Seed of the shake, which is 0 in the first frame.
 

@@ -1,6 +1,7 @@
-"""Draw a film of a simulated cheetah, for tests that need a video with known ground truth.
+"""Draw a video of a simulated cheetah, for tests that need a video with known ground truth.
 
-The film has shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion blur and sensor noise.
+The video shows shaded limbs with a spotted coat, and textured ground with the animal's shadow. Motion blur and sensor
+noise are added.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ COAT, SPOT, BELLY = (70.0, 130.0, 185.0), (30.0, 50.0, 75.0), (140.0, 180.0, 210
 SKY, HAZE, SAND, SHRUB = (205.0, 165.0, 120.0), (215.0, 205.0, 195.0), (105.0, 150.0, 180.0), (50.0, 90.0, 85.0)
 """Colours (blue, green, red) of sky, haze, sand and shrubs."""
 EXPOSURE = 0.4
-"""Exposure time of the film as a fraction of the time between two frames."""
+"""Exposure time of the video as a fraction of the time between two frames."""
 EXPOSURES = 5
 """Number of moments drawn during the exposure, whose mean is the picture."""
 NOISE = 2.5
@@ -48,24 +49,24 @@ LIGHT = np.array([-0.35, 0.25, 0.9])
 _SHIFT = 4
 
 FPS = 120
-"""Frame rate of the film in Hz."""
+"""Frame rate of the video in Hz."""
 FRAMES = 90
-"""Number of frames of the film."""
+"""Number of frames of the video."""
 LABELLED = 40
-"""Number of frames of the film with labels."""
+"""Number of labelled frames of the video."""
 SIZE_PX = (640, 360)
 FOCAL_PX = 640.0
-"""Focal length of the film's camera in pixels."""
+"""Focal length of the video's camera in pixels."""
 DISTANCE_M = 11.5
-"""Distance of the film's camera from the animal's path."""
+"""Distance of the video's camera from the animal's path in metres."""
 HEIGHT_M = 1.7
-"""Height of the film's camera above the ground."""
+"""Height of the video's camera above the ground in metres."""
 
 
 def render_frames(
     points_m: Array, names: tuple[str, ...], camera_at: Callable[[float], Camera], ground_m: float, seed: int = 0
 ) -> Iterator[Image]:
-    """Draw a picture of each frame of a film of the cheetah.
+    """Draw a picture of each frame of a video of the cheetah.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def render_frames(
     names
         Names of the J markers of `cheetah-24`.
     camera_at
-        Function from a time, in frames, to the camera. For a still camera, it always returns the same object.
+        Function from a time, in frames, to the camera. For a static camera, it always returns the same object.
     ground_m
         Height of the ground in metres.
     seed
@@ -255,7 +256,7 @@ class PanningFilm:
     """Clip filmed by a camera that turns to follow the animal."""
 
     clip: SyntheticClip
-    """Clip with the turning camera's keypoints, and the truth in the world frame of the camera's track.
+    """Clip with the turning camera's keypoints, and the ground truth in the world frame of the camera's track.
 
     In this frame z is up. The camera, which has no pose in the clip, is at the origin. In the first frame it looks
     along y and `tilt_deg` downwards.
@@ -267,7 +268,7 @@ class PanningFilm:
 
 
 def film_clip() -> tuple[SyntheticClip, float]:
-    """Return a clip filmed by a still camera, and the height of the ground in metres."""
+    """Return a clip filmed by a static camera, and the height of the ground in metres."""
     clip, _ = whole_gallop(FPS, FRAMES)
     paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
     ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03
@@ -283,12 +284,12 @@ def film_clip() -> tuple[SyntheticClip, float]:
 
 
 def labelled_frames() -> Integers:
-    """Return the numbers of the film's labelled frames, spread evenly."""
+    """Return the frame numbers of the video's labelled frames, which are evenly spaced."""
     return np.linspace(0, FRAMES - 1, LABELLED).round().astype(int)
 
 
 def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> None:
-    """Write a film (rendered.mp4) with its camera, labels and truth (rendered_*) into an existing folder."""
+    """Write a video (rendered.mp4) with its camera, labels, keypoints and ground truth into an existing folder."""
     with video_writer(folder / "rendered.mp4", SIZE_PX, FPS) as write:
         for picture in pictures:
             write(picture)
@@ -304,7 +305,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
     Parameters
     ----------
     clip
-        Clip of a still camera.
+        Clip of a static camera.
     camera_at
         Function from a time in frames to the camera, as returned by `recon.testing.cameras.panning_camera`.
 

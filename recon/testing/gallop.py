@@ -112,7 +112,7 @@ def gallop(
 ) -> SyntheticClip:
     """Simulate a cheetah that covers about 13 m and three strides in the first second, and then reaches 20 m/s.
 
-    The camera is still, and the animal is in the picture for the first second. Points that leave the picture later are
+    The camera is static, and the animal is in the picture for the first second. Points that leave the picture later are
     missing.
 
     Parameters

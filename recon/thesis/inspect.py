@@ -251,7 +251,7 @@ class SolverRecord:
 
     @property
     def solutions(self) -> dict[str, FrameSolution]:
-        """Return the solutions with a "free" and a "fixed" camera rotation, of which the fit's own is first."""
+        """Return the solutions with a "free" and a "fixed" camera rotation, with the one that the fit used first."""
         first, second = ("fixed", "free") if self.options.camera_rotation == "fixed" else ("free", "fixed")
         return {first: self.solution, second: self.other_solution}
 

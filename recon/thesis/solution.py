@@ -63,7 +63,7 @@ class _FrameReport:
     """Status value of scipy's `least_squares`, such as 1 if the gradient is small."""
     squared_norm: float
     cost_shares: dict[str, float]
-    """Fraction of the residuals' squared norm that each term contributes, by name of the term."""
+    """Fraction of the residuals' squared norm that each term contributes, keyed by the term's name."""
     step_norm: float
     """Length of the search's last step in the space of the unknowns."""
     sigma_px: float

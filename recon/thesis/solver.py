@@ -370,7 +370,7 @@ class FrameSolver:
         ]
 
     def _on_path(self, frame: int) -> Array:
-        """Return the first solution of a frame with its root moved onto the path."""
+        """Return a frame's solution from the first pass, with its root moved onto the smooth path of all frames."""
         assert self.starts is not None
         assert self.path is not None
         state = self.starts[frame]

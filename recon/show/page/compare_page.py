@@ -104,7 +104,7 @@ def value_with_interval(row: Mapping[Any, Any], name: str) -> tuple[float, float
 
 
 def _text(value: float, low: float, high: float) -> list[str]:
-    """Return a value and its interval as texts, or an empty list for an unknown value."""
+    """Return a value and its interval as strings, or an empty list for an unknown value."""
     if not math.isfinite(value):
         return []
     number, _, ends = interval(value, low, high).partition(" (")

@@ -213,14 +213,17 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield the first row of each run of flagged frames with the same flags, and frame numbers and flags as texts."""
+    """Yield the first row, the frame numbers and the flags of each range of frames with the same flags.
+
+    The frame numbers and the flags are strings, such as "12 to 15" and "left-right swap, gross outliers".
+    """
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
 
 
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
-    """Return a section of a page with a heading, a text and figures.
+    """Return a section of a page with a heading, a paragraph and figures.
 
     `width` is "wide" for figures that scroll on a phone, and "narrow" for figures that do not.
     """

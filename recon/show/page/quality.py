@@ -33,7 +33,7 @@ def quality_tables(motion: Motion) -> list[dict[str, Any]]:
 
 
 def worst_keypoint(tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the keypoint with the largest median distance from the pose, with its camera and a text on its errors."""
+    """Return the keypoint with the largest median distance from the pose, its camera, and a remark on its errors."""
     table = max(tables, key=lambda table: _median_px(table["rows"][0]))
     row = table["rows"][0]
     texts = [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"] if row["median_px"] is not None else []
@@ -79,7 +79,7 @@ LITTLE_WEIGHT = 0.1
 
 
 def keypoint_notes(motion: Motion, picture: Picture) -> list[str]:
-    """Return a text for each keypoint on its wrong detections and their weight in the fit, or an empty text."""
+    """Return a remark on the wrong detections of each keypoint and their weight in the fit, or an empty string."""
     swapped = swapped_frames(motion, picture).sum(axis=0)
     notes = []
     for j in range(len(motion.names)):

@@ -81,7 +81,7 @@ def composites(
     joints_m : ndarray
         Positions of the joints in metres with z up, shape (T, J, 3).
     limbs : mapping
-        Joints along each limb, by name.
+        Joints along each limb, keyed by the limb's name.
     time_s : ndarray
         Times of the frames in seconds, shape (T,).
     ground : sequence, optional
@@ -89,7 +89,7 @@ def composites(
     title : str
         Title of the figure, or an empty text for none.
     sides : mapping
-        Side of each limb, by name. Left limbs are dashed, and limbs without a side are thick.
+        Side of each limb, keyed by the limb's name. Left limbs are dashed, and limbs without a side are thick.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -448,9 +448,10 @@ _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
-    """Draw the uncertainty, and the fraction of the precision that comes from the pixels, by a camera's position.
+    """Draw how the uncertainty of a measured quantity depends on where a camera is placed.
 
-    Each further camera has a panel, which assumes that the cameras of the panels before it are there.
+    Colours show the fraction of the information that comes from the pixels rather than from the prior. Each added
+    camera has a panel, which assumes that the cameras of the panels above are in use.
     """
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]

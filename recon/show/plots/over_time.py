@@ -44,11 +44,11 @@ _BAR = 0.76
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     """Draw the stances of each foot over time, as found by one or several methods.
 
-    `gaits` has the gait found by each method, by name. The bars of several methods are above each other. The second
-    axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait has a colour. A
-    stance that is cut by the clip, and so may last longer, has an arrow instead of an edge. Lines across the edges are
-    the 90 % intervals of touch-downs, in the upper half, and of lift-offs, in the lower half. Thin lines with ticks are
-    complete strides. The name of each gait and its criterion are at the bottom.
+    `gaits` has the gait found by each method, keyed by the method's name. The bars of several methods are above each
+    other. The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait
+    has a colour. A stance that is cut by the clip, and so may last longer, has an arrow instead of an edge. Lines
+    across the edges are the 90 % intervals of touch-downs, in the upper half, and of lift-offs, in the lower half. Thin
+    lines with ticks are complete strides. The name of each gait and its criterion are at the bottom.
     """
     captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)

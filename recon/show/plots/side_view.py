@@ -43,7 +43,8 @@ def side_view(
     joints_m : ndarray
         Positions of the joints in metres with z up, shape (T, J, 3).
     limbs, sides : mapping
-        Joints and side of each limb, by name. Left limbs are blue and dashed, right limbs orange, and others black.
+        Joints and side of each limb, keyed by the limb's name. Left limbs are blue and dashed, right limbs orange, and
+        others black.
     during : ndarray
         Mask (T,) of the frames of the stride, or of the whole clip if it has no stride.
     time_s : ndarray
@@ -137,7 +138,10 @@ def _ground_m(
 
 
 def _scale_bar(axes: Axes, step_m: float, per_line: int, tall_m: float) -> None:
-    """Draw a scale bar of a round length at the right end, below the poses."""
+    """Draw a scale bar of a round length, in metres, at the lower right of a row of poses.
+
+    The row has `per_line` poses, `step_m` apart, and the tallest pose is `tall_m` high.
+    """
     length_m = style.round_below(0.35 * step_m)
     end = (per_line - 0.5) * step_m - 0.02 * step_m
     y = -0.1 * tall_m

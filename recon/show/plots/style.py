@@ -78,7 +78,10 @@ _PRINT_SIZES = (
 
 @contextmanager
 def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
-    """Draw the figures of a `with` block for a paper, `width_mm` wide, with text of `PRINT_POINTS` and no titles."""
+    """Return a context manager in which figures are drawn for a paper: `width_mm` wide, in small type, without titles.
+
+    `panel` is a panel of a larger figure into which the next figure is drawn, or None for a separate figure.
+    """
     token = _PRINT.set(Print(width_mm, panel))
     try:
         yield
@@ -214,7 +217,7 @@ def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
 
 
 def blank(axes: Axes, text: str = "no data") -> None:
-    """Write a text into axes that have no plot."""
+    """Write a remark into axes that have no plot."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set_xticks([])
     axes.set_yticks([])

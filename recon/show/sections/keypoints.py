@@ -113,7 +113,7 @@ def _errors_text(motion: Motion, errors: Mapping[str, Any]) -> str:
 
 
 def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, missing: int, rejected: int) -> str:
-    """Return a text on how many detections were used, are missing, have no likelihood, or were left out."""
+    """Return a sentence on how many detections were used, are missing, have no likelihood, or were left out."""
     texts = [f"{used} used", *([f"{missing} missing"] if missing else [])]
     unknown = sum(row["likelihood_unknown"] for row in fitted if row["in_file"])
     texts += [f"{unknown} without a likelihood (never left out as unlikely)"] if unknown else []

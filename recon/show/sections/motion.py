@@ -85,7 +85,7 @@ def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_text(angle_rad: float | None) -> str:
-    """Return a text that states the angle between the animal's heading and the image plane in degrees.
+    """Return a sentence that states the angle between the animal's heading and the image plane in degrees.
 
     The angle is positive if the animal moves away from the camera. None stands for an unknown angle.
     """

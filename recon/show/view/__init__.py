@@ -148,7 +148,7 @@ def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
 
 
 def _world_view(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
-    """Return the world view, with the trail up to the current frame."""
+    """Return a 3D view that shows the trail of the animal's reference point up to the current frame."""
     start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
     upto_now = rrb.VisibleTimeRanges([rr.VisibleTimeRange(t, start=start, end=end) for t in ("frame", "time")])
     return rrb.Spatial3DView(
