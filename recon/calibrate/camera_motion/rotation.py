@@ -227,7 +227,7 @@ class Orientation:
     rotation: Array
     """Rotation from the world to the camera, shape (3, 3)."""
     zoom: float = 1.0
-    """Focal length relative to that in the camera file."""
+    """Focal length relative to the focal length in the camera file."""
 
 
 @dataclass(frozen=True, eq=False)
