@@ -109,7 +109,7 @@ class Keypoints(Brief):
 
     @classmethod
     def from_xarray(cls, dataset: xr.Dataset, fps: float | None = None, individual: str | None = None) -> Keypoints:
-        """Return keypoints from a dataset of poses of the package movement, in pixels.
+        """Return keypoints from a poses dataset of the `movement` package, in pixels.
 
         Parameters
         ----------

@@ -230,7 +230,7 @@ class Body(Brief):
 
     @cached_property
     def one_sided(self) -> bool:
-        """Return whether the body is a chain, which represents the limbs of one side."""
+        """Return whether the body represents the limbs of one side only, as a body made from a chain does."""
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:

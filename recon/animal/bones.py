@@ -54,7 +54,7 @@ class Bone:
 
 
 def bones_of(body: Body) -> tuple[Bone, ...]:
-    """Return the bones of the trunk and of the left limbs, or of a chain's only limbs; empty without `[anatomy]`."""
+    """Return the bones of the trunk and the left limbs, or of a one-sided body's limbs; empty without `[anatomy]`."""
     bones = [*_trunk(body), *_limbs(body)]
     return tuple(bone for bone in bones if bone.length_m > 0)
 

@@ -77,7 +77,7 @@ def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
 ) -> tuple[dict[str, Any], str]:
-    """Return the tables of a built-in or given file, and the file's name for messages."""
+    """Return the tables of a built-in file or of the user's file, and the file's name for messages."""
     option = "--set detector" if kind == "detector" else f"--{kind}"
     return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 

@@ -118,7 +118,7 @@ def _has_points(path: Path) -> bool:
 
 
 def _folder_problem(folder: Path) -> Problem:
-    """Return the problem with a folder without results, which names a file or a results folder inside to audit."""
+    """Return the problem of a folder without results, with the name of a file or results folder in it to audit."""
     inside = sorted(path.parent for path in folder.glob(f"*/{MOTION}"))
     if inside:
         content = f"a folder of {counted(len(inside), 'result')}"

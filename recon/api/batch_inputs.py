@@ -255,7 +255,7 @@ def _why_left_out(path: Path) -> str:
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
-    """Return the drafts without any draft whose files an earlier draft already has, even by another path.
+    """Return the drafts, except those whose files an earlier draft already has, even by another path.
 
     All rows of a manifest are kept.
     """

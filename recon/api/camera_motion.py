@@ -186,7 +186,7 @@ def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], time
 
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
-    """Return the keypoints (K, 2) in px of each frame that has any, by frame number of the video.
+    """Return the keypoints (K, 2) of each frame that has any, px, keyed by the video's frame number.
 
     Unlikely keypoints are NaN.
     """

@@ -231,7 +231,7 @@ def _design(settings: CompareSettings, names: Sequence[str]) -> pd.DataFrame | N
 
 
 def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
-    """Load the results, and leave out copies and those that may not be used.
+    """Load the results, without copies and without results that must not be used.
 
     Raises
     ------

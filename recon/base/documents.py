@@ -139,7 +139,7 @@ def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
 
 
 def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Json:
-    """Return the content of a JSON text, or raise InputError if the text is not JSON."""
+    """Return the content of a JSON string, or raise InputError if the string is not JSON."""
     with damage_as_input_error(source, expected):
         return json.loads(text)
 
@@ -148,7 +148,7 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]
 
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
-    """Return the table of a TOML text, or raise InputError if the text is not TOML."""
+    """Return the table of a TOML string, or raise InputError if the string is not TOML."""
     with damage_as_input_error(source, expected):
         if _LONG_KEY.search(text):
             raise RecursionError  # the time and memory of tomllib grow with the square of a key's length

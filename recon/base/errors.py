@@ -17,7 +17,7 @@ NO_FILE, ANY_FILE = "no such file", "a file that can be read"
 class Problem:
     """Problem with an input.
 
-    The text of a problem is one line, with codes for characters that cannot be printed.
+    The message of a problem is one line, in which escape sequences replace characters that cannot be printed.
     """
 
     file: str | Path

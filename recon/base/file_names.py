@@ -44,7 +44,8 @@ def _code(match: re.Match[str]) -> str:
 def existing_path(path: str) -> str:
     r"""Return the path of the existing file whose name `encodable` wrote, or the path unchanged if there is none.
 
-    A name may contain both codes of bytes and literal text like \xe9. The names in each folder decide which is meant.
+    A name may contain both escape sequences and literal text that looks like one, such as \xe9. The names of the files
+    in each folder decide which is meant.
     """
     if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
         return path

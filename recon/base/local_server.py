@@ -42,7 +42,7 @@ Its arguments are the rest of the path after the handler's name, and the request
 
 
 def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
-    """Return a reply that has a value as JSON."""
+    """Return a reply whose content is a value in JSON."""
     return Reply(json.dumps(value).encode(), status=status)
 
 

@@ -412,7 +412,7 @@ def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -
 def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
     """Record files in a folder as written by the command `kind`.
 
-    `digests` are the files' SHA-256 by name, from another record.
+    `digests` holds the SHA-256 of each file from another record, keyed by the file's name.
     """
     with committing(folder):
         written = read_record(folder)

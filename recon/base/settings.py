@@ -254,7 +254,7 @@ class Settings:
     @classmethod
     @cache
     def infos(cls) -> dict[str, SettingInfo]:
-        """Return all settings by name, in their order."""
+        """Return the description of each setting, keyed by the setting's name, in the order of the class's fields."""
         types = typing.get_type_hints(cls, include_extras=True)
         field_items = (vars(info).get("__pydantic_fields__", {}).items() for info in reversed(cls.__mro__))
         texts = {

@@ -105,7 +105,7 @@ class Calibration:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Return fx, fy, cx, cy (px) and the lens coefficients, keyed by name."""
+        """Return fx, fy, cx, cy (px) and the lens coefficients, keyed by their names."""
         matrix = self.camera.matrix
         values = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *self.camera.distortion)
         names = ("fx", "fy", "cx", "cy", *self.camera.lens.coefficients)
@@ -327,7 +327,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
 
 
 def _pictures_measured(calibration: Calibration) -> dict[str, float]:
-    """Return the measured quantities of `LIMITS` that describe the pictures, keyed by name."""
+    """Return the measured quantities of `LIMITS` that describe the pictures, keyed by their names."""
     used, (width, height) = calibration.used, calibration.camera.image_size_px
     corners = np.concatenate([view.xy_px for view in used])
     gaps = [*(corners.min(axis=0) / (width, height)), *(1 - (corners.max(axis=0) + 1) / (width, height))]
@@ -347,7 +347,7 @@ def _pictures_measured(calibration: Calibration) -> dict[str, float]:
 
 
 def _lens_measured(calibration: Calibration) -> dict[str, float]:
-    """Return the measured quantities of `LIMITS` that describe the lens, keyed by name."""
+    """Return the measured quantities of `LIMITS` that describe the lens, keyed by their names."""
     values, sigma = calibration.parameters, calibration.sigma
     width, height = calibration.camera.image_size_px
     y, x = np.mgrid[0 : height - 1 : 41j, 0 : width - 1 : 41j]

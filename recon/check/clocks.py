@@ -57,7 +57,7 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution, every: int = 1) -
 def drift_findings(
     clip: ClipProblem, solution: TrajectorySolution, names: Sequence[str], fps: float
 ) -> Iterator[Finding]:
-    """Yield a finding on the camera whose clock drifts by the most standard deviations, unless rays refute the drift.
+    """Yield a finding on the camera with the most significant clock drift, unless the rays contradict the drift.
 
     Parameters
     ----------

@@ -121,9 +121,9 @@ def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def sentence(item: Finding, named: bool = True) -> str:
-    """Return the text of a finding with its numbers filled in.
+    """Return the message of a finding with its numbers filled in.
 
-    If `named` is true, as for clips of several cameras, the text states the camera's name.
+    If `named` is true, as for clips of several cameras, the message states the camera's name.
     """
     words = CODES[item.code][1]
     numbers: dict[str, Any] = item.numbers
@@ -164,13 +164,13 @@ def _speed_text(speed_m_s: float) -> str:
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
-    """Yield each finding of a motion with its text."""
+    """Yield each finding of a motion with its message."""
     for item in motion.findings:
         yield item, sentence(item, named=len(motion.sources) > 1)
 
 
 def names_text(names: Sequence[str]) -> str:
-    """Return the first `MAX_NAMES` names and the number of the remaining names as text."""
+    """Return a string with the first `MAX_NAMES` names and the number of the remaining names."""
     rest = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + rest
 

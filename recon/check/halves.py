@@ -63,7 +63,7 @@ def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding |
 def foreign_half(clip: ClipProblem, solution: TrajectorySolution) -> str:
     """Return the name of the half of the body, fore or hind, whose detections disagree with the pose far more often.
 
-    If neither half stands out, the text names both halves.
+    If neither half stands out, the returned string names both halves.
     """
     view, is_hind = clip.views[0], hind_markers(clip)
     projected_px, _ = view.project(view.shift_to_exposure(solution.markers_m))

@@ -33,7 +33,7 @@ def downgrade_swap(swap: Finding) -> Finding:
 def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources with the detected swaps corrected, and the findings with these swaps marked as corrected."""
+    """Return the sources with the detected swaps corrected, and the findings with a mark on each corrected swap."""
     mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
     for i, swap in enumerate(findings):
         if swap.code != "left_right_swap" or swap.frames is None:

@@ -270,7 +270,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
-    """Return each frame's log-likelihood gain from swapping left and right, (T,), as a dictionary by kind of swap.
+    """Return each frame's log-likelihood gain from swapping left and right, (T,), keyed by the kind of swap.
 
     The gain of the kind "all" is computed from all legs.
     """

@@ -111,7 +111,7 @@ class Evidence:
 
     @property
     def factors(self) -> dict[str, float]:
-        """Return the terms of the expected error's logarithm by name, before they are multiplied by `POWERS`."""
+        """Return the terms of the expected error's logarithm, keyed by name and not yet multiplied by `POWERS`."""
         return {
             "posterior": math.log(self.posterior_m * math.sqrt(self.misfit) / self.trunk_m),
             "distance": math.log(self.distance_m / self.trunk_m),

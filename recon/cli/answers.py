@@ -91,7 +91,7 @@ def _shown_json(text: str) -> str:
 def terminal(**options: Any) -> Console:
     """Return a console that prints to the terminal.
 
-    Brackets and colons in names are not treated as markup, and control characters are shown as codes.
+    Brackets and colons in names are not treated as markup, and control characters are shown as escape sequences.
     """
     return _Terminal(markup=False, emoji=False, **options)
 

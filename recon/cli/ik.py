@@ -97,7 +97,7 @@ def _target_lines(driven: dict[str, Any], summary: dict[str, Any]) -> Iterator[s
 
 
 def _result(row: dict[str, Any]) -> str:
-    """Return one word for the outcome of a method along the stride."""
+    """Return a short description of the outcome of a method along the stride."""
     if row["worst_error_m"] > OFF_PATH_M:
         return "off-path"
     if row["note"].startswith("singular"):

@@ -151,7 +151,7 @@ def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answ
 
 
 def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) -> Index:
-    """Return the rows of the motion for up to `count` stills, which are evenly spaced frames with a pose.
+    """Return the rows of up to `count` evenly spaced frames with a pose, which the page shows as still pictures.
 
     `start` is the frame number of the video's first picture.
     """
@@ -315,7 +315,7 @@ class PagePictures(NamedTuple):
 
 
 def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:
-    """Return the overlay, the rows of up to `count` stills, and video pictures for the player and the stills.
+    """Return the overlay, the rows of up to `count` still pictures, and pictures of the video for these and the player.
 
     Raises
     ------

@@ -207,7 +207,8 @@ def _model_file(path: Path) -> Path:
 def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     """Return the job of a video.
 
-    `options` holds the given settings of the fit by name. Without a frame rate, the video's frame rate is used.
+    `options` holds the given settings of the fit, keyed by their names. Without a frame rate, the video's frame rate
+    is used.
 
     Raises
     ------

@@ -335,7 +335,7 @@ class Motion:
 
     @cached_property
     def foot_names(self) -> dict[str, str]:
-        """Return the names of the feet's keypoints, by label."""
+        """Return the names of the feet's keypoints, keyed by the labels of the feet."""
         return {label: self.names[foot] for label, foot in zip(self.foot_labels, self.feet, strict=True)}
 
     @property

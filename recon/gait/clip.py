@@ -225,7 +225,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def standing(self) -> Bools:
-        """Return a mask of the frames in which each of the motion's F feet stands, shape (T, F)."""
+        """Return a mask of the frames in which each of the F feet is in stance, shape (T, F)."""
         motion = self.motion
         stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
         if len(stands) >= MIN_POINTS and self.gait is not None:

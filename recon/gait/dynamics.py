@@ -106,7 +106,7 @@ class StanceForce(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """Part of the clip in which no foot stands, after allowing for the errors of touch-down and lift-off."""
+    """Part of the clip in which no foot is on the ground, after allowing for the errors of touch-down and lift-off."""
 
     first: int
     """Index of the flight's first frame in the clip."""
@@ -449,7 +449,7 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 def validity_text(gait_name: str) -> str:
-    """Return text on the animals and gaits for which forces were validated, and on the assumptions for this gait."""
+    """Return sentences on the animals and gaits for which forces were validated, and on assumptions for this gait."""
     validated = "Forces were validated on galloping cheetahs on level ground."
     if "gallop" in gait_name:
         return validated

@@ -67,7 +67,7 @@ class _Score(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Brief):
-    """Comparison of a reconstruction with the truth, over T common frames and J common joints.
+    """Comparison of a reconstruction with the ground truth, over T common frames and J common joints.
 
     Frame ranges are half-open.
     """
@@ -75,7 +75,7 @@ class Evaluation(Brief):
     pose: str
     """Path of the reconstruction's file."""
     truth: str
-    """Path of the truth's file."""
+    """Path of the ground truth's file."""
     names: tuple[str, ...]
     frames: np.ndarray
     mpjpe_m: _Score
@@ -87,7 +87,7 @@ class Evaluation(Brief):
     pa_mpjpe_m: _Score
     """Mean per-joint position error after the best similarity transform of each frame (Procrustes analysis)."""
     position_m: float
-    """Distance between the mean of the joints in the pose and in the truth, averaged over the frames."""
+    """Distance between the mean of the joints in the pose and in the ground truth, averaged over the frames."""
     pck: tuple[tuple[float, _Score], ...]
     """PCK thresholds (m), each with the fraction of centred errors that do not exceed it."""
     inside: dict[str, tuple[float, ...]]
@@ -284,14 +284,14 @@ def _positions(
 
 
 def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
-    """Return the errors of a reconstruction, compared with the truth.
+    """Return the errors of a reconstruction, compared with the ground truth.
 
     Joints are matched by name, frames by number. The result lists the joints and frames that only one of the two has.
 
     Parameters
     ----------
     pose, truth : Pose3D
-        The reconstruction and the truth, in metres.
+        The reconstruction and the ground truth, in metres.
     sigmas_m : tuple of ndarray, optional
         Standard deviations of the pose's positions and of the positions relative to the mean of all joints, metres,
         shape (T, J, 3) each.
@@ -398,7 +398,7 @@ def score(values: np.ndarray) -> _Score:
 
 
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
-    """Return the pose (T, J, 3) after aligning it with the truth in each frame by least squares (Umeyama 1991).
+    """Return the pose (T, J, 3) after aligning it with the ground truth in each frame by least squares (Umeyama 1991).
 
     The means of the common joints coincide. If `scale` is true, the pose is also scaled by a factor that is not
     negative, since a negative factor would mirror the animal. If `turn` is true, the pose is also rotated, without
@@ -420,7 +420,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 
 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
-    """Return the pose and the truth, centred on the mean of their common joints, and these means.
+    """Return the pose and the ground truth, centred on the mean of their common joints, and these means.
 
     The arrays have the shapes (2, T, J, 3) and (2, T, 1, 3). Joints that are missing in either are NaN.
     """
@@ -442,16 +442,16 @@ MAX_SIZE_RATIO = 2.0
 A single camera hardly determines the size, so smaller ratios can have other causes.
 """
 OTHER_CLIP_ERROR = 0.3
-"""Error relative to the animal's size above which the motion and the truth count as different clips.
+"""Error relative to the animal's size above which the motion and the ground truth count as different clips.
 
 Different clips of animals with the same gait may differ by little more than a poor fit differs from the truth.
 """
 OTHER_ORIGIN_DISTANCE = 4.0
-"""Distance between the motion and the truth, relative to the animal's size, above which the origins probably differ."""
+"""Distance between motion and ground truth, relative to the animal's size, above which the origins probably differ."""
 
 
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return a finding if the axes, units, names or clips of a motion and its truth probably differ.
+    """Return a finding if the axes, units, names or clips of a motion and its ground truth probably differ.
 
     `pose_m` and `truth_m` are positions (T, J, 3), metres, NaN where missing.
     """
@@ -507,7 +507,7 @@ def _error(pose: Array, truth: Array) -> float:
 
 
 def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
-    """Return the pose rotated to fit the truth best, and the angle of this rotation, rad.
+    """Return the pose rotated to fit the ground truth best, and the angle of this rotation, rad.
 
     Both poses have the shape (..., 3). One rotation is used for all frames.
     """

@@ -360,7 +360,7 @@ def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
 
 
 def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the overlap of successive left and right stances, s; negative if neither foot stands between them."""
+    """Return the overlap of successive left and right stances, s; negative if both feet are in the air in between."""
     name, source = f"overlap_{girdle}_s", "footfalls"
     steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
     if not steps:

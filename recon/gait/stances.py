@@ -118,7 +118,7 @@ class Stance:
 
     @property
     def duration_s(self) -> float:
-        """Return the time for which the foot stands, s."""
+        """Return the duration of the stance, s."""
         return self.end_s - self.start_s
 
     @property
@@ -184,9 +184,9 @@ class Tracks(Brief):
 
     @cached_property
     def rest_sigmas(self) -> float:
-        """Return the apparent speed that standing feet do not exceed in nine of ten instants.
+        """Return the apparent speed below which feet in stance stay for nine tenths of the time.
 
-        The unit is the stated standard deviation of the speed. Return 1 if no foot stands.
+        The unit is the stated standard deviation of the speed. Return 1 if there is no stance.
         """
         rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW_HEIGHTS[0] * self.leg_m)
         rest &= self.foot_speed_sigma_m_s > 0

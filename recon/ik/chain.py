@@ -121,7 +121,7 @@ class SerialChain:
         return derivatives_of(self.tree, self._moved(q))[1].copy()
 
     def geometric_jacobian(self, q: Array) -> Array:
-        """Return the geometric Jacobian (6, n) of a chain of `joint_chain`.
+        """Return the geometric Jacobian (6, n) of a chain that `joint_chain` made.
 
         Its rows are the velocity (m/s) and the angular velocity (rad/s) of the end effector.
         """

@@ -150,7 +150,7 @@ def _parameter_label(column: str) -> str:
 
 
 def _outcome(move: Run) -> str:
-    """Return a few words for the plot's legend on why a run failed, or an empty text if it did not fail."""
+    """Return a few words for the plot's legend on why a run failed, or an empty string if it did not fail."""
     if not move.note:
         return ""
     failure = move.note.split(":")[0].split(" (")[0]

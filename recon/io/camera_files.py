@@ -95,7 +95,7 @@ def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
 
 
 def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any]]:
-    """Return `value` unchanged if it holds tables by name, or raise InputError if it is empty or anything else."""
+    """Return `value` if it is a dictionary of tables, or raise InputError if it is empty or anything else."""
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value

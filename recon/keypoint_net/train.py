@@ -255,7 +255,7 @@ def schedule(share: float) -> float:
 
 
 def _cosine(share: float) -> float:
-    """Return a cosine that falls from 1 to almost 0 as `share` increases from 0 to 1."""
+    """Return the factor on the learning rate, a cosine that falls from 1 to almost 0 as `share` rises from 0 to 1."""
     return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
 
 
@@ -496,7 +496,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
 
 
 def _suspects_among(learned: Integers, run: TrainingRun, xy_px: Array) -> list[dict[str, Any]]:
-    """Return the suspicious labels in the pictures with indices `learned`, which the network learned from.
+    """Return the suspicious labels in the pictures with indices `learned`, from which the network was trained.
 
     In other pictures, a disagreement may be an error of the network.
     """

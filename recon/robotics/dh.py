@@ -266,7 +266,7 @@ def table_answer(settings: TableSettings) -> dict[str, Any]:
 
 
 def _numbers(option: str, text: str) -> list[float]:
-    """Parse the value of an option such as "1,2.5,-3"; raise InputError if the text is not a list of numbers."""
+    """Parse the value of an option such as "1,2.5,-3"; raise InputError if it is not a list of numbers."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -118,7 +118,7 @@ class Quadruped:
     name: str
     title: str
     legs: Mapping[str, RobotLeg]
-    """Legs by label: LF, RF, LH, RH, in this order."""
+    """Legs, keyed by their labels LF, RF, LH and RH, in this order."""
     stand_m: float
     """Standing height of the hips, metres."""
     source: str = ""

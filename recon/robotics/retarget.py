@@ -178,7 +178,7 @@ def _longest_complete(motion: Motion, tracks: Tracks, trunk: Array) -> Index:
 
 
 def _standing(gait: Gait, time_s: Array) -> Bools:
-    """Return a mask (N, 4) of the times at which each foot stands, in the order of `LEGS`."""
+    """Return a mask (N, 4) of the times at which each foot is in stance, in the order of `LEGS`."""
     standing = np.zeros((len(time_s), len(LEGS)), bool)
     for stance in gait.stances:
         is_stance = (time_s >= stance.start_s - 1e-9) & (time_s <= stance.end_s + 1e-9)
@@ -388,7 +388,7 @@ class RobotMotion(KeptMotion):
         return states
 
     def stands_at(self, time_s: Array) -> Bools:
-        """Return a mask (K, 4) of the feet that stand, taken from the samples nearest to times (K,)."""
+        """Return a mask (K, 4) of the feet in stance, taken from the samples nearest to times (K,), s."""
         return self.standing[np.argmin(np.abs(self.time_s[None] - time_s[:, None]), axis=1)]
 
     @cached_property

@@ -296,7 +296,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
 
 
 def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
-    """Draw the skeleton with the detections on top."""
+    """Draw the skeleton of one frame, and the detections on top of the skeleton."""
     xy, nearness_of_joint = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (nearness_of_joint[a] + nearness_of_joint[b]), a, b, colour)

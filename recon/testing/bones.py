@@ -23,7 +23,7 @@ Joints = dict[str, Array]
 
 
 def read_mot(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a .mot file (OpenSim's motion) by name."""
+    """Return the columns of a .mot file (OpenSim's motion), keyed by their names."""
     header, _, rows = path.read_text(encoding="utf-8").partition("endheader\n")
     assert "inDegrees=no" in header
     names, *lines = (line.split("\t") for line in rows.splitlines())

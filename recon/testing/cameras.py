@@ -36,7 +36,7 @@ def level_rotation(centre_m: Array, target_m: Array) -> Array:
 
 
 def aim_camera(lens: Camera, centre_m: Array, target_m: Array) -> Camera:
-    """Return a camera that stands at a point and looks at another point.
+    """Return a camera at a point that looks at another point.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from recon.clip import Keypoints
 
 
 def split_names(*lines: str) -> tuple[str, ...]:
-    """Return the names in a comma-separated text."""
+    """Return the names in comma-separated strings."""
     return tuple(word.strip() for line in lines for word in line.split(","))
 
 

@@ -156,7 +156,7 @@ class SolverRecord:
         return np.concatenate([J for _, J in self.terms[row].values()])
 
     def _by_frame(self, values: dict[int, Array]) -> Array:
-        """Return an array (T, D) with the given values (D,) by frame index, and NaN in all other frames."""
+        """Return an array (T, D) whose rows are `values` (D,), keyed by the index of the row, and NaN in other rows."""
         table = np.full((len(self.motion.frames), len(self.unknowns)), np.nan)
         table[[*values]] = np.array([*values.values()])
         return table
@@ -214,12 +214,12 @@ class SolverRecord:
         }
 
     def _median_and_range(self, count: str) -> dict[str, float]:
-        """Return median, minimum and maximum over the solved frames of one of the reports' counts."""
+        """Return the median, the minimum and the maximum of a count, such as iterations, over the solved frames."""
         counts = self.solution.reported(count)[self.motion.solved]
         return {"median": float(np.median(counts)), "min": float(counts.min()), "max": float(counts.max())}
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return every table of `recon solver` by its file name (`TABLES`)."""
+        """Return every table of `recon solver`, keyed by its file name (`TABLES`)."""
         tables = (
             self._frames_table(),
             self._unknowns_table(),

@@ -55,7 +55,7 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class PathTie(Objective):
-    """Penalty on the distance between the reference joint and the path.
+    """Penalty on the distance between the reference joint and its smoothed path.
 
     The residuals are (R p0 * expected base length / base length - path) / sigma. The ratio of the base lengths leaves
     the scale free, because the pixels do not determine the scale either.

@@ -122,7 +122,7 @@ class FrameSolution(Solution):
 
     @property
     def position_error_time_s(self) -> float | None:
-        """Return the correlation time of the path's error in seconds, or None without a path."""
+        """Return the correlation time of the error of the smoothed path, s, or None without a smoothed path."""
         if self.path is None:
             return None
         variance = np.diagonal(self.path.covariance, axis1=1, axis2=2)
@@ -172,7 +172,7 @@ class FrameSolution(Solution):
         return FRAME_BY_FRAME * max(1.0, self.prior_misfit)
 
     def reported(self, field: str) -> Array:
-        """Return one field of the frames' reports, shape (T,); NaN for frames without data."""
+        """Return the values of one field of `_FrameReport` in all frames, shape (T,); NaN for frames without data."""
         return np.array([np.nan if report is None else getattr(report, field) for report in self.reports], dtype=float)
 
     def unknown(self, name: str) -> Array:

@@ -98,7 +98,7 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
 
 
 def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
-    """Return the angles in rad, by index in the state, from text such as "th6=55,th7=97,xi=-3" in degrees.
+    """Return angles in rad, keyed by their index in the state, from a string such as "th6=55,th7=97,xi=-3" in degrees.
 
     Names are spelled as in `variables.csv` (th6, ph6, xi, psi, zeta) or `angles.csv` (theta_6).
 

@@ -205,7 +205,7 @@ class _Swing(FileTable):
 
 
 class _Pace(FileTable):
-    """Caps on the torso's shift and turn per frame."""
+    """Largest displacement and largest rotation of the torso per frame."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength

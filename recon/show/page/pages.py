@@ -66,7 +66,7 @@ def rendered(template: str, **content: Any) -> str:
 
 
 def _without_unseen(value: object) -> object:
-    """Return text with control characters and marks of text direction replaced by visible codes."""
+    """Return a string with control characters and marks of text direction replaced by escape sequences."""
     if not isinstance(value, str) or not UNSEEN.search(value):
         return value
     return type(value)(UNSEEN.sub(lambda mark: printable(mark[0]), value))

@@ -344,7 +344,7 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
 
 
 def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, shown: Bools | None = None) -> None:
-    """Draw lines along the limbs, or only those lines that begin or end at a marker in the mask `shown`."""
+    """Draw lines along the limbs; only lines that begin or end at a marker in the mask `shown`, if it is given."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
         pieces = [

@@ -176,7 +176,7 @@ def foot_colour(foot: str) -> str:
 
 
 def dots(count: int, size: float) -> dict[str, Any]:
-    """Return the marker of a line through `count` samples, or no marker if the dots would touch."""
+    """Return the marker of a line through `count` samples, or no marker if the markers would touch."""
     return {"marker": "o", "ms": size} if count <= MAX_DOTS else {}
 
 

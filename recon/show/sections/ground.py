@@ -40,7 +40,7 @@ def _ground_data(motion: Motion, segment: MotionSegment) -> dict[str, Any] | Non
 
 
 def stances_data(motion: Motion) -> dict[str, Any]:
-    """Return the ranges of frame numbers during which each foot stands, by foot."""
+    """Return the ranges of frame numbers in which each foot is in stance, keyed by the foot."""
     gait = motion.derived(ClipAnalysis).gait if motion.solved.sum() >= MIN_POINTS else None
     ranges, last = {name: [] for name in motion.foot_names.values()}, len(motion.frames) - 1
     for stance in gait.stances if gait else ():

@@ -98,7 +98,7 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
 
 
 def medians_px(motion: Motion) -> Array:
-    """Return the median distance in pixels between detections and pose, shape (V, J), by camera and keypoint."""
+    """Return the median distance between detections and pose for V cameras and J keypoints, px, shape (V, J)."""
     distance_px = _stacked(motion, "distance_px")
     return np.array([[median(of_keypoint) for of_keypoint in of_camera.T] for of_camera in distance_px])
 

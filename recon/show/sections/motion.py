@@ -144,7 +144,7 @@ def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def given_size(motion: Motion) -> str:
-    """Return the option or file that states the animal's size, or an empty text for an animal of average size."""
+    """Return the option or file that states the animal's size, or an empty string for an animal of average size."""
     for name, option in (("height_m", "height at the withers, --height-m "), ("size", "--set size=")):
         if (value := motion.settings.get(name)) is not None:
             return f"{option}{value:g}"

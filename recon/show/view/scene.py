@@ -374,7 +374,7 @@ def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
 
 
 def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
-    """Write an ellipsoid around every joint, red in frames with a flag, and the standing feet (T, F).
+    """Write an ellipsoid around every joint, red in flagged frames, and mark the feet in stance (`standing`, (T, F)).
 
     Ellipsoids move in every frame, and have a new shape at most 25 times a second.
     """
