@@ -22,7 +22,7 @@ LEVELS = "animal", "run", "stride"
 _MIN_SIGMA_RATIO = 1e-4
 """Lower bound of the standard deviations of animals, runs and strides, relative to the values' standard deviation."""
 _MIN_REPORTED_RATIO = 1e-2
-"""Standard deviation of animals, runs or strides, relative to the values' standard deviation, below which it is 0."""
+"""Smallest reported standard deviation of animals, runs or strides, relative to the values'; less is given as 0."""
 
 
 @dataclass(frozen=True)
