@@ -73,14 +73,14 @@ class IkSettings(Settings):
     x,y,z in metres from the chain's base, such as 0.8,0.1,-0.5.
     """
     follow: Literal["stride"] | None = None
-    """Path that the foot follows, which can only be stride, a closed stride of the foot in the clip."""
+    """Path that the foot follows: stride, which is a closed stride of the foot in the clip."""
     compare: bool = False
     """Compare all methods in one table, for both tasks unless one is chosen."""
     foot: Annotated[str | None, Option(metavar="FOOT")] = None
     """LF, RF, LH, RH, or the joint's name. (default: the first fore foot)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     dim: Annotated[Integer, Field(ge=2, le=3)] = 3
-    """2: in the vertical plane of the direction of travel; 3: in space."""
+    """Dimensions: 2 for the vertical plane of the direction of travel, 3 for space."""
     turns: Annotated[Integer, Field(ge=1)] = 1
     """Number of times to follow the stride."""
     limits: bool = True
