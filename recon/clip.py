@@ -206,7 +206,7 @@ class CleaningReport(Brief):
     inserted: tuple[tuple[int, int], ...]
     """Half-open ranges of frames that the file lacks, which were inserted with all points missing."""
     keypoints: dict[str, dict[str, int]]
-    """Counts for each keypoint, by the keypoint's name and a name in `COUNTS`."""
+    """Counts for each keypoint, keyed by the keypoint's name and then by a name in `COUNTS`."""
     notes: tuple[str, ...] = ()
     """Choices of the file's reader and of the cleaning, in plain sentences."""
     constant_px: tuple[float, float] | None = None

@@ -138,7 +138,7 @@ class _Results:
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]
-    """Motions of the results that are used, keyed by name."""
+    """Motions of the results that are used, keyed by the names of the results."""
     levels: Mapping[str, str]
     left_out: Sequence[str]
     notes: Sequence[str]

@@ -187,7 +187,7 @@ KINDS = "biuf"
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
-    """Return the arrays of a NumPy archive by name.
+    """Return the arrays of a NumPy archive, keyed by their names.
 
     `kinds` are NumPy's letters for the allowed types, never "O", which is a pickle. Sizes are checked before anything
     is unpacked.

@@ -315,7 +315,7 @@ GROUPS = {
 class _Group(TyperGroup):
     """Group of commands, each of which is imported only when it is called.
 
-    `functions` has the function that imports each command, by the command's name.
+    `functions` has the function that imports each command, keyed by the command's name.
     """
 
     def __init__(self, **options: Any) -> None:

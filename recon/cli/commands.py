@@ -57,7 +57,7 @@ class OptionsOf:
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
-        """Return the settings by name, each with its heading in the help."""
+        """Return the settings, keyed by their names, each with its heading in the help."""
         infos = self.settings.infos()
         return {
             name: replace(infos[name], option=self._option(name, infos[name].option)) for name in self.names or infos
@@ -71,7 +71,7 @@ class SettingsCommand(TyperCommand):
     """Command that reports all its missing and wrong settings at once."""
 
     infos: dict[str, SettingInfo]
-    """All settings, keyed by name. Settings of another class come first."""
+    """All settings, keyed by their names. Settings of another class come first."""
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
         """Parse arguments, or raise InputError that says how to give settings that are not options."""

@@ -38,7 +38,7 @@ class TrajectoryOptions:
     fast: bool = False
     """Whether the search is shortened by fewer starts, only one of them solved to the end, and looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
-    """Whether standing feet are assumed to be still and on one plane ("auto"), or nothing is assumed ("none")."""
+    """Whether feet in stance are assumed to be at rest and on one plane ("auto"), or not ("none")."""
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise, pixels."""
     keypoint_sigma_m: float | None = None
@@ -165,7 +165,7 @@ class ClipProblem:
         return replace(self, shape=FreeShape.of_body(self.body), shape_scale=scale)
 
     def without_ground(self) -> ClipProblem:
-        """Return the problem without the assumption that standing feet are still and on one plane."""
+        """Return the problem without the assumption that feet in stance are at rest and on one plane."""
         return replace(self, options=replace(self.options, ground="none"))
 
     @property

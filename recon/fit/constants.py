@@ -26,8 +26,8 @@ with 0.
 NOISE_ABOUT_BIAS = 1.2
 """Factor on the variance of detections about their keypoint bias, because real bias is not quite constant over a clip.
 
-With this factor the 90 % intervals of the benchmark's real runs contain the truth as often as if the whole bias counted
-as noise (`python benchmarks/cameras.py --only several`).
+With this factor the 90 % intervals of the benchmark's real runs contain the true value as often as if the whole bias
+counted as noise (`python benchmarks/cameras.py --only several`).
 """
 ERROR_TIME_S = 0.16
 """Correlation time of the errors of detections, s.

@@ -86,7 +86,7 @@ class Estimate:
     converged: bool
     """Whether the search ended because the cost hardly decreased any more."""
     shared: Mapping[str, Array] = field(default_factory=dict)
-    """Values (P,) of each group of shared unknowns, by the group's name."""
+    """Values (P,) of each group of shared unknowns, keyed by the group's name."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -292,7 +292,7 @@ class Motion:
 
     @property
     def limbs(self) -> dict[str, tuple[int, ...]]:
-        """Return the indices of the joints along each limb, by the limb's name, for drawing."""
+        """Return the indices of the joints along each limb, keyed by the limb's name, for drawing."""
         return self.body.limb_rows
 
     @property
@@ -302,7 +302,7 @@ class Motion:
 
     @cached_property
     def limb_sides(self) -> dict[str, Side | None]:
-        """Return the side of each limb, by the limb's name; None for the middle."""
+        """Return the side of each limb, keyed by the limb's name; None for a limb in the middle, such as the spine."""
         return self.body.limb_sides(self.side)
 
     @property

@@ -148,7 +148,7 @@ class _Residuals:
 
     @classmethod
     def of_view(cls, solution: Solution, number: int) -> _Residuals:
-        """Return the reprojection errors in one of the solution's views, by the view's number."""
+        """Return the reprojection errors in the view of a solution with the index `number`."""
         view, noise_px = solution.views[number], solution.noise_px[number]
         markers_m = solution.markers_m
         projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(markers_m)))
@@ -175,7 +175,7 @@ class _Residuals:
         return np.asarray(self.weight * np.sum(self.error_px**2, axis=-1) / self.noise_px**2)
 
     def off_px(self, deviation: Array) -> Array:
-        """Return the errors in pixels, (..., T, J, 2), without deviations (..., T, J, 3) in m; NaN if missing."""
+        """Return the errors (..., T, J, 2), px, that remain after deviations (..., T, J, 3), m; NaN if missing."""
         remaining_px = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
         return np.where(self.weight[..., None] > 0, remaining_px, np.nan)
 

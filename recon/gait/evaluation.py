@@ -444,7 +444,7 @@ A single camera hardly determines the size, so smaller ratios can have other cau
 OTHER_CLIP_ERROR = 0.3
 """Error relative to the animal's size above which the motion and the ground truth count as different clips.
 
-Different clips of animals with the same gait may differ by little more than a poor fit differs from the truth.
+Different clips of animals with the same gait may differ by little more than a poor fit differs from the ground truth.
 """
 OTHER_ORIGIN_DISTANCE = 4.0
 """Distance between motion and ground truth, relative to the animal's size, above which the origins probably differ."""

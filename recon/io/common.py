@@ -482,7 +482,7 @@ def cut_blank(rows: Rows, width: int) -> Iterator[tuple[int, list[str]]]:
 def number_rows(
     path: Path, rows: Rows, columns: Sequence[str], index: int = 0
 ) -> tuple[list[list[str]], np.ndarray, list[Problem]]:
-    """Return the cells of a table as texts and numbers, and its problems.
+    """Return the cells of a table as strings and as numbers, and the problems of the table.
 
     Parameters
     ----------

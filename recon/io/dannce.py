@@ -102,7 +102,7 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def _variables(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file by name.
+    """Return the variables of a MATLAB file, keyed by their names.
 
     An array of numbers keeps MATLAB's shape. A struct becomes a dictionary, an array of structs a list of dictionaries,
     and a cell array a list. Anything else but text becomes None.

@@ -260,7 +260,7 @@ def points_of_table(
 def _stripped(named: Sequence[Mapping[str | None, str]]) -> tuple[list[Column], tuple[str, ...]]:
     """Strip spaces around the names of columns, and return a note on each name that had any.
 
-    `named` has the texts of each column by level.
+    `named` has the strings in the header of each column, keyed by the level of the header.
     """
     columns, spaced = [], dict[str, None]()
     for texts in named:

@@ -29,7 +29,7 @@ Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 
 @dataclass(frozen=True)
 class Functions:
-    """Functions of one file format; None for what recon cannot do with the format's files."""
+    """Functions that recognise, read and write one file format; None for an operation that recon does not support."""
 
     recognises: Callable[[Path], bool] | None = None
     read: Callable[..., Any] | None = None

@@ -257,7 +257,7 @@ def is_text(dataset: h5py.Dataset) -> bool:
 
 
 def texts(dataset: h5py.Dataset) -> list[str]:
-    """Return the texts of a dataset of any shape in one list.
+    """Return the strings of a dataset of any shape in one list.
 
     Raises
     ------
@@ -289,7 +289,7 @@ def texts_in(group: h5py.Group, name: str) -> list[str]:
 
 
 def read_values(dataset: h5py.Dataset) -> np.ndarray:
-    """Return a dataset of numbers, texts of fixed length, or records of them.
+    """Return the content of a dataset of numbers, strings of fixed length, or records of both.
 
     Raises
     ------

@@ -129,7 +129,7 @@ def recognises_stereo(path: Path) -> bool:
 
 
 def _stereo_ends(text: str) -> tuple[str, str] | None:
-    """Return the suffixes of the two cameras' keys in OpenCV's stereo file, or None for a file of another kind."""
+    """Return the suffixes of the two cameras' keys in a stereo calibration file, or None for a file of another kind."""
     for ends in _STEREO_ENDS:
         if all(re.search(rf"[<\"\s]{_STEREO_MATRIX}{end}[>\"\s:]", f"\n{text}") for end in ends):
             return ends

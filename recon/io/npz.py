@@ -59,7 +59,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the poses of all numbered files in a file's folder.
+    """Return the poses in all numbered files of the folder that contains the given file.
 
     A file without a number in its name is read alone, as frame 0.
     """

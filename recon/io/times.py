@@ -168,7 +168,7 @@ def seconds(cells: Iterable[object]) -> np.ndarray | None:
 
 
 def _clocks(texts: Sequence[str]) -> np.ndarray | None:
-    """Return times of the day in seconds after midnight, or None if any text is not a time of the day."""
+    """Return times of the day in seconds after midnight, or None if any string is not a time of the day."""
     clocks = [re.fullmatch(r"(?:(\d{1,2}):)?([0-5]?\d):([0-5]\d(?:[.,]\d+)?)", text) for text in texts]
     # two numbers can be hours and minutes, unless the second has a fraction
     if not texts or not all(clock and (clock[1] or re.search("[.,]", clock[3])) for clock in clocks):
@@ -192,7 +192,7 @@ def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _stamp(text: str) -> tuple[datetime, float] | None:
-    """Return a time stamp without its fraction of a second, and the fraction, or None if the text is no time stamp."""
+    """Return a time stamp without its fraction of a second, and the fraction, or None if it is not a time stamp."""
     match = re.fullmatch(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(?:[.,](\d+))?(Z|[+-]\d\d:?\d\d)?", text)
     if match is None:
         return None

@@ -428,14 +428,14 @@ With `USUAL_PICTURES`, the network has an error of 1.1 px in `python benchmarks/
 USUAL_PICTURES = 40
 """Number of labelled pictures needed to train a useful network, as in the benchmark of `USUAL_STEPS`."""
 MEASURED_ERRORS = (
-    (5, "on a rendered film of an animal 101 px long", "1.8 px"),
-    (10, "on a rendered film of an animal 101 px long", "1.2 px"),
-    (20, "on a rendered film of an animal 101 px long", "1.1 px"),
-    (40, "on a rendered film of an animal 101 px long", "1.1 px"),
-    (40, "on a rendered film of an animal 440 px long", "0.8 px"),
+    (5, "on a rendered video of an animal 101 px long", "1.8 px"),
+    (10, "on a rendered video of an animal 101 px long", "1.2 px"),
+    (20, "on a rendered video of an animal 101 px long", "1.1 px"),
+    (40, "on a rendered video of an animal 101 px long", "1.1 px"),
+    (40, "on a rendered video of an animal 440 px long", "0.8 px"),
     (150, "on a video of a horse, in a different light from that of the labels", "3.1 px"),
 )
-"""Number of labelled pictures, film and animal, and median error in pictures without labels, in ascending order.
+"""Number of labelled pictures, video and animal, and median error in pictures without labels, in ascending order.
 
 The values come from the tables of docs/net.md (`python benchmarks/net.py --only circle labels large horse`).
 """
@@ -583,7 +583,7 @@ def measured_errors(labelled_count: int) -> str:
     """
     measured_counts = sorted(number for number, _, _ in MEASURED_ERRORS)
     nearest = max((number for number in measured_counts if number <= labelled_count), default=measured_counts[0])
-    errors = ", and ".join(f"{error} {film}" for number, film, error in MEASURED_ERRORS if number == nearest)
+    errors = ", and ".join(f"{error} {video}" for number, video, error in MEASURED_ERRORS if number == nearest)
     expected = "" if labelled_count >= nearest else " Expect larger errors with fewer pictures."
     return f"{nearest} labelled pictures gave a median error of {errors}.{expected}"
 

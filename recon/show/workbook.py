@@ -61,7 +61,7 @@ MAX_COLUMNS = 30
 
 
 def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
-    """Return every table of an analysis by name, with the same content as its CSV file."""
+    """Return every table of an analysis, keyed by its name, with the same content as the CSV file of this name."""
     frames = {}
     for file_name in TABLES:
         content = table_content(analysis, file_name)
@@ -114,7 +114,10 @@ def _unit_in_words(table: pd.DataFrame, column: str) -> str:
 
 
 def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return all numbers as a long table with the columns table, of (texts of a row), `KEYS`, variable, unit, value."""
+    """Return all numbers as a long table.
+
+    The columns are table, of (the strings of a row), `KEYS`, variable, unit and value.
+    """
     parts = [part for name, table in tables.items() for part in _melted(name, table)]
     columns = ["table", "of", *KEYS, "variable", "unit", "value"]
     if not parts:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from recon.base.arrays import Array
 
 Joints = dict[str, Array]
-"""Positions (T, 3) of each joint by name, in metres with y up."""
+"""Positions (T, 3) of each joint, in metres with y up, keyed by the joint's name."""
 
 
 def read_mot(path: Path) -> dict[str, list[float]]:

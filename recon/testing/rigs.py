@@ -140,7 +140,7 @@ def write_rig_clip(
     Returns
     -------
     tuple
-        The files by name (cam1, ..., rig), and the true markers.
+        The files, keyed by name (cam1, ..., rig), and the true markers.
     """
     body, rng = load_skeleton(skeleton), np.random.default_rng(0)
     offsets = {marker: tuple(rng.normal(0, BIAS * body.keypoint_sigma_m, 3)) for marker in body.markers}

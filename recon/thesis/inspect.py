@@ -112,7 +112,7 @@ class SolverRecord:
     motion: Motion
     solution: FrameSolution
     terms: dict[int, dict[str, tuple[Array, Array]]]
-    """Residuals (M,) and Jacobian (M, D) at the solution, by the frame's index in the clip, then by name of the term.
+    """Residuals (M,) and Jacobian (M, D) at the solution, keyed by the frame's index in the clip and the term's name.
 
     The previous frame's pose is held fixed.
     """

@@ -266,12 +266,12 @@ def test_an_untrained_network_flags_no_labels_and_a_warning_says_so(clip, tmp_pa
 @pytest.mark.parametrize(
     ("count", "sentence"),
     [
-        (3, "5 labelled pictures gave a median error of 1.8 px on a rendered film of an animal 101 px long."),
+        (3, "5 labelled pictures gave a median error of 1.8 px on a rendered video of an animal 101 px long."),
         (3, "Expect larger errors with fewer pictures."),
         (12, "10 labelled pictures gave a median error of 1.2 px"),
         (
             120,
-            "40 labelled pictures gave a median error of 1.1 px on a rendered film of an animal 101 px long, and 0.8",
+            "40 labelled pictures gave a median error of 1.1 px on a rendered video of an animal 101 px long, and 0.8",
         ),
         (200, "150 labelled pictures gave a median error of 3.1 px on a video of a horse"),
     ],

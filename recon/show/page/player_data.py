@@ -239,7 +239,7 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bool]]]:
-    """Return panels of the model's angles by title, each with curves by side.
+    """Return panels of the model's angles, keyed by their titles, each with a curve for each side.
 
     A curve consists of values and standard deviations in degrees, shape (T,), and whether the pixels determine the
     angle.

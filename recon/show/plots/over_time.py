@@ -328,7 +328,7 @@ def clearest_portraits(
     Parameters
     ----------
     portraits
-        Phase portrait of each angle by name, whose order the result keeps.
+        Phase portraits, keyed by the names of the angles, whose order the result keeps.
     shares
         Fraction of each angle's precision that comes from the pixels. Angles below `MEASURED_FRACTION` are left out,
         unless no angle would remain.

@@ -19,7 +19,7 @@ class Section:
     name: str
     """Name of the field."""
     data: Callable[[Motion], Any]
-    """Function that returns the content of the field, which may consist of numbers, texts, arrays, lists and mappings.
+    """Function that returns the content of the field, made of numbers, strings, arrays, lists and mappings.
     """
     lines: Callable[[Motion, Any], Iterable[Line]] = lambda motion, data: ()
     """Function that yields the summary's lines, given the motion and the content in JSON types (None for unknown)."""

@@ -79,7 +79,7 @@ def _recording(path: Path, _rest: str, _data: object) -> Reply:
 
 
 def _viewer_files() -> dict[str, Reply]:
-    """Return the files of the web viewer by name, from rerun's own server, which is stopped afterwards."""
+    """Return the files of the web viewer, keyed by their names, from rerun's server, which is stopped afterwards."""
     data_port, viewer_port = _free_ports(2)
     command = [str(_program()), "--serve-web", "--bind", LOOPBACK, "--port", str(data_port)]
     command += ["--web-viewer-port", str(viewer_port)]
