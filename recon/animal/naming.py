@@ -129,7 +129,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
-    """Return keypoints with the names of a skeleton, and with a note that states which were renamed.
+    """Return keypoints with the names of a skeleton, and with a note that states which keypoints were renamed.
 
     Raises
     ------

@@ -469,7 +469,7 @@ class _FileOfClip(NamedTuple):
 
 
 def _clip_key(draft: _Draft) -> tuple[Path, str, str]:
-    """Return folder, name without the camera, and settings, which are equal for all files of one clip."""
+    """Return the folder, the name without the camera's, and the settings, which all files of one clip share."""
     row = {name: value for name, value in draft.row.items() if name != "camera_name"}
     return draft.title.parent, draft.title.name.casefold(), repr(row)
 

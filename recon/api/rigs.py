@@ -164,7 +164,7 @@ def cameras_with_z_up(cameras: _Cameras, up: str) -> _Cameras:
 def sources_with_z_up(
     sources: Sequence[Source], sources_apart: Sequence[Source], body: Body, fps: float, sigma_px: float
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Turn cameras so that z is up and the ground is at z = 0, as estimated from standing feet.
+    """Turn cameras so that z is up and the ground is at z = 0, as estimated from feet in stance.
 
     `sources` are on the frames of the clip, `sources_apart` on each camera's own frames.
 

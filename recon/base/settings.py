@@ -314,7 +314,7 @@ def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> P
 
 
 def _parts(kind: object) -> Iterator[object]:
-    """Yield all parts of a type, at any depth."""
+    """Yield the type and, at any depth, the types in its arguments, such as list and int for list[int]."""
     yield typing.get_origin(kind) or kind
     inner = typing.get_args(kind)
     for part in inner:

@@ -24,7 +24,7 @@ def guarded(cell: _Cell) -> _Cell: ...
 
 
 def guarded(cell: object) -> object:
-    """Return a cell in UTF-8, with an apostrophe in front if a spreadsheet would evaluate its text."""
+    """Return a table cell that UTF-8 can encode, with an apostrophe in front of a string that looks like a formula."""
     if not isinstance(cell, str):
         return cell
     return encodable(f"'{cell}" if _is_formula(cell) and not _is_number(cell) else cell)

@@ -94,7 +94,7 @@ class Calibration:
 
     @cached_property
     def used(self) -> tuple[_FittedBoardView, ...]:
-        """Return the views from which the camera was calibrated, without outliers."""
+        """Return the views from which the camera was calibrated, which exclude outliers."""
         return tuple(view for view in self.views if view.used)
 
     @cached_property

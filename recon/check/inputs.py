@@ -1,7 +1,7 @@
 """Detect wrong inputs: copies, moving cameras, swaps, gross outliers, another picture or camera, a wrong frame rate.
 
 Copied detections, and motions that no animal makes, are tested first. Detections that are equal to the last digit were
-copied, not measured. If the camera pans, all standing feet slide together. The other faults are detected because the
+copied, not measured. If the camera pans, all feet in stance slide together. The other faults are detected because the
 clip becomes much more likely when they are corrected (`recon.check.likelihood`).
 """
 
@@ -191,7 +191,7 @@ def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | Non
 
 
 def _feet_glide(moves: Sequence[Finding]) -> bool:
-    """Return whether standing feet move forwards, as they also do if the stated frame rate is too high."""
+    """Return whether feet in stance move forwards, as they also do if the stated frame rate is too high."""
     slides = [item.numbers.get("slide_m_s") for item in moves]
     return any(isinstance(slide_m_s, float) and slide_m_s > 0 for slide_m_s in slides)
 
@@ -473,7 +473,7 @@ BACKWARDS_M_S = 1.0
 BACKWARDS_FRACTION = 0.9
 """Fraction of frames with a backward speed of more than `BACKWARDS_M_S`, above which the clip is reversed in time."""
 STANDING_QUANTILE = 0.1
-"""Quantile of the speeds of all feet in all frames that is taken as the speed of standing feet."""
+"""Quantile of the speeds of all feet in all frames that is taken as the speed of feet in stance."""
 LOWEST_FRACTION = 0.2
 """Fraction of the frames in which a foot counts as on the ground, namely those in which the foot is lowest.
 
@@ -482,7 +482,7 @@ On a belt, or if the camera follows or pans, feet move in these frames at 0.55 t
 benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_RATIO = 0.25
-"""Backward speed of standing feet, relative to the body's speed over the feet, above which they slide.
+"""Backward speed of feet in stance, relative to the body's speed over the feet, above which they slide.
 
 The relative speed is at most 0.08 in 32 real views of cheetahs, and 0.11 to 0.92 (median 0.85) on a treadmill, where
 the smallest value is from a view along the animal's path. Dogs on the spot reach 1.1, but the feet that are lowest then
@@ -499,13 +499,13 @@ limit would change none of these clips (`python benchmarks/wrong_inputs.py --onl
 TREADMILL_RATIO = 0.3
 """Speed of the body, relative to its speed over the feet, below which the body stays in place, as on a treadmill."""
 SLIDE_M_S = -2.5
-"""Velocity of standing feet along the trunk below which they slide backwards.
+"""Velocity of feet in stance along the trunk below which they slide backwards.
 
 The lowest velocity is -0.65 m/s in 32 real views of running cheetahs, and -1.05 m/s if a dog steps or turns on the spot
 (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 GLIDE_M_S = 8.0
-"""Velocity of standing feet along the trunk above which they glide forwards.
+"""Velocity of feet in stance along the trunk above which they glide forwards.
 
 The highest velocity is 3.9 m/s in 32 real views of running cheetahs, and 8.7 m/s if the camera pans against the
 animal's motion (`python benchmarks/wrong_inputs.py --only input-limits`).
@@ -566,19 +566,19 @@ def jolt_costs(motion: Motion) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class FeetSpeeds:
-    """Velocities of the body and of the standing feet over the ground, along the trunk; negative means backwards."""
+    """Velocities of the body and of the feet in stance over the ground, along the trunk; negative means backwards."""
 
     body_m_s: float
     slowest_m_s: float
-    """Quantile `STANDING_QUANTILE` of the feet's velocities over all frames; about 0 if standing feet do not move."""
+    """Quantile `STANDING_QUANTILE` of the feet's velocities over all frames; about 0 if feet in stance do not move."""
     slide_m_s: float
-    """Median velocity of the standing feet over the ground."""
+    """Median velocity of the feet in stance over the ground."""
     leg_m: float
     """Height of the trunk above the lowest foot."""
 
     @property
     def over_feet_m_s(self) -> float:
-        """Return the velocity of the body relative to its standing feet, m/s."""
+        """Return the velocity of the body relative to its feet in stance, m/s."""
         return self.body_m_s - self.slowest_m_s
 
 
@@ -605,7 +605,7 @@ def on_ground_m_s(motion: Motion) -> float:
 
 
 def seem_to_slide(speeds: FeetSpeeds) -> bool:
-    """Return whether standing feet seem to slide, given their velocity relative to the body and over the ground."""
+    """Return whether feet in stance seem to slide, given their velocity relative to the body and over the ground."""
     over_feet_m_s = speeds.over_feet_m_s
     is_relative = -speeds.slowest_m_s > SLIDE_RATIO * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * speeds.leg_m
     return is_relative or not SLIDE_M_S < speeds.slowest_m_s < GLIDE_M_S

@@ -283,7 +283,7 @@ def _ground_m(z_m: Array) -> Array:
 
 
 def _slide(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the velocity of standing feet along the trunk, relative to its limit, as a measure of sliding feet."""
+    """Yield the velocity of feet in stance along the trunk, relative to its limit, as a measure of sliding feet."""
     leg_m, trunk, feet = leg_length_m(points), points.roles.trunk, list(points.roles.feet)
     if points.fps is None or trunk is None or not leg_m > 0 or len(points.frames) < 2 * FLIGHT_FRAMES:
         return

@@ -199,7 +199,7 @@ def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
 def _ellipses(motion: Motion, cells: list[tuple[int, int, int]]) -> list[tuple[float, float, float]]:
     """Return the ellipses of one standard deviation about the expected keypoints (view, frame, joint) in `cells`.
 
-    An ellipse has the semi-major and the semi-minor axis, pixels, and the angle of the major axis, degrees.
+    Each is a tuple of the semi-major axis, px, the semi-minor axis, px, and the angle of the major axis, degrees.
     """
     solution = motion.solution
     ellipses = np.empty((len(cells), 3))

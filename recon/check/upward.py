@@ -1,6 +1,6 @@
 """Estimate the upward direction from the ground under an animal's feet, if the camera files do not define it.
 
-The keypoints are triangulated from all cameras, and a plane is fitted to the standing feet. No body is fitted.
+The keypoints are triangulated from all cameras, and a plane is fitted to the feet in stance. No body is fitted.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ MAX_SIGMA_RAD = np.radians(10.0)
 POSTURE_RAD = np.radians(15.0)
 """Standard deviation over clips of the angle between up and the mean direction from the feet to the body, rad."""
 FOOT_SIGMA_FRACTION = 1 / 15
-"""Standard deviation of standing feet's height above the ground, as a fraction of the body's height above the feet.
+"""Standard deviation of the height above the ground of feet in stance, as a fraction of the body's height above them.
 
 For a cheetah, it equals `GROUND_FOOT_M`.
 """
 MIN_STANDING = 3
-"""Minimum number of positions of standing feet, over all frames, as in `recon.fit.clip_problem`."""
+"""Minimum number of positions of feet in stance, over all frames, as in `recon.fit.clip_problem`."""
 
 
 class _Upward(NamedTuple):
@@ -43,9 +43,9 @@ class _Upward(NamedTuple):
 
 
 def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
-    """Return the upward direction, estimated from the standing feet of an animal that several cameras see.
+    """Return the upward direction, estimated from the feet in stance of an animal that several cameras see.
 
-    The direction is the normal of the plane through the standing feet, which are slow feet that lie in a plane with
+    The direction is the normal of the plane through the feet in stance, which are slow feet that lie in a plane with
     other slow feet. The direction from the feet to the body is also used, because feet on a single line do not
     determine a plane. Return None if the plane is too uncertain.
 
@@ -97,7 +97,7 @@ def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
 def _fit_tilted_plane(
     feet_m: Array, slow: Array, tall_m: float, correlation_frames: float
 ) -> tuple[Array, Array, float]:
-    """Return a plane fitted to the positions of slow feet, the curvature of its cost, and the number of standing feet.
+    """Return a plane fitted to the positions of slow feet, the curvature of its cost, and the number of feet in stance.
 
     Parameters
     ----------

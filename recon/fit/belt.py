@@ -1,7 +1,7 @@
 """Describe the motion of an animal on a treadmill relative to the belt.
 
-In the belt's frame the camera and the whole laboratory move forward at the belt's speed, standing feet do not move, and
-the body advances. A solution is moved into that frame together with its views, so that reprojections do not change.
+In the belt's frame the camera and the whole laboratory move forward at the belt's speed, feet in stance are at rest,
+and the body advances. A solution is moved into that frame together with its views, so that reprojections do not change.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def relative_to_belt(solution: _Solution, path_m: Array) -> _Solution:
     """Return a solution in the belt's frame, in which the body and cameras move along a path (T, 3).
 
     The heights and slopes of ground planes stay as they are. The solution must have been found without assuming that
-    standing feet do not move.
+    feet in stance do not move.
     """
     states = solution.states.copy()
     states[:, :3] += path_m

@@ -507,7 +507,7 @@ def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
     """Return the contact weights (T, F) of the feet, the ground, and the cost terms of both.
 
-    `points_m` are the markers (T, J, 3) at nominal size. The ground is a plane through the standing feet, fitted by
+    `points_m` are the markers (T, J, 3) at nominal size. The ground is a plane through the feet in stance, fitted by
     reweighted least squares. The ground is None if too few feet stand.
     """
     feet = clip.feet

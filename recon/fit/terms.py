@@ -3,7 +3,7 @@
 **Idea.** A term compares the states of a few neighbouring frames with detections or with an expectation, and adds the
 weighted deviation to the cost. `Reprojection` compares with the detections, `pose_term`, `PoseMixture` and
 `dynamics_term` with the prior, `root_term`, `climb_term` and `Heading` with a smooth run forward, `StanceVelocity` and
-`OnGround` with standing feet, and `KnownAngles` with given states.
+`OnGround` with feet in stance, and `KnownAngles` with given states.
 
 **Input and output.** A term gets N consecutive frames (`Span`) and returns its cost (N,), its residual r (N, M), the
 Jacobian J (N, M, S, D) and a dictionary of the derivatives (N, M, P) by unknowns that all frames share. J'r is
@@ -622,7 +622,7 @@ class StanceVelocity:
         """Return the feet's velocity (n, F, 3) in m/s, its loss (n, F) and the loss's slope (n, F).
 
         The velocity is the change from each frame of markers (n + 1, J, 3) to the next. A slope of 1 means that the
-        foot stands, and 0 that it swings.
+        foot is in stance, and 0 that it is in swing.
         """
         v = np.diff(points_m[:, self.feet], axis=0) * self.fps * size
         return v, *self._loss(v)
@@ -655,7 +655,7 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Term that keeps standing feet on a plane.
+    """Term that keeps feet in stance on a plane.
 
     The residual of a foot is r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 

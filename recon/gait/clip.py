@@ -440,7 +440,7 @@ def analyse(
 def over_belt(motion: Motion, speed_m_s: float) -> Motion:
     """Return a motion on a treadmill relative to the belt, which moves at `speed_m_s`.
 
-    The finding that standing feet slide is removed from the motion's verdict.
+    The finding that feet in stance slide is removed from the motion's verdict.
 
     Raises
     ------

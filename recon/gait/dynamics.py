@@ -146,7 +146,7 @@ class Dynamics(Brief):
     force: Mapping[str, Array]
     """Expected vertical force of each foot and the ends of its 90 % interval, body weights, shape (N, 3)."""
     flight_parts: Sequence[Flight]
-    """Parts of the clip in which no foot stands."""
+    """Parts of the clip in which no foot is on the ground."""
 
     @cached_property
     def forces(self) -> pd.DataFrame:

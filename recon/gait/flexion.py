@@ -73,7 +73,7 @@ class StrideCurve(Brief):
     """Standard deviation between strides, shape (101,); NaN for a single stride."""
     strides: int
     duty_factor: float
-    """Fraction of the stride, from 0 %, for which the foot stands."""
+    """Fraction of the stride, from 0 %, for which the foot is in stance."""
 
     @property
     def name(self) -> str:

@@ -107,7 +107,7 @@ class Stride:
     length_m: float
     """Horizontal distance that the body travels during the stride."""
     duty_factor: float
-    """Fraction of the stride for which the foot stands, in a stance that is completely in the clip."""
+    """Fraction of the stride for which the foot is in stance, from a stance that is completely in the clip."""
     duty_sigma: float
     """Standard deviation of the duty factor."""
     at: Literal["touchdown", "lift-off", "end effector", "return", "given"]
@@ -425,7 +425,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     phase : mapping
         Phase of the touch-downs of LH, RH, LF and RF, in strides.
     duty_factor : float
-        Fraction of a stride for which a foot stands.
+        Fraction of a stride for which a foot is in stance.
 
     References
     ----------

@@ -452,7 +452,7 @@ def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array
 
 
 def _side_sigma(analysis: AnalysedClip, kind: str) -> float:
-    """Return the standard deviation of an asymmetry due to the camera's view, which cameras on both sides reduce."""
+    """Return the standard deviation of an asymmetry due to viewing directions, smaller with several cameras."""
     return SIDE_SIGMA[kind] / len(analysis.motion.sources) ** 0.5
 
 

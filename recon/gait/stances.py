@@ -60,7 +60,7 @@ SLOW_SPEEDS = (0.16, 0.32)
 MIN_SWING_SPEED = 1.3
 """Minimum of the speed of a foot in the swing, relative to the body's mean speed."""
 MAX_REST_SPEED = 0.5
-"""Maximum apparent speed of standing feet due to jitter of the poses, relative to the body's speed."""
+"""Maximum apparent speed of feet in stance due to jitter of the poses, relative to the body's speed."""
 TOUCH_DOWN_SPEED = 0.12
 """Speed of a foot at touch-down, relative to its speed in the swing, fitted to force plate measurements."""
 LIFT_OFF_SPEED = 0.22

@@ -217,9 +217,9 @@ def transposed(value: object) -> object:
 
 
 def recognises_anipose(path: Path) -> bool:
-    """Return whether a file is TOML, the format of Anipose's calibrations.
+    """Return whether a file is in TOML, the format of Anipose's calibrations.
 
-    Recon's own camera files, which are TOML too, come before Anipose's in `FORMATS`.
+    Recon's own camera files are in TOML, too. They are recognised first, because they precede Anipose's in `FORMATS`.
     """
     return _is(path, (".toml",))
 

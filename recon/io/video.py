@@ -126,7 +126,8 @@ def read_picture(path: Path, flags: int) -> Image | None:
 def missing_frames(times_s: Array) -> dict[int, int] | None:
     """Return the number of frames missing before each frame, from gaps in time stamps (T,) that are otherwise even.
 
-    The dictionary is empty if there are no time stamps. The result is None if they are too uneven to tell.
+    The dictionary is empty if there are no time stamps. The result is None if the time stamps are too uneven
+    to tell.
     """
     steps = np.diff(times_s)
     if not steps.any():

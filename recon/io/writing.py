@@ -193,7 +193,7 @@ def _cell(value: object) -> object:
 
 
 def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], np.ndarray, np.ndarray]:
-    """Return header cells by level, frame numbers (T,) and values (T, 3K) of DeepLabCut's tables."""
+    """Return the header cells of each level, the frame numbers (T,) and the values (T, 3K) of DeepLabCut's table."""
     points = points_of(data)
     coords, values = ("x", "y", "z"), points.values
     if points.likelihood is not None:

@@ -3,9 +3,9 @@
 The entities are:
 
 - `world/robot`: legs and body
-- `world/robot/feet`: the standing feet
+- `world/robot/feet`: the feet in stance
 - `world/animal`: the animal scaled to the robot's size, with a view of its own
-- `world/support`: the polygon of three or more standing feet
+- `world/support`: the polygon of three or more feet in stance
 - `world/ground`, `world/path` and `world/step`: static objects
 - `world/followed` and `world/animal/followed`: invisible points that the views follow
 - `angles/<leg>`: joint angles in degrees

@@ -72,7 +72,7 @@ class Reference:
     feet_m: Array
     """Positions of the feet in heading axes, shape (N, 4, 3), metres, in the order of `LEGS`."""
     standing: Bools
-    """Whether each foot stands, shape (N, 4)."""
+    """Whether each foot is in stance, shape (N, 4)."""
     leg_m: float
     """Length of the animal's legs, metres."""
     advance_m: Array | None = None
@@ -340,7 +340,7 @@ class KeptMotion:
     feet_m: Array
     """Intended positions of the feet in the world, shape (N, 4, 3), metres."""
     standing: Bools
-    """Whether each foot stands, shape (N, 4)."""
+    """Whether each foot is in stance, shape (N, 4)."""
     short: Bools
     """Whether each foot was out of reach, shape (N, 4)."""
     advance_m: Array | None = None
@@ -537,7 +537,7 @@ def place(
     feet_m : (N, 4, 3)
         Feet in the world, metres; a foot in stance stays on its foothold.
     standing : (N, 4)
-        Whether each foot stands.
+        Whether each foot is in stance.
     """
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
@@ -607,9 +607,10 @@ def stances(standing: Bools) -> list[tuple[int, int]]:
 
 
 def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
-    """Return a path (N, 3) that stays on a foothold while the foot stands (N,), and never goes below the ground, z = 0.
+    """Return a path (N, 3) that stays on a foothold in stance and never goes below the ground, z = 0.
 
-    `advance_m` (2,) is the displacement from the first to the last sample of a repeating stride; None for a clip.
+    `standing` (N,) is the mask of the samples in stance. `advance_m` (2,) is the displacement from the first to the
+    last sample of a repeating stride; None for a clip.
     """
     if advance_m is not None:
         n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)

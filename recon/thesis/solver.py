@@ -57,7 +57,7 @@ def solve_frames(
     options: FrameOptions,
     progress: Callable[[int], None] = lambda frame: None,
 ) -> FrameSolution:
-    """Fit the chain frame by frame to the view of a camera that does not move.
+    """Fit the chain frame by frame to the view of a static camera.
 
     A frame that cannot be solved raises no error, and its report states the failure. Detections outside the camera's
     picture are left out (`Camera.sees`).

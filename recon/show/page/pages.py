@@ -52,7 +52,7 @@ UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202
 
 
 def rendered(template: str, **content: Any) -> str:
-    """Return a page made from a template, which escapes all text but figures."""
+    """Return an HTML page made from a template, in which all content except figures is escaped."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,

@@ -36,7 +36,7 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     """Draw the mean flexion of each joint over the stride.
 
     Left joints are blue and dashed, right joints orange, and middle joints black. Bands contain 90 % of the strides,
-    and thin lines are the 90 % interval of the fit. Bars below the curves show when the limb's foot stands, from its
+    and thin lines are the 90 % interval of the fit. Bars below the curves show the stance of the limb's foot, from its
     touch-down at 0 %.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]

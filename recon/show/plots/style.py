@@ -232,7 +232,7 @@ def plain_logarithm(axis: Axis) -> None:
 
 
 def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
-    """Return the colours of times, from the first to the last known time."""
+    """Return a colour map for times, and its range from the first to the last known time."""
     known_s = time_s[np.isfinite(time_s)]
     low, high = (float(known_s.min()), float(known_s.max())) if len(known_s) else (0.0, 1.0)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, 256))
