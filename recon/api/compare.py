@@ -297,8 +297,8 @@ def _page(
 ) -> str:
     """Return the page of a comparison, with links to the existing pages of its clips.
 
-    If there is a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means come
-    from the mixed models.
+    If there is a design, each row of `clips` is a run and links to the page of the run's first camera, and the groups'
+    means come from the mixed models.
     """
     by_row = {name: name for name in results.motions}
     if experiment is not None:

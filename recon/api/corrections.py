@@ -204,7 +204,7 @@ class CorrectionSession:
         return Correction(frame, row["camera"], str(keypoint), was_px, now_px, reason)
 
     def _fit(self) -> None:
-        """Fit with the saved corrections until no more are saved, the last time from the start."""
+        """Fit with the saved corrections, again after every change, and from scratch once no more changes come."""
         while True:
             with self._change:
                 if not self._is_due and self.is_whole:

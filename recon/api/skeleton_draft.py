@@ -479,7 +479,7 @@ def _directions_ahead(
 
 
 def _ends_of_trunk(points_m: Array, centre_m: Array, ahead_m: Array, root: Sequence[int]) -> tuple[int, int]:
-    """Return the rearmost and foremost points of the root body along vectors (T, 2) that point ahead."""
+    """Return the indices of the rearmost and foremost points of the root body along vectors (T, 2) that point ahead."""
     ahead = np.nansum(np.sum((points_m - centre_m[:, None])[..., :2] * ahead_m[:, None], axis=2), axis=0)
     trunk = root if len(root) > 1 else range(points_m.shape[1])
     return min(trunk, key=ahead.__getitem__), max(trunk, key=ahead.__getitem__)

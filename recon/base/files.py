@@ -36,10 +36,10 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
     """Yield a staging folder, whose files move into `folder` when the block ends without an exception.
 
     Each file replaces the file of the same name in one step, and other files in `folder` stay. After an exception
-    nothing is left, not even a folder that was created for them. After a kill only a hidden staging folder is left,
-    which the next run removes. Any number of processes may write into one folder at the same time. An OSError names the
-    file that was to be written, or the folder. Commands write through `recon.base.outputs.Output`, which never replaces
-    a user's files.
+    nothing is left, not even a folder that was created for the files. If the process is killed, only a hidden
+    staging folder is left, which the next run removes. Any number of processes may write into one folder at the same
+    time. An OSError names the file that was to be written, or the folder. Commands write through
+    `recon.base.outputs.Output`, which never replaces a user's files.
     """
     with staging_in(Path(folder)) as staging:
         yield staging / NEW

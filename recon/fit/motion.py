@@ -171,7 +171,7 @@ class Motion:
         return table_of(self, wide)
 
     def to_xarray(self) -> xr.Dataset:
-        """Return the joints as a dataset of poses in the format of the package movement.
+        """Return the joints as a poses dataset in the format of the `movement` package.
 
         The variables are `position` and `position_sigma` (time, space, keypoint, individual) in metres, and
         `confidence`, which is NaN. The attributes include the frame rate, the source and the verdict.

@@ -23,7 +23,7 @@ Number = float | int | str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Finding:
-    """Problem or remark that a check found, with a code whose text is in `recon.check.codes.CODES`."""
+    """Problem or remark that a check found, with a code whose message is in `recon.check.codes.CODES`."""
 
     code: str
     severity: Severity

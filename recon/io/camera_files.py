@@ -190,7 +190,7 @@ def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
     """Return the key under which a table states its lens, and the name of the lens.
 
     The name is recon's if the lens is known, otherwise the file's, and None if the table states no lens. Contradictory
-    names are joined into one text, which is not the name of any lens.
+    names are joined into one string, which is not the name of any lens.
     """
     stated: dict[str, str] = {}
     for name in LENS_KEYS:

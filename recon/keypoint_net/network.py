@@ -118,7 +118,7 @@ THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more"
 
 
 def require_torch() -> ModuleType:
-    """Import and return the package torch, or raise InputError with the command that installs it."""
+    """Import and return the `torch` package, or raise InputError with the command that installs it."""
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:

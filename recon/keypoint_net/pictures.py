@@ -255,7 +255,7 @@ def _partly_covered(
 
 
 def background_of(pictures: Sequence[Image]) -> Image | None:
-    """Return the median of one clip's pictures, or None if there are too few or if the camera moves."""
+    """Return the median of one clip's pictures, or None if there are too few pictures or if the camera moves."""
     if len(pictures) < MIN_PICTURES:
         return None
     picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MAX_PICTURES).round().astype(int))]

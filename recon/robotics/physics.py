@@ -3,7 +3,7 @@
 A robot from a URDF or MJCF file is used without its meshes. A robot that is described by dimensions and masses is
 modelled as a body with inertia, links that are capsules with the thickness `LEGS_APART`, and point feet.
 
-In every frame, the forces of the standing feet are chosen within the friction cone so that they meet the forces that
+In every frame, the forces of the feet in stance are chosen within the friction cone so that they meet the forces that
 the body's motion requires as well as possible. The unmet part, as a fraction of the weight, is the margin `forces`. It
 covers friction, the centre of pressure (feet push only where they stand) and flight phases that are not free fall.
 `carried` moves the base until every rule is kept, and `followed` simulates a robot that follows the resulting motion.
@@ -239,7 +239,7 @@ def _units(motion: RobotMotion, model: MjModel, torques: float) -> Array:
 
 
 def balanced(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
-    """Return the part (K, 6 + J) of a motion's required forces that the standing feet do not provide at times (K,).
+    """Return the part (K, 6 + J) of a motion's required forces that the feet in stance do not provide at times (K,).
 
     The columns of the base are the forces and moments that feet within the friction cone cannot provide. The columns of
     the joints are the torques that the joints need in addition to the forces of the feet.
@@ -293,8 +293,8 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     """Simulate a robot, given by its dimensions, that follows a motion.
 
     In every step of the simulation each joint gets a torque within its limits: the torque that the motion requires,
-    given the forces of the standing feet, plus a spring and a damper (`GAINS`) towards the motion's angle and rate. The
-    ground is level, with a friction coefficient of 1.
+    given the forces of the feet in stance, plus a spring and a damper (`GAINS`) towards the motion's angle and rate.
+    The ground is level, with a friction coefficient of 1.
 
     Parameters
     ----------

@@ -233,7 +233,7 @@ def _draw_shadow(
 
 
 def _capsule(canvas: Image, xy: Array, radius: Array, colour: Array) -> None:
-    """Fill two discs and the quadrilateral between them."""
+    """Draw a limb as two filled discs and the filled quadrilateral between them."""
     along = xy[1] - xy[0]
     across = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-6)
     corners = np.stack(

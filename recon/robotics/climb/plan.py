@@ -515,7 +515,7 @@ def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: flo
 
 
 def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
-    """Return a step (6,), scaled down as a whole so that its shift and its turn are within the caps."""
+    """Return a step (6,), scaled down as a whole until its displacement and its rotation are within the limits."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 

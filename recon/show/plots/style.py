@@ -125,7 +125,7 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
-    """Write stem.png (`PNG_DPI`) and stem.svg (with text as text) into a folder, and return their paths.
+    """Write stem.png (`PNG_DPI`) and stem.svg (with text that can be edited) into a folder, and return their paths.
 
     The folder is created if it does not exist.
     """
@@ -136,7 +136,7 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
 
 
 def svg_of(figure: Figure) -> str:
-    """Return a figure's <svg> element for a page, transparent and with text as text."""
+    """Return a figure's <svg> element for a page, transparent and with text that can be selected."""
     text = _content(figure, "svg", transparent=True).decode()
     return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
 

@@ -8,7 +8,7 @@ at most 25 times a second.
   (static) and `world/trail` of the reference point; `world/ground` (static, or for several segments the ground of each
   segment from its first frame on); `world/camera`, the camera's frustum (static, unless the camera moves);
   `world/followed`, an invisible box that the view follows; `world/uncertainty`, one standard deviation of the joints'
-  positions relative to their mean, red in frames with a flag; and `world/stance`, the feet in stance.
+  positions relative to their mean, red in flagged frames; and `world/stance`, the feet in stance.
 - `picture` is in pixels of the distorted picture. It contains `picture/frame`, the picture's edge (static);
   `picture/detections`; `picture/outliers`; `picture/reprojections` with the skeleton's lines; `picture/links` between
   detections and reprojections, except links that their dots would hide; `picture/animal`, the middle of the reprojected
