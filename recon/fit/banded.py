@@ -255,7 +255,7 @@ def _carried(factor: _Factor, white: Array) -> tuple[Array, Array]:
 def add_normal(
     blocks: Array, gradient: Array, first: int, stencil: Sequence[int], residual: Array, jacobian: Array
 ) -> None:
-    """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
+    """Add J'J of one term of the cost to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
 
     The residual (N, M) and Jacobian (N, M, S, D) belong to the frames first, first + 1, ... Slot s holds the
     derivatives with respect to the unknowns of frame + stencil[s].

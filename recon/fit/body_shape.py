@@ -193,7 +193,7 @@ class FreeShape:
         return replace(body, keypoint_offset_m=offsets)
 
     def derivatives(self, shared: Mapping[str, Array], states: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the detected markers with respect to the shape, for states (N, D).
+        """Return the derivatives of the detected markers with respect to the shape, at given states (N, D).
 
         Returns
         -------
@@ -209,5 +209,5 @@ class FreeShape:
         return self.lengths.jacobian(body, states, rotations), by_offset
 
     def by_length(self, shared: Mapping[str, Array], states: Array) -> Array:
-        """Return the derivatives (N, J, 3, L) of the markers with respect to the lengths, for states (N, D)."""
+        """Return the derivatives (N, J, 3, L) of the markers with respect to the lengths, at given states (N, D)."""
         return self.lengths.jacobian(self.applied(shared), states)

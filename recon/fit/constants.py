@@ -12,7 +12,7 @@ ROBUST_C = 3.0
 The value is a round number. `python benchmarks/accuracy.py --only ablation` also fits with 30.
 """
 KEYPOINT_BIAS_SHARE = 0.6
-"""Standard deviation of the keypoint bias, relative to the standard deviation of keypoints in a single frame.
+"""Ratio of the standard deviation of the keypoint bias to the standard deviation of keypoints in a single frame.
 
 The bias stays constant over a clip. The value is an assumption for detectors that were not measured. The posterior
 increases it if the detections show a larger bias.
@@ -69,7 +69,7 @@ CAMERA_SHIFT_SHARE = 0.02
 CALIBRATED_RAD = 0.008726646259971648
 """Standard deviation of the rotation between two calibrated cameras, about each axis, rad (half a degree)."""
 SHARE_OF_PAIR = 2**-0.5
-"""Standard deviation of each of two cameras' poses, relative to the standard deviation between the two poses.
+"""Ratio of the standard deviation of one of two cameras' poses to that of the pose of one relative to the other.
 
 The variances of the two poses add up, so each is half.
 """
@@ -108,7 +108,7 @@ SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of the animal's size as measured by two calibrated cameras."""
 
 MIN_NOISE = 0.02
-"""Minimum variance of a joint's detections, relative to the expected variance.
+"""Minimum variance of a joint's detections, as a fraction of the expected variance.
 
 The limit applies if several cameras estimate the body's shape and the detector was not measured. It keeps a fit from
 following a joint exactly.
@@ -119,13 +119,13 @@ NOISE_COUNT = 1.0
 The weight applies under the conditions of `MIN_NOISE`.
 """
 LENGTH_SHARE = 0.3
-"""Standard deviation of a single length, relative to the standard deviation of the size, if the shape is unknown.
+"""Ratio of the standard deviation of a single length to that of the animal's size, if the shape is unknown.
 
 The value is an assumption. With a smaller value, the estimated proportions stay closer to the skeleton's. The standard
 deviation is increased if the solution shows that the animal's proportions differ more.
 """
 OFFSET_SHARE = 0.4
-"""Standard deviation of a keypoint offset, relative to the common keypoint bias, if the shape is estimated.
+"""Ratio of the standard deviation of a keypoint offset to that of the common keypoint bias, if the shape is estimated.
 
 The value is an assumption. With a smaller value, the estimated offsets stay closer to the measured offsets, or to 0.
 The standard deviation is increased if the solution shows larger offsets.
@@ -185,7 +185,7 @@ The value is a usual mean for real clips of motions like the prior's. It exceeds
 many frames. `python benchmarks/accuracy.py --only prior` measures misfits.
 """
 MISFIT_LEVEL = 2.0
-"""Misfit above which a motion counts as unlike the prior's motions.
+"""Minimum misfit at which a motion counts as unlike the prior's motions.
 
 `python benchmarks/accuracy.py --only prior` counts the false alarms.
 """
@@ -213,12 +213,12 @@ NOISE_ROUNDS = 3
 A fast fit has one round.
 """
 TOLERANCE = 1e-5
-"""Expected relative decrease of the cost in the next step, below which the search ends.
+"""Minimum relative decrease of the cost, expected from the next step, with which the search continues.
 
 A fast fit uses ten times this value. The error from ending the search is far below the uncertainty of the joints.
 """
 ROUGH_TOLERANCE = 1e-3
-"""Value of `TOLERANCE` in all rounds but the last.
+"""Minimum expected relative decrease of the cost with which the search continues, in all rounds but the last.
 
 Earlier rounds only serve to estimate noise, contacts and the spread of the shape.
 """

@@ -89,7 +89,7 @@ def correction_gain_m2(
 def problems_at(
     clip: ClipProblem, solution: TrajectorySolution
 ) -> Iterator[tuple[slice, ClipProblem, LeastSquares, Estimate]]:
-    """Yield the rows, the clip, the least-squares problem and the minimum of each segment of a solution.
+    """Yield each segment's slice of frames, clip problem, least-squares problem and minimum, for a solution.
 
     The views of each clip include the estimated time offsets and corrections of the cameras.
     """

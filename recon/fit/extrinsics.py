@@ -61,7 +61,7 @@ _MATCHING = 0.5
 ROUNDS = 12
 """Maximum number of rounds of solving the clips and moving the cameras."""
 CLOSE_ENOUGH = 0.05
-"""Root mean square step of the unknowns, in standard deviations, below which the rounds end."""
+"""Root mean square step of the unknowns, in standard deviations, that is small enough to end the rounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def solve_extrinsics(
     Raises
     ------
     InputError
-        If a view has too few frames with a pose in common with the others.
+        If a view has too few frames with a pose in common with the other views.
     """
     clips = [_with_fixed_cameras(clip, posed) for clip in clips]
     rough_sigmas = (constants.CAMERA_ROTATION_RAD, constants.CAMERA_SHIFT_M)

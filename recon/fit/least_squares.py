@@ -50,7 +50,7 @@ _FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-4, 1e6
 _MIN_EXTENSION_GAIN = 0.1
 """Minimum expected decrease of the cost for which a step is extended.
 
-The value is a fraction of the decrease below which the search ends.
+The unit is the decrease at which the search ends.
 """
 _MAX_EXTENSION = 4.0
 """Maximum factor by which a step is extended."""
@@ -122,7 +122,7 @@ class LeastSquares:
 
     @cached_property
     def columns(self) -> dict[str, slice]:
-        """Return the columns of each name's unknowns among all P shared unknowns."""
+        """Return the slice of each group of unknowns among all P shared unknowns, keyed by the group's name."""
         ends = np.cumsum([len(unknown.mean) for unknown in self.shared], dtype=int)
         return {u.name: slice(int(end) - len(u.mean), int(end)) for u, end in zip(self.shared, ends, strict=True)}
 
@@ -150,7 +150,7 @@ class LeastSquares:
         return replace(self, linear=linear, terms=terms, shared=(), nuisance=())
 
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None, rows: slice = slice(None)) -> float:
-        """Return the sum of the squared residuals.
+        """Return the sum of the squared residuals of all terms.
 
         Terms that are not linear count only in the frames `rows`.
         """
@@ -590,7 +590,7 @@ def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> N
 
 
 def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermRows:
-    """Return the rows of a term, with their derivatives with respect to the body's shape.
+    """Return the residuals and derivatives of a term of the cost, including derivatives by the body's shape.
 
     The term is evaluated for its own markers only, which move with the states, the lengths and their own offsets.
     """
@@ -614,7 +614,7 @@ def _rows_with_shape(term: Term, span: Span, by_shape: _ByShape | None) -> TermR
 
 
 def _together(rows_of_terms: Sequence[TermRows]) -> TermRows:
-    """Join the rows of several terms with the same stencil, as if they were one term."""
+    """Join the residuals and derivatives of several terms with the same stencil, as if they were one term."""
     if len(rows_of_terms) == 1:
         return rows_of_terms[0]
     counts = [rows.residual.shape[1] for rows in rows_of_terms]

@@ -18,7 +18,7 @@ _BLOCK = 512
 _ITERATIONS = 300
 """Maximum number of Levenberg-Marquardt steps for the pose of a frame."""
 _TOLERANCE = 1e-10
-"""Change of every angle (rad) and position (m) in a step below which a frame counts as converged."""
+"""Maximum change of any angle (rad) or position (m) in a step at which a frame counts as converged."""
 _SIZE_ROUNDS = 20
 """Maximum number of rounds, each of which estimates the poses and then the size."""
 _RETRIES = 2

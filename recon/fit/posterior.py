@@ -95,7 +95,7 @@ _PRIOR_COUNT = 8
 _NOISE_ROUNDS = 2
 """Maximum number of rounds that estimate the noise of detections about their keypoint bias."""
 _MAX_EXPLAINED = 0.05
-"""Maximum fraction of the squared residuals explained by shared unknowns at which one round estimates the noise.
+"""Maximum fraction of the squared residuals that shared unknowns may explain if one round estimates the noise.
 
 The limit also applies to the fraction of the detections that determine the shared unknowns. A second round corrects
 only the explained part, and hardly changes the noise if this part is small.

@@ -35,7 +35,7 @@ class Finding:
     """Evidence as numbers or strings, keyed by names that end in the unit (rad, m, s, px)."""
 
     def names(self, number: str) -> tuple[str, ...]:
-        """Return the names in the evidence under a key; empty if the evidence has none."""
+        """Return the names that the evidence holds under the key `number`; empty if it holds none."""
         value = self.numbers.get(number, ())
         return value if isinstance(value, tuple) else ()
 
@@ -46,7 +46,7 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 
 
 _NEGLIGIBLE = 0.1
-"""Lower end of an interval, relative to its upper end, below which the text gives only the upper end."""
+"""Minimum ratio of an interval's lower end to its upper end for which the text gives both ends."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,7 +135,7 @@ SINGLE = (
 )
 """Arrays of the trajectory method that are rounded to single precision, which is finer than their accuracy."""
 OUTLIER_SIGMAS = 3.0
-"""Distance of a detection from the reprojection, in standard deviations, above which the detection is an outlier."""
+"""Maximum distance of an inlier detection from the reprojected joint, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Ground:
     """Whether the ground was assumed to be near z = 0; None if no file states where the ground is."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
-        """Return the ground in the world, in which the scene of this ground has a size and an origin (3,) in m."""
+        """Return the ground in the world, where the scene of this ground has a given size and an origin (3,), m."""
         height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
@@ -262,7 +262,7 @@ class Solution(Brief):
     states: Array
     """Unknowns of each frame, for lengths times `size` and a root position in the world, shape (T, D)."""
     size: float
-    """Factor on the skeleton's lengths, the median over the frames if a method estimates a size for each."""
+    """Factor on the skeleton's lengths, the median over the frames if a method estimates a size for each frame."""
     joints_m: Array
     """Joints in the world, shape (T, J, 3); NaN without a pose."""
     covariance_m2: Array

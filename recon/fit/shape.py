@@ -46,7 +46,7 @@ _PRIOR_COUNT = 8
 ROUNDS = 8
 """Maximum number of rounds of solving the clips and changing the shape."""
 CLOSE_ENOUGH = 0.05
-"""Root mean square step of the unknowns, in standard deviations, below which the rounds end."""
+"""Root mean square step of the unknowns, in standard deviations, that is small enough to end the rounds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ _DIFFERENCE = (1.0, -2.0, 1.0)
 _ROUNDS = 20
 """Maximum number of rounds in which the factors are estimated."""
 _MAX_CHANGE = 0.03
-"""Relative change of all factors in a round below which the rounds end."""
+"""Relative change of the factors in a round that is small enough to end the rounds."""
 _MIN_FRAMES = 10
 """Minimum number of frames required to estimate the standard deviations."""
 _MIN_DETERMINED = 1.0

@@ -39,14 +39,14 @@ from recon.geometry.kinematics import ROOT, YAW
 _FRAMES_AT_ONCE = 4096
 """Number of frames that are rounded to single precision at once, to limit the memory."""
 MIN_JOINT_FRACTION = 1 / 3
-"""Sum of a frame's weights, relative to the number of joints, below which the frame has the flag "data poor"."""
+"""Minimum sum of a frame's weights, as a fraction of the number of joints, without the flag "data poor"."""
 MIN_WEIGHT_FRACTION = 0.8
-"""Sum of a frame's weights, relative to a good frame, below which the frame has the flag "data poor".
+"""Minimum sum of a frame's weights, as a fraction of a good frame's sum, without the flag "data poor".
 
 The sum of a good frame is the 90th percentile over the frames.
 """
 END_ON_RAD = np.radians(25)
-"""Angle (rad) between the line of sight and the trunk below which a frame gets the flag "ambiguous depth".
+"""Minimum angle (rad) between the line of sight and the trunk without the flag "ambiguous depth".
 
 Only perspective then shows the depth of the trunk, and errors grow as the angle decreases.
 """
@@ -56,7 +56,7 @@ TESTED_S = 5.0
 Errors of the model persist, and over a longer time would look like evidence against the camera.
 """
 ALTERNATIVE_M = 0.1
-"""Mean distance (m) between the joints of two solutions above which a frame gets the flag "ambiguous depth"."""
+"""Maximum mean distance (m) between the joints of two solutions without the flag "ambiguous depth"."""
 
 
 def solution_of(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:

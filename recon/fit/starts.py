@@ -105,7 +105,10 @@ def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[A
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """Return the derivatives (F, 3, 6) of positions at times (F,) in seconds by the unknowns of `constant_velocity`."""
+    """Return the derivatives (F, 3, 6) of a run's positions at times (F,), s, with respect to its six unknowns.
+
+    The unknowns are those that `constant_velocity` returns.
+    """
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -193,15 +196,17 @@ APPROACH_HZ = 30.0
 _HEADINGS = 18
 """Number of headings that are tried, of which a fast fit tries half."""
 _APART_RAD = 0.5
-"""Angle (rad) between two headings below which only the better one is a start."""
+"""Minimum angle (rad) between the headings of two starts."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
 """Factors on the noise during the approach, in the order in which they are used."""
 _SAME_M = 0.05
-"""Mean distance (m) between the markers of two motions below which they count as the same minimum."""
+"""Maximum mean distance (m) between the markers of two motions that count as the same minimum."""
 ALTERNATIVE_COST = 20.0
 """Maximum extra cost at which a second solution is reported."""
 _GIVE_UP_FACTOR = 2.0
-"""Factor on the maximum cost of a reported second solution, above which the search from a start is given up early.
+"""Factor on the maximum cost of a reported second solution that gives the maximum cost of a search from a start.
+
+The search is given up early if its cost is higher.
 
 `python benchmarks/accuracy.py --only starts` counts the starts that are given up, and the minima that would be lower
 without the limit.

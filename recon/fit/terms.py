@@ -193,11 +193,11 @@ class Term(Protocol):
 
     @property
     def stencil(self) -> tuple[int, ...]:
-        """Return the offsets (S,), from a row's own frame, of the frames that the row reads."""
+        """Return the offsets (S,) of the frames on which a residual depends, relative to the residual's own frame."""
         ...
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the term's cost and, if requested, its residual and derivatives."""
+        """Return the term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         ...
 
 
@@ -216,7 +216,7 @@ class Linear:
 
     @cached_property
     def curvature(self) -> dict[tuple[int, int], Array]:
-        """Return the blocks (D, D) of J'J by their column and row, which are offsets of the stencil."""
+        """Return the blocks (D, D) of J'J, keyed by column and row, which are offsets of the stencil."""
         return {
             (column, row): self.slots[b].T @ self.slots[a]
             for a, column in enumerate(self.stencil)
@@ -244,7 +244,7 @@ def _rate(fps: float, weight: float) -> float:
 
 
 def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term that keeps the angles near the mean pose of the prior, which is taken as a single Gaussian.
+    """Return the cost term that keeps the angles near the mean pose of the prior, which is taken as a single Gaussian.
 
     `n_state` is the number of columns of a state, `fps` the frame rate in Hz, and `weight` the weight of the term.
     """
@@ -254,7 +254,7 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term that keeps the angles' accelerations near the prior's linear function of angles and rates."""
+    """Return the cost term that keeps the angles' accelerations near a linear function of angles and rates."""
     A = len(prior.mean)
     white = prior.acceleration_whitener * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
@@ -266,7 +266,7 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
-    """Return the term that keeps the root's acceleration (x and y horizontal, z up) and yaw acceleration near zero."""
+    """Return the cost term that keeps the root's acceleration (x, y horizontal, z up) and yaw acceleration near 0."""
     rows = np.zeros((4, n_state))
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
@@ -275,7 +275,7 @@ def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_accelerati
 
 
 def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
-    """Return the term that keeps the root from climbing or sinking fast."""
+    """Return the cost term that keeps the root from climbing or sinking fast."""
     row = np.zeros((1, n_state))
     row[0, 2] = fps / sigma_m_s * _rate(fps, 1.0)
     return Linear("climb", (0, 1), np.array([-row, row]), np.zeros(1))
@@ -285,7 +285,7 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 class PoseMixture:
     """Term that keeps the pose likely under a mixture of Gaussians, -log sum_k w_k N(z; mean_k, cov_k).
 
-    A temperature of 1 or more flattens the mixture. The rows belong to a Gaussian with the mixture's gradient. The
+    A temperature of 1 or more flattens the mixture. The residuals belong to a Gaussian with the mixture's gradient. The
     Gaussian's precision is the mean of the components' precisions, weighted by their posterior probabilities.
     """
 
@@ -305,7 +305,7 @@ class PoseMixture:
         object.__setattr__(self, "_offset", offset - offset.min())
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
+        """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         cost, gradient, precision = self._expanded(span, jacobian)
         if not jacobian:
             return TermRows(cost)
@@ -319,7 +319,7 @@ class PoseMixture:
     def add_normal(self, span: Span, blocks: Array, gradient: Array) -> None:
         """Add the curvature to a span's blocks (N, D, D) and the gradient to its gradient (N, D), in place.
 
-        The curvature and the gradient equal J'J and J'r of the rows of `evaluate`, but need no Cholesky root.
+        The curvature and the gradient equal J'J and J'r from `evaluate`, but need no Cholesky root.
         """
         _, by_angles, precision = self._expanded(span, jacobian=True)
         gradient[:, ANGLES] += by_angles
@@ -398,7 +398,7 @@ class Reprojection:
         return (0, 1) if self.view.offset_frames else (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
+        """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         if not jacobian:
             return TermRows(self._errors(self._scene(span), span, jacobian=False).cost)
         points, parts = self.point_rows(span), self._parts(span)
@@ -527,7 +527,7 @@ class KnownAngles:
     stencil: tuple[int, ...] = (0,)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
+        """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         states = span.states[span.own_rows]
         frames = slice(span.first, span.first + len(states))
         r = np.nan_to_num((states - self.states[frames])[:, YAW:] / self.sigma_rad)
@@ -562,7 +562,7 @@ class Heading:
         return np.array([self.rear, self.front]), replace(self, rear=0, front=1)
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
+        """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         n = len(span.states) - 1
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
         length = np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-6)
@@ -633,7 +633,7 @@ class StanceVelocity:
         return q * shrink, shrink**2
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
+        """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
         nominal = np.diff(span.pose.points_m[:, self.feet], axis=0) * self.fps
@@ -682,7 +682,7 @@ class OnGround:
         return np.asarray(self.feet), replace(self, feet=np.arange(len(self.feet)))
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the cost of the term and, if requested, its residual and derivatives (`Term.evaluate`)."""
+        """Return this term's cost in each frame of a span and, if `jacobian` is true, its residual and derivatives."""
         n = len(span.states) - 1
         frames = slice(span.first, span.first + n)
         foot = span.pose.points_m[:, self.feet]

@@ -61,7 +61,7 @@ FLATTENED_FRACTION = 0.1
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses in step 3, in the order in which they are used."""
 _FLATTENED_TOLERANCE = 5e-3
-"""Relative decrease of the cost below which the search at one temperature of the mixture ends."""
+"""Minimum relative decrease of the cost with which the search at one temperature of the mixture continues."""
 _FLATTENED_ITERATIONS = 8
 """Maximum number of iterations of the search at one temperature of the mixture."""
 _MORE_ROUNDS = 3

@@ -34,7 +34,7 @@ from recon.base.arrays import Array, Bools, Brief, Index
 from recon.clip import View
 
 OUTLIER_SIGMAS = 3.5
-"""Distance of a detection from the point's reprojection, in standard deviations, above which it is an outlier."""
+"""Maximum distance of an inlier detection from the reprojected point, in standard deviations."""
 SIGMAS_PX = (0.3, 12.0)
 """Minimum and maximum of the estimated noise of a keypoint, as a standard deviation in pixels."""
 MIN_CROSSING_RAD = np.radians(1.0)

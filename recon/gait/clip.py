@@ -61,7 +61,7 @@ RUNNING_S = 0.1
 The stances of all animals are found with this value, because the value for a walk would make stances too short.
 """
 SPEED_KNOWN = 0.2
-"""Largest standard deviation of a peak speed, relative to that speed, at which speeds are reported."""
+"""Largest standard deviation of a peak speed, as a fraction of that speed, with which speeds are reported."""
 UNSEEN_S = 0.2
 """Longest time in seconds without a detection of a foot for which the foot's position is used to find stances.
 

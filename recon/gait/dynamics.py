@@ -64,12 +64,12 @@ guessed.
 FOOT_IMPULSE_SIGMA = 0.4
 """Standard deviation of the logarithm of a foot's impulse, relative to the mean of the left and the right foot."""
 STANCE_SPREAD = 0.2
-"""Standard deviation of a stance's duration, relative to the median of the stances around it.
+"""Standard deviation of a stance's duration, as a fraction of the median of the stances around it.
 
 The stances of the fore and hind feet of galloping racehorses differ by 9 to 20 % (J. Exp. Biol. 209:4389).
 """
 SHORTEST_STANCE = 1.0 - 3.0 * STANCE_SPREAD
-"""Duration of a stance, relative to the clip's median, below which it counts as a false detection without force.
+"""Shortest duration of a stance that does not count as a false detection, as a fraction of the clip's median.
 
 So short a stance with the impulse of a whole one would have a force that no foot can bear.
 """
@@ -82,7 +82,7 @@ NODES = 41
 FLIGHT_FRAMES = 5
 """Minimum number of frames in a flight whose acceleration is computed."""
 OFF_GRAVITY = 3.0
-"""Deviation of a flight's acceleration from free fall, in standard deviations, above which a finding is reported."""
+"""Maximum deviation of a flight's acceleration from free fall, in standard deviations, without a finding."""
 NET_FRAMES = 500
 """Maximum number of frames used for the net acceleration of a clip. More add little, because errors last for several
 frames.
@@ -322,14 +322,14 @@ def _turning_sigma(
 
 
 def shape(share: Array) -> Array:
-    """Return the vertical force, relative to its peak, at fractions of a stance; 0 outside the stance."""
+    """Return a foot's vertical force, as a fraction of its peak, at fractions `share` of a stance; 0 outside it."""
     is_inside = (share > 0) & (share < 1)
     return np.where(is_inside, np.sin(np.pi * np.clip(share, 0, 1) ** FORCE_SKEW), 0.0)
 
 
 _GRID = (np.arange(1000) + 0.5) / 1000
 MEAN_OF_PEAK = float(shape(_GRID).mean())
-"""Mean force over a stance, relative to the peak."""
+"""Mean force over a stance, as a fraction of the peak force."""
 
 
 def _draw(gait: Gait) -> tuple[Array, Array, Array]:

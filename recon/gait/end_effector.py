@@ -25,7 +25,7 @@ REAR_FRACTION = 0.25
 SWING_FRACTION = 0.5
 """Position in its horizontal range, from 0 at the rear to 1, that the foot has to reach between two boundaries."""
 _SHORT_M = 0.1
-"""Distance travelled by the body below which its heading is used as the direction of travel."""
+"""Minimum displacement of the body that defines a direction of travel; its heading is used otherwise."""
 
 
 @dataclass(frozen=True, eq=False)

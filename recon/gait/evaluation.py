@@ -44,9 +44,9 @@ PCK_LARGEST = 1 / 3
 `PCK_THRESHOLDS_M` are divided by ten until all are below this limit, because a whole mouse is smaller than 0.15 m.
 """
 SAME_RATE = 2e-3
-"""Relative difference up to which two frame rates, such as 29.97 and 30, count as equal."""
+"""Maximum relative difference of two frame rates that count as equal, such as 29.97 and 30."""
 WHOLE_FRAME = 1e-4
-"""Difference between a time and a frame's time, in frames, below which the two count as equal."""
+"""Maximum difference, in frames, between a time and a frame's time that count as equal."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
 """Names of the files with positions and with a summary that `recon triangulate` writes."""
 LEVELS = (0.5, 0.9)
@@ -286,7 +286,8 @@ def _positions(
 def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray] | None = None) -> Evaluation:
     """Return the errors of a reconstruction, compared with the ground truth.
 
-    Joints are matched by name, frames by number. The result lists the joints and frames that only one of the two has.
+    Joints are matched by their names, and frames by their numbers. The result lists the joints and
+    frames that only one of the two has.
 
     Parameters
     ----------
@@ -432,22 +433,22 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 MAX_REMAINING_FRACTION = 1 / 3
 """Largest fraction of the error that may remain if a transform is reported as the cause of the error."""
 SMALL_ERROR = 0.05
-"""Error relative to the animal's size below which no explanation is reported.
+"""Minimum error, as a fraction of the animal's size, for which an explanation is reported.
 
 The animal's size is the root mean square distance of the joints from their mean.
 """
 MAX_SIZE_RATIO = 2.0
-"""Ratio of the animal's sizes in the two files above which different units are reported as the cause.
+"""Minimum ratio of the animal's sizes in the two files for which different units are reported as the cause.
 
 A single camera hardly determines the size, so smaller ratios can have other causes.
 """
 OTHER_CLIP_ERROR = 0.3
-"""Error relative to the animal's size above which the motion and the ground truth count as different clips.
+"""Maximum error, as a fraction of the animal's size, if the motion and the ground truth show the same clip.
 
 Different clips of animals with the same gait may differ by little more than a poor fit differs from the ground truth.
 """
 OTHER_ORIGIN_DISTANCE = 4.0
-"""Distance between motion and ground truth, relative to the animal's size, above which the origins probably differ."""
+"""Maximum distance between motion and ground truth with the same origin, as a multiple of the animal's size."""
 
 
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:

@@ -31,7 +31,7 @@ from recon.io.common import Pose3D
 Angle = Callable[[Array, Array, Array], Array]
 """Function that returns an angle in each frame, rad, shape (T,), from the positions of three points, each (T, 3)."""
 STRAIGHT_SIGMAS = 2.0
-"""Deviation of a joint from straight, in standard deviations, below which the joint may be bent to either side."""
+"""Minimum deviation of a joint from straight, in standard deviations, at which the side of its bend is known."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -50,7 +50,7 @@ With this time and `JITTER_TIMES`, the standard deviations of speeds are accurat
 (`python benchmarks/gait.py --only speeds`).
 """
 JITTER_TIMES = 2.0
-"""Standard deviation of the errors that last for `JITTER_LASTS_S`, relative to the frame-to-frame jitter."""
+"""Ratio of the standard deviation of the errors that last for `JITTER_LASTS_S` to the frame-to-frame jitter."""
 _WINDOW = 200
 """Number of frames for which the standard deviations of an exact spline are computed at once."""
 _MARGIN = 40
@@ -61,7 +61,7 @@ The influence of a value on the spline falls by the factor 2 - sqrt(3) from fram
 _REACH = 20
 """Number of frames on either side of a sample whose relative influence on an exact spline exceeds 1e-11."""
 _MIN_PRODUCT = 1e-11
-"""Product of the influences of two frames on a sample, relative to the largest product, below which it is neglected."""
+"""Smallest product of two frames' influences on a sample that counts, as a fraction of the largest product."""
 _AT_ONCE = 1000
 """Number of frames for which the variances of an exact spline away from its ends are computed at once."""
 

@@ -56,15 +56,15 @@ OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longest gap in the path of a foot or the body that is interpolated, s. A longer gap could hide a touch-down."""
 SLOW_SPEEDS = (0.16, 0.32)
-"""Speeds of a foot over the ground below which the foot certainly stands and may stand, relative to its swing speed."""
+"""Maximum speeds of a foot that certainly stands and of a foot that may stand, as fractions of its swing speed."""
 MIN_SWING_SPEED = 1.3
 """Minimum of the speed of a foot in the swing, relative to the body's mean speed."""
 MAX_REST_SPEED = 0.5
 """Maximum apparent speed of feet in stance due to jitter of the poses, relative to the body's speed."""
 TOUCH_DOWN_SPEED = 0.12
-"""Speed of a foot at touch-down, relative to its speed in the swing, fitted to force plate measurements."""
+"""Speed of a foot at touch-down, as a fraction of its speed in the swing, fitted to force plate measurements."""
 LIFT_OFF_SPEED = 0.22
-"""Speed of a foot at lift-off, relative to its speed in the swing, fitted to force plate measurements."""
+"""Speed of a foot at lift-off, as a fraction of its speed in the swing, fitted to force plate measurements."""
 EVENT_SIGMAS = (0.05, 0.1)
 """Standard deviations of a foot's speed at touch-down and at lift-off, relative to its speed in the swing."""
 SPEED_ERROR = 0.6
@@ -72,7 +72,7 @@ SPEED_ERROR = 0.6
 the value on two of three kinds of recordings and tests it on the stances of the third.
 """
 LOW_HEIGHTS = (0.15, 0.3)
-"""Heights above the ground, in leg lengths, below which a slow foot certainly stands and below which it may stand."""
+"""Maximum heights, in leg lengths, of a slow foot that certainly stands and of a slow foot that may stand."""
 INTERVAL = 0.9
 """Probability that the stated interval of a time or a duty factor contains the true value."""
 MIN_STANCE_S = 0.02
@@ -184,7 +184,7 @@ class Tracks(Brief):
 
     @cached_property
     def rest_sigmas(self) -> float:
-        """Return the apparent speed below which feet in stance stay for nine tenths of the time.
+        """Return the 90th percentile of the apparent speed of feet in stance.
 
         The unit is the stated standard deviation of the speed. Return 1 if there is no stance.
         """

@@ -86,7 +86,7 @@ class SerialChain:
         return (points @ self.base.T).reshape(*q.shape[:-1], -1, self.dim)
 
     def end(self, q: Array) -> Array:
-        """Return the position of the end effector (..., dim), metres."""
+        """Return the position (..., dim) of the end effector in the base frame for joint angles q (..., n), metres."""
         if q.ndim == 1:
             return (0.0 + self._moved(q)[0][..., 0] @ self.base.T).reshape(self.dim)  # the root is at the origin
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)

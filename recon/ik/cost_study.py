@@ -24,7 +24,7 @@ NEAR_RAD = 1e-6
 CLOSED_RAD = 1e-3
 """Largest change of a joint angle over one turn at which the path counts as closed, rad."""
 CHAOTIC_GROWTH = 1e3
-"""Growth of the distance between two paths, as a factor, above which a path counts as chaotic."""
+"""Maximum factor by which the distance between two paths grows if the motion does not count as chaotic."""
 TURNS = 10
 """Number of times that the closed path is followed."""
 

@@ -33,7 +33,7 @@ PROGRESS_ITERATIONS = 100
 MIN_PROGRESS = 0.01
 """Smallest reduction of the distance from the target, as a fraction of it, that counts as progress."""
 STILL_RAD = 1e-10
-"""Motion (rad) or rate (rad/s) below which a joint counts as still, because only rounding errors remain."""
+"""Maximum motion (rad) or rate (rad/s) of a joint that counts as still, because only rounding errors remain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,7 @@ def follow(
     turns: int = 1,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Follow a path (K, dim) from q0 (n,), at which the end effector is at the start of the path.
+    """Move the end effector along a path (K, dim), m, from joint angles q0 (n,) that put it at the path's start.
 
     Each step goes from the position of the end effector to the next point. The gain of the full extended Jacobian keeps
     G = 0.

@@ -30,14 +30,14 @@ from recon.ik.costs import Cost
 INTERVAL_S = 1 / 90
 """Default duration of one iteration of `drive_to` and `follow`, seconds."""
 MIN_EIGENVALUE_RATIO = 1e-6
-"""Ratio of the smallest to the largest eigenvalue of J J' below which J J' is singular.
+"""Minimum ratio of the smallest to the largest eigenvalue of J J' for which J J' counts as regular.
 
 The corresponding ratio of the singular values of J is one thousandth.
 """
 MIN_SINGULAR_RATIO = 1e-12
-"""Singular value of J, relative to the largest, below which the singular direction counts as immovable."""
+"""Minimum singular value of J, as a fraction of the largest, for a singular direction in which motion is possible."""
 EXTENDED_SINGULAR = 1e-3
-"""Ratio of the smallest to the largest eigenvalue of N' M N, in magnitude, below which the matrix is singular."""
+"""Minimum ratio, in magnitude, of the smallest to the largest eigenvalue of N' M N if N' M N counts as regular."""
 MAX_CORRECTION_RAD = 0.05
 """Largest joint motion by which the gain of the extended Jacobian corrects G in one step, rad.
 
@@ -113,7 +113,7 @@ class LeastNorm(Method):
 
 
 def weighted_least_norm(weights: Array) -> LeastNorm:
-    """Return the method W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq.
+    """Return the method dq = W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq.
 
     `weights` is the diagonal of W, (n,), positive.
     """
@@ -121,7 +121,7 @@ def weighted_least_norm(weights: Array) -> LeastNorm:
 
 
 def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
-    """Return the method J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2.
+    """Return the method dq = J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2.
 
     `damping_m` is lambda, in metres.
     """

@@ -31,7 +31,10 @@ from recon.ik.methods import (
 )
 
 SEARCH_RANGE = (1e-4, 1e2)
-"""Search range of lambda (m) and gamma_max (rad), outside which the rates no longer change or are close to zero."""
+"""Range in which lambda (m) and gamma_max (rad) are searched.
+
+Outside this range, the rates no longer change or are close to zero.
+"""
 WEIGHT_RANGE = 1e3
 """Largest factor by which a fitted weight can be above or below its starting value."""
 EQUAL_WEIGHT_PULL = 0.01

@@ -12,10 +12,10 @@ from recon.ik.chain import planar_chain, unreachable
 
 
 def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array, str]:
-    """Return both solutions (2, 2) of a planar arm for a target (2,) in metres, and why there are fewer than two.
+    """Return the joint angles (2, 2) of both solutions for a target (2,), m, and the reason if there are fewer.
 
-    A solution is (q1, q2), with angles in rad in (-pi, pi]. The solution with q2 <= 0 comes first. A solution that
-    does not exist is NaN.
+    Each row is a solution (q1, q2), in rad in (-pi, pi]. The first row has q2 <= 0. All angles are NaN if the target is
+    out of reach. If the two solutions are the same, both rows hold it. The reason is "" if there are two solutions.
 
         cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
 

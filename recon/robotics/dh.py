@@ -40,7 +40,7 @@ from recon.robotics.quadruped import LEGS, SUFFIXES, body_pose, builtin_robots, 
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
-"""Sine of the angle between two axes, or distance in metres, below which the value counts as 0."""
+"""Smallest sine of the angle between two axes, or distance in metres, that does not count as 0."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
 
 
 def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
-    """Return the base transform, the rows (modified convention) and the tool transform of any chain.
+    """Return a base transform, Denavit-Hartenberg rows (modified convention) and a tool transform for any chain.
 
     The chain is base * rows * tool. a_m and alpha_rad of the first row are 0. Base and tool hold the part that
     Denavit-Hartenberg parameters cannot express. The z axis of a joint's frame is the axis of the joint. The x axis is

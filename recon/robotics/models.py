@@ -26,7 +26,7 @@ MjModel: TypeAlias = Any
 MjSpec: TypeAlias = Any
 """Type of MuJoCo's editable description of a model."""
 MAX_ABSOLUTE = 1e6
-"""Largest plausible length (m) or angle (rad), above which a file counts as damaged."""
+"""Largest plausible length (m) or angle (rad). A file with a larger value counts as damaged."""
 MIN_MASS_KG = 1e-6
 """Mass given to links that have none in the file, since kinematics does not depend on masses."""
 MIN_INERTIA_KG_M2 = 1e-9

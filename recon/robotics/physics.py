@@ -55,7 +55,7 @@ SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0
 MAX_ATTEMPTS = 5
 """Maximum number of attempts to find forces that also keep the torque limits."""
 MIN_MOBILITY = 0.05
-"""Mobility of a foot in a direction, relative to its most mobile direction, below which the foot counts as fixed."""
+"""Minimum mobility of a movable foot in a direction, as a fraction of that in its most mobile direction."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
 """Factors on the times and the lengths of a motion, in the order in which `--fit-limits` tries them.
 
@@ -68,7 +68,7 @@ MAX_COEFFICIENT = 10.0
 MAX_STEPS = 12
 """Maximum number of optimisation steps in `carried`."""
 MAX_EXCESS = 50.0
-"""Weighted sum of squared excesses over the limits, after three optimisation steps, above which `carried` stops."""
+"""Maximum weighted sum of squared excesses over the limits after three steps with which `carried` continues."""
 WEIGHT_UNIT = 0.02
 """Unmet part of the required forces that gives a residual of 1, as a fraction of the weight."""
 TORQUE_UNIT = 0.05
@@ -467,7 +467,7 @@ class _Carrying:
         return forces
 
     def values(self, motion: RobotMotion, demand: _Demand, moved: Array, pushes: Array) -> Array:
-        """Return all residuals, before limits and weights, for a motion and the forces that the motion requires."""
+        """Return all residuals of a motion and its required forces, before subtracting limits and applying weights."""
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (demand.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), demand.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]

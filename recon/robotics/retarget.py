@@ -602,7 +602,7 @@ def _within(values: Array, limit: float | Array) -> Array:
 
 
 def stances(standing: Bools) -> list[tuple[int, int]]:
-    """Return the indices of the first and the last sample of each stance of a foot."""
+    """Return the indices of the first and last sample of each stance of a foot, from a mask (N,) of its stances."""
     return [(first, end - 1) for first, end in frame_ranges(np.flatnonzero(standing))]
 
 

@@ -102,7 +102,7 @@ REPORT, STACKED = "report.json", "samples.npz"
 STRIDE_REPEATS = 3
 """Number of strides in the playback of a stride."""
 SLIP_M = 0.002
-"""Slip of a foot in a stance above which the report has a note, metres."""
+"""Maximum slip of a foot in a stance without a note in the report, metres."""
 
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:

@@ -72,7 +72,7 @@ MAX_EVALUATIONS = 100
 DERIVATIVE_STEP = 1e-6
 """Change of the torso for numerical derivatives, in metres and radians."""
 MIN_STEP = 1e-8
-"""Length of a Newton step below which the search for the equilibrium ends, in metres and radians."""
+"""Minimum length of a Newton step, in metres and radians, with which the search for the equilibrium continues."""
 NEWTON_REACH_M = 0.03
 """Longest shift of the torso in one Newton step, metres."""
 TRUST_RAD = 0.5
