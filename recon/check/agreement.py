@@ -57,13 +57,13 @@ The factor is smaller than `MAX_NOISE_FACTOR`, because no third camera shows tha
 MAX_REMAINING_FRACTION = 0.25
 """Largest fraction of a camera's error ratio that may remain after correcting a cause that explains the error."""
 CLEAR_ROTATION_RAD = np.radians(3.0)
-"""Minimum rotation for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
+"""Minimum rotation (rad) for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_OFFSET = 3.0
 """Minimum offset in frames for which an agreeing camera is still reported, if the gain is at least `CLEAR_GAIN`."""
 CLEAR_GAIN = 1.5
 """Minimum factor by which a rotation or a time offset must reduce the error ratio of a camera that agrees."""
 MAX_ROTATION_RAD = np.radians(45.0)
-"""Largest rotation of a camera that is reported as a cause. A larger rotation is more likely another fault."""
+"""Largest rotation (rad) of a camera that is reported as a cause. A larger rotation is more likely another fault."""
 MAX_FRAMES = 480
 """Maximum number of frames in which cameras are compared.
 
@@ -316,7 +316,7 @@ class _RemovalCost(NamedTuple):
     is_unexplained: bool
     """Whether neither a rotation nor a time offset makes the camera agree."""
     ratio_sum: float
-    """Sum of the error ratios that remain after the removal, or after the best correction, of the camera."""
+    """Sum of the error ratios that remain after the camera is removed, or after its best correction."""
 
 
 def _cost_of_removal(

@@ -49,7 +49,7 @@ class Roles:
     """Points above, at and below each joint in the table `[anatomy]` of the skeleton file."""
     limbs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     bones_m: Mapping[tuple[int, int], float] = field(default_factory=dict)
-    """Distance between each pair of successive points of a limb in the skeleton's expected pose."""
+    """Distance (m) between each pair of successive points of a limb in the skeleton's expected pose."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +121,7 @@ class Measure:
     rows: tuple[int, int] | None = None
     """Index of the first frame that the result is about, and of the frame after the last; None means all frames."""
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers and names that the finding's text states."""
+    """Numbers and names that the finding's message states."""
 
 
 def resolution_of(values: Array) -> float:

@@ -1,4 +1,4 @@
-"""Define the severity and the text of the findings with each code.
+"""Define the severity and the message of the findings with each code.
 
 docs/findings.md explains the meaning of each code, the effect on the result, and the remedy.
 """
@@ -19,7 +19,7 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
 MAX_NAMES = 5
-"""Maximum number of names that the text of a finding lists."""
+"""Maximum number of names that the message of a finding lists."""
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
 """Names of the numbers of findings that are shown as lengths.
 
@@ -44,7 +44,7 @@ FLAGS: Mapping[str, str] = {
 """Meaning of each flag of a frame, in the order in which summaries list them."""
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
-"""Severity and text of each code, from `codes.toml`, with causes before their consequences."""
+"""Severity and message of each code, from `codes.toml`, with causes before their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of other findings."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
@@ -71,7 +71,7 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
     camera
         Name of the camera that the finding is about; None means all cameras, or the clip.
     numbers
-        Numbers and names that the code's text states. A sequence of names is shown as a list.
+        Numbers and names that the finding's message states. A sequence of names is shown as a list.
     """
     numbers = {name: tuple(value) if isinstance(value, list) else value for name, value in numbers.items()}
     return Finding(code, CODES[code][0], frames, camera, numbers)

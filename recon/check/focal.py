@@ -72,8 +72,8 @@ class FocalTest:
     effects_m: dict[str, float]
     """Effects on poses and positions (`EFFECTS`) of another focal length that was tried.
 
-    The other focal length is shorter or longer, as is the estimate. The more different of the two that were tried is
-    used if it is within the 90 % interval, otherwise the less different one.
+    One or two focal lengths are tried on the side of the estimate. The effects are those of the one farther from the
+    given focal length if it was tried and is within the 90 % interval, otherwise of the nearer one.
     """
 
     @property

@@ -485,9 +485,9 @@ SLIDE_RATIO = 0.25
 """Backward speed of feet in stance, relative to the body's speed over the feet, above which they slide.
 
 The relative speed is at most 0.08 in 32 real views of cheetahs, and 0.11 to 0.92 (median 0.85) on a treadmill, where
-the smallest value is from a view along the animal's path. Dogs on the spot reach 1.1, but the feet that are lowest then
-stand still (`LOWEST_FRACTION`). At half the value, no correct view of a cheetah would be reported either (`python
-benchmarks/wrong_inputs.py --only input-limits`).
+the smallest value is from a view along the animal's path. The relative speed reaches 1.1 for dogs on the spot, but
+their lowest feet stand still (`LOWEST_FRACTION`). At half the value, no correct view of a cheetah would be reported
+either (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 SLIDE_LEGS_S = 0.5
 """Minimum speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding.
@@ -511,7 +511,7 @@ The highest velocity is 3.9 m/s in 32 real views of running cheetahs, and 8.7 m/
 animal's motion (`python benchmarks/wrong_inputs.py --only input-limits`).
 """
 MAX_PATH_COSTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
-"""Terms of the fit's cost, per 1/90 s, above which the body's path is implausible for an animal.
+"""Largest plausible costs of the body's path per 1/90 s, keyed by the term of the fit's cost.
 
 The unit is half a squared standard deviation. The costs are up to 0.53, 0.22 and 0.76 in 32 real views, and 0.69, 0.02
 and 0.68 in the rendered video. They are up to 5.6, 1.2 and 4.7 (medians 3.3, 0.29 and 2.5) if a stabiliser moved the
@@ -638,7 +638,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 # Gross outliers
 
 GROSS_REASON = "in frames whose detections are gross outliers"
-"""Reason, in words, for which the detections of gross outlier frames were left out."""
+"""Reason, in words, why the detections of gross outlier frames were left out."""
 MAX_OUTLIER_FRACTION = 0.5
 """Largest fraction of frames that are left out as outliers. With more, the fit or another input is wrong."""
 

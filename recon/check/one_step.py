@@ -56,7 +56,7 @@ class _ExtendedReprojection(Reprojection):
     by_unknown: ByUnknown | None = None
 
     def _rows_of(self, span: Span, scene: Scene, errors: ReprojectionErrors) -> PointRows:
-        """Return the rows of `Reprojection`, extended by the derivatives with respect to the additional unknowns."""
+        """Return the least-squares rows of `Reprojection`, with derivatives with respect to the additional unknowns."""
         rows = super()._rows_of(span, scene, errors)
         if self.by_unknown is None:
             return rows

@@ -222,7 +222,7 @@ def leg_length_m(points: AuditedPoints) -> float:
 
 
 def _gravity(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the ratio of the acceleration in flights to gravity, expressed as a power of `GRAVITY_RATIO`."""
+    """Yield the absolute logarithm (base `GRAVITY_RATIO`) of the acceleration in flights relative to gravity."""
     leg_m = leg_length_m(points)
     if points.fps is None or not leg_m > 0 or len(points.roles.feet) < 4:
         return

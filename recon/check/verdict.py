@@ -89,7 +89,7 @@ class Evidence:
     """Quantities from which the expected errors of a clip are computed, as means over the frames with a pose."""
 
     trunk_m: float
-    """Length of the trunk."""
+    """Length of the trunk, m."""
     posterior_m: float
     """Mean error of the joints relative to their mean, m, expected from the posterior without the error of the size.
 
@@ -98,7 +98,7 @@ class Evidence:
     misfit: float
     """Factor by which the variances of the prior are too small for the motion (misfit); 1 without a prior."""
     distance_m: float
-    """Distance of the animal from the nearest camera."""
+    """Distance of the animal from the nearest camera, m."""
     end_on: float
     """Cosine of the angle between the trunk and the line of sight of the camera that sees the animal most sideways."""
     unseen: float
@@ -149,13 +149,13 @@ class _FrameEvidence:
     """Quantities of `Evidence` for each of the n frames with a pose and each of the V cameras."""
 
     trunk_m: Array
-    """Length of the trunk, shape (n,)."""
+    """Length of the trunk, m, shape (n,)."""
     posterior_m: Array
     """Value of `Evidence.posterior_m` in each frame, shape (n,)."""
     position_sigma_m: Array
     """Value of `Evidence.position_sigma_m` in each frame, shape (n,)."""
     distances_m: Array
-    """Distance of the animal from each camera, shape (V, n)."""
+    """Distance of the animal from each camera, m, shape (V, n)."""
     end_on: Array
     """Cosine of the angle between the trunk and each camera's line of sight, shape (V, n)."""
     unseen: float
@@ -304,7 +304,7 @@ def _widened(error: ExpectedError, effect: tuple[float, str], unit_m: float = 1.
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
-    """Return the level of the verdict, given the expected error and whether there are errors and warnings."""
+    """Return the verdict's level (use, check, do not use) from the expected error and the existence of findings."""
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"

@@ -44,7 +44,7 @@ class Answer:
     """Answer of a command, for people and for other programs."""
 
     data: Any
-    """Content of --json. A string is printed unchanged."""
+    """Data that --json prints as JSON. A string is printed unchanged."""
     lines: Iterable[str | Text | Table] = ()
     """Lines that are printed unless --json is given."""
     errors: Sequence[str] = ()
@@ -99,7 +99,7 @@ def terminal(**options: Any) -> Console:
 LONGEST_WORD = 24
 """Number of characters up to which a word in a table's column is not broken; longer words are often paths."""
 _WIDEST = 1000
-"""Width in which every table fits without wrapping, characters."""
+"""Width, in characters, in which every table fits without wrapping."""
 
 
 class _Terminal(Console):
@@ -185,9 +185,10 @@ def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
 def table_of(
     *texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **options: Any
 ) -> Table:
-    """Return a table with text columns, the first of which names the row, followed by columns of numbers.
+    """Return a table with columns of strings, the first of which names each row, followed by columns of numbers.
 
-    Words in the header, and in columns of numbers, are never cut.
+    `texts` and `numbers` are the headers of the columns, and `options` are passed to rich's `Table`. Words in the
+    header, and in columns of numbers, are never cut.
     """
     first, *more_texts = texts
     rows = [[*row] for row in rows]
@@ -266,7 +267,10 @@ class RemainingTime:
         self._clock, self._began_s = clock, clock()
 
     def text(self, share: float) -> str:
-        """Return the remaining time, such as "2 min 10 s left", or "" if it is not yet known or the work is done."""
+        """Return the remaining time, such as "2 min 10 s left", or "" if it is not yet known or the work is done.
+
+        `share` is the fraction of the work that is done.
+        """
         passed_s = self._clock() - self._began_s
         if share < MIN_FRACTION or passed_s < MIN_PASSED_S or share >= 1:
             return ""

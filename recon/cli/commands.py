@@ -38,7 +38,7 @@ HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
 """Names of --fps in other programs."""
 _METHOD = "recon frame, which is the published method, or --set method=VALUE"
-"""Text that a message gives as the replacement for --method."""
+"""Replacement for --method that an error message suggests."""
 _SET = "set_"
 """Name of the Python parameter that holds the values of --set."""
 

@@ -165,7 +165,7 @@ def _require_length(frames: Integers, video: Path, start: int) -> None:
 
 
 def _decode(frames: Integers, video: Path, start: int, folder: Path, console: Console) -> None:
-    """Write every frame of the clip as a picture named after its row.
+    """Write every frame of the clip as a picture that is named after the index of the frame in the clip.
 
     A message reports a video that ends before the clip.
     """

@@ -43,7 +43,7 @@ from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
 
 SLOW_FPS = 30.0
-"""Maximum frame rate of an overlay. Faster clips are slowed down to this rate unless a speed is given."""
+"""Maximum frame rate of an overlay video. Faster clips are slowed down to this rate unless a speed is given."""
 RATE_SAME = 0.01
 """Relative difference below which frame rates count as equal, such as 29.97 and 30."""
 MIN_WIDTH_PX = 640
@@ -151,7 +151,7 @@ def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answ
 
 
 def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) -> Index:
-    """Return the rows of up to `count` evenly spaced frames with a pose, which the page shows as still pictures.
+    """Return the indices of up to `count` evenly spaced frames with a pose, which the page shows as stills.
 
     `start` is the frame number of the video's first picture.
     """
@@ -161,7 +161,7 @@ def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) ->
 
 
 def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
-    """Return the overlay of a result for one camera, given by its index, enlarged by `zoom`."""
+    """Return the data for drawing a result on the video of the camera `number`, enlarged by `zoom`."""
     picture, camera_view = motion.pictures[number], motion.solution.views[number]
     ahead = np.broadcast_to(camera_view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
     return Overlay(
@@ -307,7 +307,7 @@ class PagePictures(NamedTuple):
 
     drawn: Overlay
     rows: Index
-    """Rows of the motion that the page shows as still pictures, shape (n,)."""
+    """Indices of the motion's frames that the page shows as still pictures, shape (n,)."""
     strip: PictureStrip | None
     """Pictures of the video for the player, None without a video."""
     stills: list[Image] | None
@@ -315,7 +315,7 @@ class PagePictures(NamedTuple):
 
 
 def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:
-    """Return the overlay, the rows of up to `count` still pictures, and pictures of the video for these and the player.
+    """Return the pictures for a result's page: up to `count` stills, and the pictures of the page's player.
 
     Raises
     ------

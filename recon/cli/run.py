@@ -111,7 +111,7 @@ class _RunSettings(Settings):
 
     @property
     def track(self) -> Path:
-        """Return the path of the camera track."""
+        """Return the path to which the run writes the track of a moving camera."""
         return self.out / f"{self.video.stem}_camera.csv"
 
 
@@ -155,7 +155,7 @@ class _StageOutcome(NamedTuple):
     status: Literal["done", "unchanged", "left out"]
     seconds: float
     files: tuple[str, ...] = ()
-    """Files of the stage, relative to the folder."""
+    """Files of the stage, relative to the results folder."""
     notes: tuple[str, ...] = ()
     """Notes on the video."""
 

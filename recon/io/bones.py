@@ -348,7 +348,7 @@ def _write_motion(rig: Armature, path: Path) -> None:
 
 
 def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
-    """Return a new child element with text elements, and with a name if `called` is given."""
+    """Add a child with the subelements `elements` to an XML element, and return it; `called` is its name."""
     element = SubElement(parent, kind, {} if called is None else {"name": called})
     for name, text in elements.items():
         SubElement(element, name).text = text

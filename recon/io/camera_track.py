@@ -1,4 +1,4 @@
-"""Read camera tracks, the poses of a moving camera, from CSV, a COLMAP model as text, or OpenDroneMap.
+"""Read camera tracks, the poses of a moving camera, from CSV, COLMAP's text files, or OpenDroneMap.
 
 - CSV: columns frame, qw, qx, qy, qz, tx, ty, tz; fx, fy, cx, cy for a camera that zooms; and sigma_deg for the standard
   deviation of a rotation, in any order. Other columns are ignored. Unit quaternion and translation take points from the

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Columns = Mapping[str, Any]
-"""A table by column, as sequences of text cells or arrays of numbers."""
+"""Columns of a table, keyed by name, as sequences of strings or arrays of numbers."""
 ROLES: dict[str, tuple[str, ...]] = {
     "frame": ("frame", "frames", "frame_idx", "frame_index", "frame_id", "frame_number", "framenumber", "fnum"),
     "time": ("time", "times", "seconds", "timestamp", "timestamps", "t"),
@@ -93,7 +93,7 @@ def parse_map(text: str) -> dict[str, str]:
     Raises
     ------
     InputError
-        If the text is not a map of columns. The message lists every problem.
+        If the string is not a map of columns. The message lists every problem.
     """
     columns: dict[str, str] = {}
     problems = []
@@ -249,7 +249,7 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     if size.num_rows * size.num_columns > VALUES_MAX or size.num_columns > COLUMNS_MAX or unpacked > MAX_UNPACKED:
         limits = f"at most {VALUES_MAX} cells, {COLUMNS_MAX} columns and {MAX_UNPACKED >> 20} MB are read"
         raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB; {limits}")
-    # Texts are read as indices into a list, so that repeated texts take memory only once.
+    # Strings are read as indices into a list, so that repeated strings take memory only once.
     fields = pq.read_schema(path)
     kinds = pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view, pa.types.is_dictionary
     texts = [field.name for field in fields if any(kind(field.type) for kind in kinds)]

@@ -46,7 +46,7 @@ class Pose3D(Brief):
     sigma_m: np.ndarray | None = None
     """Standard deviations of the positions of a fit in metres, shape (T, J, 3); None for other positions."""
     flags: tuple[str, ...] | None = None
-    """Reasons not to trust each of the T frames of a fit, as text."""
+    """Reasons not to trust each of the T frames of a fit, as strings."""
 
     def __post_init__(self) -> None:
         if self.xyz_m.shape != (len(self.frames), len(self.names), 3):
@@ -108,7 +108,7 @@ UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
 """Scorer of recon's own files, to which the frame rate is appended if known, as in recon_90fps."""
 FMPOSE3D = "fmpose3d_"
-"""Text in the name of a scorer or network that identifies FMPose3D's poses."""
+"""String in the name of a scorer or network that identifies FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
 # A file of the wrong kind can have thousands of problems, so a message lists only the first ones.
 PROBLEMS_SHOWN = 10
@@ -350,12 +350,12 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
 
 
 def number(text: str) -> float:
-    """Return the text of a table's cell as a number, NaN for an empty cell.
+    """Return the string in a table's cell as a number, NaN for an empty cell.
 
     Raises
     ------
     ValueError
-        If the text is not a number, or is a number that only Python accepts, such as 1_000.
+        If the string is not a number, or has a form of number that only Python accepts, such as 1_000.
     """
     if "_" in text or not text.isascii():
         raise ValueError(f"'{text}' is not a number")
@@ -493,7 +493,7 @@ def number_rows(
     columns : sequence of str
         Names of the columns of numbers.
     index : int
-        Number of leading cells that are texts.
+        Number of leading cells that are kept as strings.
 
     Returns
     -------

@@ -225,7 +225,7 @@ def _problems(
 
 
 def _range_of(frames: np.ndarray) -> str:
-    """Return the range of frame numbers as text, such as "0 to 59"."""
+    """Return the range of frame numbers as a string, such as "0 to 59"."""
     if not len(frames):
         return "none"
     first, last = int(frames.min()), int(frames.max())

@@ -105,7 +105,7 @@ def _variables(path: Path) -> dict[str, Any]:
     """Return the variables of a MATLAB file, keyed by their names.
 
     An array of numbers keeps MATLAB's shape. A struct becomes a dictionary, an array of structs a list of dictionaries,
-    and a cell array a list. Anything else but text becomes None.
+    and a cell array a list. Strings are kept, and anything else becomes None.
 
     Raises
     ------

@@ -85,7 +85,7 @@ def _without_blank_columns(
 ) -> tuple[dict[str, list[str]], common.Rows]:
     """Return the header, and the rows, without columns that are blank in all rows of the header.
 
-    A row with text in such a column keeps its length, which is then reported as a problem.
+    A row with a value in such a column keeps its length, which is then reported as a problem.
     """
     names = [*zip(*header.values(), strict=True)]
     kept = [j for j, cells in enumerate(names) if any(map(str.strip, cells))]
@@ -107,8 +107,8 @@ def points_of_rows(
 ) -> StoredPoints:
     """Return the points of one animal in the rows of DeepLabCut's table.
 
-    `header` has the texts of the data's columns by level. Each row begins with `index_columns` cells that give the
-    frame.
+    `header` has the strings above the data's columns, keyed by level. Each row begins with `index_columns` cells that
+    give the frame.
 
     Raises
     ------
@@ -198,9 +198,9 @@ def points_of_table(
     levels : sequence of str
         Names of the levels.
     labels : sequence of tuple of str
-        Texts of each of C columns, one for each level.
+        Strings in the header of each of C columns, one for each level.
     rows : sequence of sequence of str
-        Texts that name each of T rows: a frame number or the path of an image.
+        Strings that name each of T rows: a frame number or the path of an image.
     values : array, shape (T, C)
         Numbers of the table, NaN in empty cells.
     problems : sequence of Problem

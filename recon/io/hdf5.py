@@ -1,8 +1,8 @@
-"""Read numbers and texts, and nothing else, from HDF5 files of unknown origin, with h5py.
+"""Read numbers and strings, and nothing else, from HDF5 files of unknown origin, with h5py.
 
 h5py does not execute any content of a file. Content that could make the HDF5 library hang or take too much memory is
-rejected first: text heaps without an end, sizes that the file cannot fill, data in other files, and types other than
-numbers and texts.
+rejected first: heaps of strings without an end, sizes that the file cannot fill, data in other files, and types other
+than numbers and strings.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
 def _require_sound_heaps(path: Path) -> None:
     """Raise ValueError if an object in a global heap has an impossible size.
 
-    A global heap holds texts of any length. After an object of size 0, the library would look for the next object for
+    A global heap holds strings of any length. After an object of size 0, the library would look for the next object for
     ever. The header has the signature, the version, 3 unused bytes and the size (8 bytes). An object has its number (2
     bytes), its number of references (2 bytes), 4 unused bytes, its size (8 bytes), and data in steps of 8 bytes. Object
     0 is the remaining free space, whose size includes its header.
@@ -262,7 +262,7 @@ def texts(dataset: h5py.Dataset) -> list[str]:
     Raises
     ------
     ValueError
-        If the dataset has no texts, or claims more data than the file has.
+        If the dataset has no strings, or claims more data than the file has.
     """
     _require_readable(dataset)
     if not dataset.size:
@@ -354,7 +354,7 @@ def _is_variable_length(kind: h5t.TypeID) -> bool:
 def _require_short_texts(dataset: h5py.Dataset) -> None:
     """Raise ValueError if a string claims to be longer than the file, for which the library would allocate memory.
 
-    Each text is stored as its length (4 bytes), the address of its heap (8 bytes), and its number there (4 bytes).
+    Each string is stored as its length (4 bytes), the address of its heap (8 bytes), and its number there (4 bytes).
     """
     start = dataset.id.get_offset()
     if start is None:

@@ -1,8 +1,8 @@
 """Read and write poses in HDF5 files: DeepLabCut, SLEAP, sleap-anipose, movement, and NWB with ndx-pose.
 
 - DeepLabCut's H5: the table of `recon.io.deeplabcut`, as pandas stores it. pandas and PyTables would unpickle any
-  object in a file, so this module reads pandas' fixed and table layouts without them. Cells are numbers or texts.
-  Column labels, which are pickled in the table layout, are lists and tuples of texts. Anything else is refused.
+  object in a file, so this module reads pandas' fixed and table layouts without them. Cells are numbers or strings.
+  Column labels, which are pickled in the table layout, are lists and tuples of strings. Anything else is refused.
 - SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The attribute `dims` of
   each dataset has the order of its axes. Files without it have the order of SLEAP's first version. The frame axis
   counts from frame 0 of the video. Frames in which a track is not occupied are left out.

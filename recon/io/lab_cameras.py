@@ -1,8 +1,8 @@
 """Read calibration files of other layouts: tables in JSON or YAML, EasyMocap, JARVIS and OpenCV's stereo files.
 
 - JSON or YAML with a table for each camera, in a list or by name, such as CMU Panoptic's. Keys are spelled as
-`recon.io.camera_files` allows, the lens is stated or radial-tangential, and poses are from world to camera. -
-EasyMocap: `intri.yml` with `K_01`, `dist_01` of each name in `names`, and `extri.yml` in the same folder with
+  `recon.io.camera_files` allows, the lens is stated or radial-tangential, and poses are from world to camera.
+- EasyMocap: `intri.yml` with `K_01`, `dist_01` of each name in `names`, and `extri.yml` in the same folder with
   `Rot_01` or `R_01` and `T_01`.
 - JARVIS: `intrinsicMatrix`, `distortionCoefficients`, `R`, `T` of one camera. Matrices are MATLAB's, whose rows are
   points, and are transposed here.

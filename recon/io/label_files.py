@@ -123,7 +123,7 @@ def _h5(
     require_label_writer()
 
     def index(labels: Sequence[tuple[str, ...]], names: Sequence[str | None]) -> pd.MultiIndex:
-        parts = [pd.Index(part, dtype=object) for part in zip(*labels, strict=True)]  # as pandas 2 stores texts
+        parts = [pd.Index(part, dtype=object) for part in zip(*labels, strict=True)]  # as pandas 2 stores strings
         return pd.MultiIndex.from_arrays(parts, names=[*names])
 
     table = pd.DataFrame(values, index(rows, [None] * len(rows[0])), index(columns, levels))

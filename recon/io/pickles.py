@@ -12,7 +12,7 @@ import pickletools
 from typing import Any, TypeAlias
 
 Plain: TypeAlias = Any
-"""Text, number, list, tuple or dictionary."""
+"""String, number, list, tuple or dictionary."""
 MAX_PICKLE_BYTES = 1 << 24
 PLAIN_PICKLES = {
     *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),

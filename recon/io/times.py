@@ -178,10 +178,10 @@ def _clocks(texts: Sequence[str]) -> np.ndarray | None:
 
 
 def _clocks_of_one_day(texts: Sequence[str]) -> np.ndarray | None:
-    """Return the times of texts such as 30/11/2026 10:15:00.5 in seconds after the first, or None.
+    """Return the times in strings such as 30/11/2026 10:15:00.5 in seconds after the first, or None.
 
-    The result is None unless every text has a date and a time, all with the same date and the same half of the day (AM
-    or PM). The date's format does not matter.
+    The result is None unless every string has a date and a time, all with the same date and the same half of the day
+    (AM or PM). The date's format does not matter.
     """
     matches = [re.fullmatch(r"(\d+[./-]\d+[./-]\d+)[T ]+(\S+)( ?[AaPp][Mm])?", text) for text in texts]
     dated = [match for match in matches if match is not None]

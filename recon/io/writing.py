@@ -121,11 +121,11 @@ def write_table(
 ) -> None:
     """Write header rows, then one row per frame with its number and values (T, C); NaN is an empty cell.
 
-    If `guard` is true, texts are escaped so that a spreadsheet does not run them.
+    If `guard` is true, strings are escaped so that a spreadsheet does not run them as formulas.
     """
     write_rows(path, header, (), guard)
     with path.open("a", encoding="utf-8", newline="") as file:
-        for frame, row in zip(frames.tolist(), values, strict=True):  # the text of a list is faster than csv.writer
+        for frame, row in zip(frames.tolist(), values, strict=True):  # repr of a list is faster than csv.writer
             cells = repr([frame, *row.tolist()])[1:-1]
             file.write(cells.replace(", ", ",").replace("nan", "") + "\n")
 
@@ -133,11 +133,12 @@ def write_table(
 def write_rows(
     path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[object]], guard: bool = True
 ) -> None:
-    """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell.
+    """Write header rows, then rows of strings, whole numbers and floats; NaN is an empty cell.
 
-    If `guard` is true, texts are escaped so that a spreadsheet does not run them. Otherwise they are written unchanged.
+    If `guard` is true, strings are escaped so that a spreadsheet does not run them as formulas. Otherwise they are
+    written unchanged.
     """
-    text = cache(guarded if guard else encodable)  # a column repeats a few texts in thousands of rows
+    text = cache(guarded if guard else encodable)  # a column repeats a few strings in thousands of rows
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([text(name) for name in row] for row in header)
@@ -150,7 +151,7 @@ def write_rows(
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write a long table from its columns (N,), which are floats, whole numbers or text without commas.
+    """Write a long table from its columns (N,), which are floats, whole numbers or strings without commas.
 
     NaN is an empty cell. Writing by columns is much faster than row by row.
     """
@@ -187,7 +188,7 @@ def _guarded_column(values: np.ndarray) -> np.ndarray:
 
 
 def _cell(value: object) -> object:
-    """Return a value that the writer turns into the shortest text that is read back exactly."""
+    """Return a value that the writer turns into the shortest string that is read back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if plain != plain else plain
 
