@@ -598,7 +598,7 @@ def table_text(header: str, values: Mapping[str, Any]) -> str:
 
 
 def toml_text(value: object) -> str:
-    """Return the TOML text of a value."""
+    """Return a value written in TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{name} = {toml_text(element)}" for name, element in value.items()) + " }"
     return json.dumps(value, ensure_ascii=False)

@@ -64,7 +64,7 @@ class TriangulatedClip(Brief):
         return Pose3D(self.names, self.points_m, self.frames, fps=self.fps, sigma_m=self.result.sigma_m)
 
     def summary(self) -> dict[str, Any]:
-        """Return the content of `SUMMARY`, which states how well points and detections agree, in plain types."""
+        """Return the content of `SUMMARY` in plain types, which states how well points and detections agree."""
         result = self.result
         is_known = np.isfinite(result.points_m[..., 0])
         is_compared = np.isfinite(result.error_px)

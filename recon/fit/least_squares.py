@@ -397,7 +397,7 @@ def _no_markers(states: Array) -> TreePose:
 
 
 def _best_length(decrease: float, slope: float) -> float:
-    """Return the factor, at most `_MAX_EXTENSION`, on a step that minimises a parabola through the costs along it."""
+    """Return the factor on a step, at most `_MAX_EXTENSION`, that minimises a parabola through the costs."""
     bend = -decrease - slope  # the cost at length x is slope x + bend x^2
     return min(-0.5 * slope / bend, _MAX_EXTENSION) if bend > 0 else _MAX_EXTENSION
 

@@ -277,7 +277,7 @@ def _rods(motion: Motion) -> Array:
 
 
 def _nearest(motion: Motion, rods_m: Array) -> Integers:
-    """Return the joint (E,) nearest to each end of the rods (T, S, 2, 3) in the first frame with a pose."""
+    """Return the indices (E,) of the joints nearest to the ends of rods (T, S, 2, 3) in the first frame with a pose."""
     first = int(np.flatnonzero(motion.solved)[0])
     difference_m = rods_m[first].reshape(-1, 1, 3) - motion.upright.xyz_m[first]
     return np.linalg.norm(difference_m, axis=2).argmin(axis=1)

@@ -182,7 +182,7 @@ class FieldMeans(NamedTuple):
 
 
 def means_of_field(field: LinkField) -> FieldMeans:
-    """Return the means of a link's vector field over the frames in which the field is known."""
+    """Return the mean velocities of a link's tip over the frames in which they are known."""
     space = np.linalg.norm(field.velocity_m_s, axis=1)
     values = np.abs(np.stack([field.speed_m_s, space, field.dr_m_s, field.dtheta_rad_s]))
     is_known = np.isfinite(values).all(axis=0)
@@ -193,7 +193,7 @@ def means_of_field(field: LinkField) -> FieldMeans:
 
 
 def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
-    """Return a table of the means of each link's vector field (`FieldMeans`), with a row for each link."""
+    """Return a table of the mean velocities of each link's tip (`FieldMeans`), with a row for each link."""
     import pandas as pd  # slow to import
 
     return pd.DataFrame([means_of_field(field) for field in fields], columns=list(FieldMeans._fields))

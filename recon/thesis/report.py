@@ -57,7 +57,7 @@ def _base_length(motion: Motion) -> dict[str, Any]:
 
 
 def summary(motion: Motion) -> dict[str, Any]:
-    """Return the numbers of frames by status, the uncertainty of the joints, and the solver's effort."""
+    """Return the number of frames with each status, the uncertainty of the joints, and the solver's effort."""
     solution = frame_solution(motion)
     R = solution.views[0].rotation
     variance = np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3)  # along the camera's x, y, z
