@@ -170,6 +170,8 @@ class Window:
 def step(pieces: Iterable[Normal], damping: float, ahead: int | None = None) -> tuple[Array, Array, float]:
     """Return the damped step of the frames (T, D) and of the shared unknowns (P,), and the cost's slope along it.
 
+    The parameters are those of `eliminated`.
+
     Raises
     ------
     numpy.linalg.LinAlgError

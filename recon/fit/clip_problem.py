@@ -414,7 +414,10 @@ class ClipProblem:
         return np.full(len(self.shape.lengths), fraction)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return the prior standard deviation of each camera's position, smaller if the animal is close, (V,), m."""
+        """Return the prior standard deviation of each camera's position, smaller if the animal is close, (V,), m.
+
+        `around_m` (T, J, 3) are the markers at nominal size, m, and `size` is the size of the animal.
+        """
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
@@ -541,7 +544,7 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
 
     Standing feet show the size: with a wrong size they would appear to move with the camera, while swinging feet move
     in any case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of
-    them get more weight.
+    them get more weight. `slow` (T - 1, F) holds weights, 1 for a foot that stands and 0 for a foot that swings.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
     # the body's motion between frames if the animal had the expected size

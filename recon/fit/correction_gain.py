@@ -157,6 +157,7 @@ def _gain_of_frames(
     """Return the gain (N, J) in m^2 of each detection in N frames of a view.
 
     `points_m` (N, J, 3) are the markers, and `covariance_and_derivative` their blocks (N, J, 3, 3) of Z and of Q.
+    `noise_and_weight` are the standard deviations (N, J), px, and the weights (N, J) of the detections.
     """
     projected, by_point, valid = view.project_with_jacobian(points_m)
     A_Z_A, A_Q_A = (by_point @ of_points @ by_point.swapaxes(-1, -2) for of_points in covariance_and_derivative)

@@ -35,11 +35,11 @@ from recon.fit.result import Solution, TrajectorySolution
 LEVEL = 0.9
 """Probability of the regions that are calibrated on the detections of the solution's own views."""
 DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0, 8.0
-"""Candidates for the standard deviation of a keypoint's deviations, relative to the detections' noise."""
+"""Candidates for the standard deviation of a keypoint's deviations, as multiples of the detections' noise."""
 LASTING_S = 0.03, 0.08, 0.25, 1.0, 4.0
 """Candidates for the duration of a keypoint's deviations, s."""
 NOISE_FRACTIONS = 0.35, 0.5, 0.7, 1.0
-"""Candidates for the variance of the detections' noise about the deviations, relative to the fit's variance."""
+"""Candidates for the variance of the detections' noise about the deviations, as fractions of the fit's variance."""
 SHARED_EVIDENCE_WEIGHT = 1.0
 """Weight of the mean evidence of all keypoints in the choice for one keypoint, relative to its own evidence."""
 

@@ -254,7 +254,10 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the cost term that keeps the angles' accelerations near a linear function of angles and rates."""
+    """Return the cost term that keeps the angles' accelerations near a linear function of angles and rates.
+
+    The prior gives this function. The parameters are as in `pose_term`.
+    """
     A = len(prior.mean)
     white = prior.acceleration_whitener * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
@@ -266,7 +269,11 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
-    """Return the cost term that keeps the root's acceleration (x, y horizontal, z up) and yaw acceleration near 0."""
+    """Return the cost term that keeps the root's acceleration (x, y horizontal, z up) and yaw acceleration near 0.
+
+    `acceleration_m_s2` (3,) and `yaw_acceleration_rad_s2` are the standard deviations of these accelerations.
+    `n_state` is the number of columns of a state, and `fps` the frame rate in Hz.
+    """
     rows = np.zeros((4, n_state))
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
@@ -275,7 +282,10 @@ def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_accelerati
 
 
 def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
-    """Return the cost term that keeps the root from climbing or sinking fast."""
+    """Return the cost term that keeps the root from climbing or sinking fast.
+
+    `sigma_m_s` is the standard deviation of the vertical velocity. The other parameters are as in `root_term`.
+    """
     row = np.zeros((1, n_state))
     row[0, 2] = fps / sigma_m_s * _rate(fps, 1.0)
     return Linear("climb", (0, 1), np.array([-row, row]), np.zeros(1))

@@ -62,7 +62,7 @@ OTHER_FORE = (0.5, 0.16)
 guessed.
 """
 FOOT_IMPULSE_SIGMA = 0.4
-"""Standard deviation of the logarithm of a foot's impulse, relative to the mean of the left and the right foot."""
+"""Standard deviation of the logarithm of a foot's impulse divided by the mean of the left and the right foot."""
 STANCE_SPREAD = 0.2
 """Standard deviation of a stance's duration, as a fraction of the median of the stances around it.
 

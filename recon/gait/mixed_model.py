@@ -20,9 +20,12 @@ from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
 _MIN_SIGMA_RATIO = 1e-4
-"""Lower bound of the standard deviations of animals, runs and strides, relative to the values' standard deviation."""
+"""Lower bound of the standard deviations between animals, runs and strides, as a fraction of that of all values."""
 _MIN_REPORTED_RATIO = 1e-2
-"""Smallest reported standard deviation of animals, runs or strides, relative to the values'; less is given as 0."""
+"""Smallest standard deviation between animals, runs or strides that is not reported as 0.
+
+The unit is the standard deviation of all values.
+"""
 
 
 @dataclass(frozen=True)

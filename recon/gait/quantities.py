@@ -45,7 +45,7 @@ NEXT_STEP = 0.6
 A step takes half a stride in symmetrical gaits, to which the value adds a margin of 0.1 strides.
 """
 MAX_PERIOD = 1.3
-"""Longest period of the motion that is used as the stride duration, relative to the clip's duration.
+"""Longest period of the motion that is used as the stride duration, as a multiple of the clip's duration.
 
 A clip that is much shorter than a stride does not determine the period.
 """
@@ -170,7 +170,8 @@ def _focal_sigma(motion: Motion) -> float:
 def path_speed_sigma(errors: Sequence[Errors], moved: JointKinematics, start_s: float, end_s: float) -> float:
     """Return the standard deviation of the mean speed between two times, m/s.
 
-    Errors of the path are correlated in time, so only times that are far enough apart count as independent.
+    Errors of the path are correlated in time, so only times that are far enough apart count as independent. `errors`
+    are the independent errors of the path, and `moved` is the motion along the path.
     """
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
     lasting_s = max(error.correlation_s for error in errors if error.correlation_s < np.inf)

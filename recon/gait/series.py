@@ -42,7 +42,7 @@ ORDERS = (0, 1, 2)
 MIN_SMOOTHING_POINTS = 5
 """Minimum number of values required for a smoothing spline."""
 _LOG10_LAM = (-16.0, 8.0)
-"""Range of log10 of lam, relative to (duration / number of values)^3, from an exact spline to a straight line."""
+"""Range of log10 of lam / (duration / number of values)^3, from an exact spline to a straight line."""
 JITTER_LASTS_S = 0.05
 """Correlation time of the lasting errors of a method that solves each frame on its own, s.
 

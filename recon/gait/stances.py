@@ -58,15 +58,15 @@ MAX_GAP_S = 0.05
 SLOW_SPEEDS = (0.16, 0.32)
 """Maximum speeds of a foot that certainly stands and of a foot that may stand, as fractions of its swing speed."""
 MIN_SWING_SPEED = 1.3
-"""Minimum of the speed of a foot in the swing, relative to the body's mean speed."""
+"""Minimum speed of a foot in the swing, as a multiple of the body's mean speed."""
 MAX_REST_SPEED = 0.5
-"""Maximum apparent speed of feet in stance due to jitter of the poses, relative to the body's speed."""
+"""Maximum apparent speed of feet in stance due to jitter of the poses, as a fraction of the body's speed."""
 TOUCH_DOWN_SPEED = 0.12
 """Speed of a foot at touch-down, as a fraction of its speed in the swing, fitted to force plate measurements."""
 LIFT_OFF_SPEED = 0.22
 """Speed of a foot at lift-off, as a fraction of its speed in the swing, fitted to force plate measurements."""
 EVENT_SIGMAS = (0.05, 0.1)
-"""Standard deviations of a foot's speed at touch-down and at lift-off, relative to its speed in the swing."""
+"""Standard deviations of a foot's speed at touch-down and at lift-off, as fractions of its speed in the swing."""
 SPEED_ERROR = 0.6
 """Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
 the value on two of three kinds of recordings and tests it on the stances of the third.

@@ -80,7 +80,7 @@ class SerialChain:
         return len(self.base)
 
     def positions(self, q: Array) -> Array:
-        """Return the positions of the joints along the chain and of the end effector (..., L + 1, dim), metres."""
+        """Return the positions (..., L + 1, dim) of the chain's joints and its end effector for q (..., n), metres."""
         states = self._states(q)
         points = np.concatenate([self.tree.origins(states)[:, self._moving], self.tree.pose(states).points_m], axis=1)
         return (points @ self.base.T).reshape(*q.shape[:-1], -1, self.dim)

@@ -69,7 +69,10 @@ class Method(ABC):
     """Factor on all rates; None for <dx, J dq> / |J dq|^2, which brings J dq nearest to dx at every step."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL_JOINTS) -> JointRates:
-        """Return the joint rates at q (n,) for an end-effector velocity dx (dim,)."""
+        """Return the joint rates at q (n,) for an end-effector velocity dx (dim,).
+
+        `free` selects the joints that may move.
+        """
         J, curvature = chain.derivatives(q)
         step = _within_limits(chain, free, self._solve(J[:, free], dx, q, free, curvature))
         if self.alpha == 1.0:

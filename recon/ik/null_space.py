@@ -15,7 +15,7 @@ from recon.ik.methods import LeastNorm, reduced_gradient, right_inverse
 _NULL_STEP_RAD = 0.3
 """Longest step along the null space, rad."""
 _TOLERANCE = 1e-10
-"""Largest |G|, relative to 1 + |Hess g|, at which a configuration counts as stationary."""
+"""Largest |G|, as a fraction of 1 + |Hess g|, at which a configuration counts as stationary."""
 _MAX_ITERATIONS = 500
 KINDS = ("minimum", "saddle", "maximum", "degenerate")
 

@@ -275,7 +275,7 @@ def builtin_robots() -> tuple[str, ...]:
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """Load a built-in robot by name, or a robot from a file (.toml, .urdf, or .xml for MJCF).
+    """Load the built-in robot of a given name, or a robot from a file (.toml, .urdf, or .xml for MJCF).
 
     Raises
     ------

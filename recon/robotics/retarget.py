@@ -483,7 +483,10 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """Transfer a clip and one of its strides to a robot, and return both motions and the hind feet's spread, metres."""
+    """Transfer a clip and one of its strides to a robot, and return both motions and the hind feet's spread, metres.
+
+    `scale` and `slower` are as in `retarget`.
+    """
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for fraction in SPREADS:
@@ -510,7 +513,11 @@ def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """Return the largest scale in `SCALES` at which every foot is within reach, or half of the first if none fits."""
+    """Return the largest scale at which every foot is within reach, or half of the first scale tried if none fits.
+
+    The scales are the fractions `SCALES` of the ratio of the robot's standing height to the animal's leg length.
+    `spread_m` is the distance by which each hind foot is outside its neutral position, m.
+    """
     largest = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
@@ -529,6 +536,8 @@ def place(
     reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
 ) -> tuple[RigidTransform, Array, Bools]:
     """Compute body poses and foot positions of a robot that follows a reference at a given scale.
+
+    `spread_m` is the distance by which each hind foot is outside its neutral position, m.
 
     Returns
     -------

@@ -602,7 +602,8 @@ def write_for_trainer(
 ) -> float:
     """Write a file in one of `FORMATS`, and return the file's frame rate.
 
-    The file states the origin of the motion.
+    The file states the origin of the motion. `name` is the format's name, and `option` the option that an error message
+    names.
 
     Raises
     ------

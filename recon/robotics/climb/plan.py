@@ -246,7 +246,7 @@ def bundled() -> list[str]:
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """Load a built-in recipe by name, or a recipe from a file.
+    """Load the built-in recipe of a given name, or a recipe from a file.
 
     Raises
     ------
@@ -487,7 +487,10 @@ def _moved(torso: Array, step: Array) -> Array:
 
 
 def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Array) -> Array:
-    """Return the positions (n, 3) of a swinging foot in each frame, as it rises at one angle and sinks at another."""
+    """Return the positions (n, 3) of a swinging foot in each frame, as it rises at one angle and sinks at another.
+
+    `start_m` and `end_m` (3,) are the ends of the path in the world, m. The angles are those of `primitive`.
+    """
     s = recipe.swing
     corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
     points = []
