@@ -29,7 +29,9 @@ def mpjpe_m(keypoints: Path, rename: str | None = None, skeleton: str = "cheetah
 
 
 def main() -> None:
-    print_header(["file", "`--rename`", "of the skeleton's 24", "MPJPE, mm", "of the skeleton's own names"])
+    print_header(
+        ["file", "`--rename`", "keypoints of the skeleton's 24", "MPJPE, mm", "MPJPE / with the skeleton's own names"]
+    )
     native, used = mpjpe_m(SAMPLES / "whole.csv")
     print_row(["whole.csv", "", used, f"{1000 * native:.0f}", 1])
     with tempfile.TemporaryDirectory() as folder:

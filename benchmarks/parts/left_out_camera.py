@@ -195,7 +195,12 @@ class Score:
         return (*medians, number_text(self.ratio), *shares)
 
 
-COLUMNS = (*(f"{method}, px" for method in METHODS), "fit / best other", "fit inside 90 %", "splines inside 90 %")
+COLUMNS = (
+    *(f"{method}, px" for method in METHODS),
+    "fit / best other",
+    "fit inside 90 % regions, %",
+    "splines inside 90 % regions, %",
+)
 
 
 def number_text(value: float, digits: int = 2) -> str:
@@ -348,7 +353,7 @@ def main() -> None:
         for (kind, cameras), parts in scores.items()
     ]
     print()
-    print_table(("animal", "cameras", *COLUMNS, "worst"), rows)
+    print_table(("animal", "cameras", *COLUMNS, "worst fit / best other"), rows)
 
 
 if __name__ == "__main__":

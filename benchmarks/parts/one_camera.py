@@ -116,7 +116,9 @@ def main() -> None:
                     *(f"{np.nanmedian(similar):.0f}", f"{np.nanmedian(np.abs(distance)):.0%}", f"{posed.mean():.0%}"),
                 ]
             )
-    print_table(["changed", "MPJPE mm (worst run)", "PA-MPJPE mm", "distance", "frames with a pose"], rows)
+    print_table(
+        ["changed", "MPJPE mm (worst run)", "PA-MPJPE mm", "error of the mean distance", "frames with a pose"], rows
+    )
 
 
 if __name__ == "__main__":

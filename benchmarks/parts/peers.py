@@ -50,7 +50,7 @@ HIDDEN, WITHOUT_LIMB = "a fore leg hidden for 15 frames", ("knee", "ankle", "paw
 
 MEASURES = (
     *("MPE, mm", "MPJPE, mm", "PA-MPJPE, mm", "without offsets, mm", "median, mm"),
-    *("delivered, %", "verdict use", "ms per frame"),
+    *("delivered, %", 'verdict "use"', "ms per frame"),
 )
 """Columns of numbers; a cell of the last table has the numbers of recon, aniposelib and Pose2Sim."""
 
@@ -120,7 +120,7 @@ def turned(views: Sequence[View]) -> list[View]:
 
 CASES: dict[str, tuple[str, Change]] = {
     "clean": ("as recorded", clean),
-    "outliers": ("a fifth of the points anywhere", outliers),
+    "outliers": ("a fifth of the points at random positions", outliers),
     "missing": ("half of the points missing", missing),
     "hidden": (HIDDEN, hidden),
     "late": (f"one camera {LATE_FRAMES} frames late", late),

@@ -65,7 +65,7 @@ def main() -> None:
         of = [(level, errors) for speed, level, errors in found if (speed < SLOW_M_S) == is_slow]
         counts = " / ".join(str(sum(level == wanted for level, _ in of)) for wanted in LEVELS)
         rows.append([name, len(of), counts, ", ".join(sorted({code for _, errors in of for code in errors})) or "none"])
-    print_table(["speed", "clips", " / ".join(LEVELS), "errors named"], rows)
+    print_table(["speed", "clips", " / ".join(LEVELS), "findings that are errors"], rows)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Compare the likelihood of clips with a wrong and with the right camera file.
+"""Compare the likelihood of clips with a wrong and with the correct camera file.
 
     python benchmarks/parts/true_camera.py [--jobs 2] [--views 6]
 
 The clips of wrong_inputs.py (every view and pair of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of
 ../shared/data; --views n: every n-th) are fitted with the wrong inputs that change nothing but the camera file. If
 the verdict is "use" although the error of pose or position is above the upper end of its stated interval, the same
-keypoints are fitted with the right file. No test can gain more than the right file does, because a test has to search
-for the right camera.
+keypoints are fitted with the correct file. No test can gain more than the correct file does, because a test has to
+search for the correct camera.
 
 The log-likelihood covers the detections, the motion, the ground's height and slope, and the animal's size. Errors
 within the correlation time count once. Pairs are compared with their poses as given. Gains above 3 (twenty times as
@@ -39,15 +39,15 @@ from recon.fit.terms import SIZE
 
 KINDS = {
     "one camera, another focal length": [name for name in CASES if name.startswith("focal length")],
-    "one camera, that of another one": ["the same, called as this one"],
+    "one camera, file of another camera": ["the same, with this camera's name"],
     "one camera, turned by 10 degrees": ["turned 10 degrees sideways"],
     "one camera, origin 0.3 m off": [name for name in CASES if name.startswith("origin 0.3 m")],
     "two cameras, one turned by 2 to 6 degrees": [name for name in CASES if name.startswith("two, one turned")],
     "two cameras, one moved by 0.25 or 0.5 m": [name for name in CASES if name.startswith("two, one moved")],
 }
-"""Cases of wrong_inputs.py with the keypoints of the right input and a wrong camera file."""
+"""Cases of wrong_inputs.py with the keypoints of the correct input and a wrong camera file."""
 CLEAR = 3.0
-"""Log-likelihood gain above which the right file counts as clearly more likely."""
+"""Log-likelihood gain above which the correct file counts as clearly more likely."""
 
 
 def log_likelihood(motion: Motion) -> float:
@@ -88,7 +88,7 @@ def fit(clip: Clip, name: str, as_given: bool = False) -> tuple[Motion, Given] |
 
 
 def row(clip: Clip, kind: str, name: str) -> dict[str, Any] | None:
-    """Fit a clip with a wrong camera file, and measure the gain of the right file if the verdict is wrongly "use"."""
+    """Fit a clip with a wrong camera file, and measure the gain of the correct file if the verdict is wrongly "use"."""
     wrong = fit(clip, name)
     if wrong is None or wrong[0].verdict is None:
         return None
@@ -135,9 +135,9 @@ def main() -> None:
     kinds = [(kind, table[table["kind"] == kind]) for kind in KINDS]
     print_table(
         [
-            *("wrong camera file", "fits", '"use"', '"use" beyond a stated interval'),
-            "gain of the right file in these: median (least to largest)",
-            f"above {CLEAR:g}",
+            *("wrong camera file", "fits", '"use"', '"use", error beyond its interval'),
+            "gain of the correct file in these: median (least to largest)",
+            f"gain above {CLEAR:g}",
         ],
         [*(cells(kind, part) for kind, part in kinds if len(part)), cells("all", table)],
     )

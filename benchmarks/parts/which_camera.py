@@ -3,13 +3,13 @@
     python benchmarks/parts/which_camera.py [--jobs 2] [--views 4]
 
 Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted with each camera
-of its run, which is chosen by name from one file. --views n uses every n-th view only. The right camera is fitted again
-with each of the correct inputs of wrong_inputs.py, such as half of the detections missing, and in a world whose ground
-rises by 3 %.
+of its run, which is chosen by name from one file. --views n uses every n-th view only. The correct camera is fitted
+again with each of the correct inputs of wrong_inputs.py, such as half of the detections missing, and in a world whose
+ground rises by 3 %.
 
 - found: the fits with the finding another_camera_fits
-- with a limit from the other runs: the same, with a limit of twice the largest gain of the right camera in other runs
-- beyond the bound: the error of pose or position is above the upper end of the stated interval
+- with a limit from the other runs: the same, with a limit of twice the largest gain of the correct camera in other runs
+- error beyond its interval: the error of pose or position is above the upper end of the stated interval
 - without the test: the verdict if the finding another_camera_fits did not exist
 """
 
@@ -41,7 +41,7 @@ from recon.check.other_camera import gains_of, other_camera_finding
 from recon.fit.result import Finding
 
 CODE = "another_camera_fits"
-RIGHT, OTHER = "right camera", "another camera"
+RIGHT, OTHER = "correct camera", "another camera"
 BOUNDS = {"pose_mm": "pose bound_mm", "position_m": "position bound_m"}
 """Column of the upper end of the stated interval for each error."""
 SAME = Case(lambda clip, given: given)
@@ -103,7 +103,7 @@ def rows_of(clip: Clip) -> list[dict[str, Any]]:
 
 
 def found_without_run(table: pd.DataFrame, part: pd.DataFrame) -> int:
-    """Count the fits of `part` whose gain exceeds twice the largest gain of the right camera in the other runs."""
+    """Count the fits of `part` whose gain exceeds twice the largest gain of the correct camera in the other runs."""
     right = table[table["camera"] == RIGHT]
     limits = {run: 2 * right[right["run"] != run]["gain"].max() for run in part["run"].unique()}
     return int((part["gain"] > part["run"].map(limits)).sum())
@@ -132,7 +132,7 @@ def main() -> None:
         figures[-1] += [part["use without"].sum(), part["use"].sum()]
         figures[-1] += [beyond["use without"].sum(), beyond["use"].sum()]
     header = ["camera", "fits", "largest gain", "found", "with a limit from the other runs", "true camera listed"]
-    beyond_text = '"use" while beyond the bound'
+    beyond_text = '"use", error beyond its interval'
     print_table([*header, '"use" without the test', '"use"', f"{beyond_text}, without the test", beyond_text], figures)
 
 
