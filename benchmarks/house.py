@@ -271,13 +271,13 @@ def check(where: bool) -> bool:
 
 @cache
 def parsed(source: str) -> ast.Module:
-    """Return the syntax tree of a source text, from a cache if the text was parsed before."""
+    """Return the syntax tree of Python source code, from a cache if the same code was parsed before."""
     return ast.parse(source)
 
 
 @cache
 def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
-    """Return the import statements of a source text, and all calls if the text may import a module by its name.
+    """Return the import statements in source code, and all calls if the code may import a module by its name.
 
     Imports in functions are included. Expressions make up most of a syntax tree, and are walked only for calls.
     """

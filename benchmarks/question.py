@@ -115,7 +115,7 @@ def without_times(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_markdown(text: str) -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the tables of a Markdown text, each with a header and rows, and the lines outside tables."""
+    """Return the tables in a Markdown string, each with a header and rows, and the lines outside tables."""
     tables: list[dict[str, Any]] = []
     sentences: list[str] = []
     is_in_table = False

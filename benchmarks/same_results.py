@@ -38,7 +38,7 @@ CLOCK_COLUMNS = ("solve_s", "solve_ms", "us_per_step")
 CLOCK_KEYS = ("timing_s", "recon_version", "schema", "settings", *CLOCK_COLUMNS)
 """Keys of reports that depend on the clock, the version or the folders."""
 CODE_KEYS = ("level", "code", "status", "flags", "side", "method")
-"""Keys of reports whose texts are compared."""
+"""Keys of reports whose values, which are strings, are compared."""
 PLAYBACKS = ("recon.show.view.write", "recon.show.view.playback.write")
 FIGURES = ("recon.ik.clip.write_figures", "recon.robotics.ik.clip.write_figures")
 """Slow functions to skip in both checkouts, because their output is not compared."""
@@ -195,7 +195,7 @@ def hash_of(array: np.ndarray) -> str:
 
 
 def numbers_of(value: Any, key: str) -> Iterator[tuple[str, str]]:
-    """Yield each number and each compared text of a report, with the path of keys that leads to it."""
+    """Yield each number and each compared string of a report, preceded by the keys that lead to it."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name not in CLOCK_KEYS:
@@ -214,7 +214,7 @@ def result_files(folder: Path) -> set[str]:
 
 
 def commit_of(checkout: Path) -> str:
-    """Return the commit of a checkout, or an empty text if it has uncommitted changes."""
+    """Return the commit of a checkout, or an empty string if it has uncommitted changes."""
     git = ["git", "-C", str(checkout)]
     changed = subprocess.run(
         [*git, "status", "--porcelain", "recon"], capture_output=True, text=True, check=True

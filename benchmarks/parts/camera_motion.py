@@ -1,13 +1,13 @@
-"""Test the estimated rotation of cameras on virtual pans, which are cut out of the videos of still cameras.
+"""Test the estimated rotation of cameras on virtual pans, which are cut out of the videos of static cameras.
 
     python benchmarks/parts/camera_motion.py [FOLDER] [--case NAME]
 
-Each still video is treated as the film of a pinhole camera. A virtual camera with the same centre and a narrower view
-turns inside its picture, with shake. Its pictures are resampled (bilinear, blurred by the rotation during half of each
-frame's time). A subject is pasted over 20 or 40 % of the picture: a mirrored part of the same picture that stays in the
-middle of the view, as if followed, and moves to and fro. Errors are angles between the estimated and the true rotation
-since the first frame. FOLDER is by default the still-videos of $RECON_SHARED_DATA, or of ../shared/data; without
-videos, nothing is measured.
+Each video of a static camera is treated as if a pinhole camera had recorded it. A virtual camera with the same centre
+and a narrower view turns inside its picture, with shake. Its pictures are resampled (bilinear, blurred by the rotation
+during half of each frame's time). A subject is pasted over 20 or 40 % of the picture: a mirrored part of the same
+picture that stays in the middle of the view, as if followed, and moves to and fro. Errors are angles between the
+estimated and the true rotation since the first frame. FOLDER is by default the still-videos of $RECON_SHARED_DATA, or
+of ../shared/data; without videos, nothing is measured.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Film:
 
 
 def film(video: Path, pan: Pan, seed: int = 0) -> Film:
-    """Cut a pan along the longer side out of a still video.
+    """Cut a pan along the longer side of the picture out of the video of a static camera.
 
     If the video has too few frames, it is played forwards and backwards alternately.
     """
@@ -142,7 +142,7 @@ def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]
 
 
 def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMotion, float]:
-    """Estimate the camera's motion in a film, and compare it with the truth.
+    """Estimate the motion of the virtual camera, and compare it with the truth.
 
     Returns
     -------

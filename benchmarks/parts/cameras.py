@@ -85,7 +85,7 @@ def run_of(folder: Path) -> Run:
 
 
 def runs_given(about: str | None) -> list[Run]:
-    """Load the runs of the folder that the command line names; `about` is the text of --help."""
+    """Load the runs of the folder that the command line names; `about` is the script's help."""
     parser = parser_of(about, kind="cheetah-runs")
     return [run_of(run) for run in runs_or_exit(parser, parser.parse_args().folder.resolve())]
 

@@ -6,8 +6,8 @@ FOLDER holds optical motion capture of one dog: a file *_joint_pos.txt for each 
 every joint, metres, y up; and joints.json with the joints' names and parents and the frame rate. By default it is the
 dog-mocap of $RECON_SHARED_DATA, or of ../shared/data.
 
-For the part `accuracy`, each clip is seen by one still, level pinhole camera, 1920x1080, 0.6 m above the ground, 6 m to
-the side of the clip's path. Its field of view is the smallest whole number of degrees that contains the whole clip.
+For the part `accuracy`, each clip is seen by one static, level pinhole camera, 1920x1080, 0.6 m above the ground, 6 m
+to the side of the clip's path. Its field of view is the smallest whole number of degrees that contains the whole clip.
 Detections are the joints' projections with 2 px of Gaussian noise. The prior is learned from the other seven clips. All
 clips show the same dog, and the fits use its lengths. The script runs in one thread.
 """
@@ -191,7 +191,7 @@ def misfits(solved: Sequence[SegmentFit]) -> Rows:
 
 
 def side_view(clip: Clip, reference: str = "Hips") -> tuple[Camera, float]:
-    """Return a camera beside the path of the joint `reference`, and its horizontal field of view in degrees."""
+    """Return a camera at the side of the path of the joint `reference`, and its horizontal field of view in degrees."""
     hips = clip.points_m[:, clip.names.index(reference)]
     middle = (hips[:, 0].min() + hips[:, 0].max()) / 2
     return narrowest(clip.points_m, np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M]))

@@ -127,7 +127,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
 
 
 def force_summary(*found: ClipAnalysis) -> str:
-    """Return the number of strides, of intervals that contain one body weight, and the mean force, as text."""
+    """Return the number of strides, of intervals that contain one body weight, and the mean force, as a string."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
         return "none"

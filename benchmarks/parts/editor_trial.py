@@ -2,7 +2,7 @@
 
     python benchmarks/parts/editor_trial.py [--seeds 1]
 
-The faults are planted as in `planted_faults.py`, in the film of data/samples. The clip is fitted by `recon fit`, and a
+The faults are planted as in `planted_faults.py`, in the video of data/samples. The clip is fitted by `recon fit`, and a
 script corrects the first 40 entries of the list in Chromium, with the actions that the page's help names: N goes to the
 next entry, and Shift-click sets the keypoint. The script clicks within about 1 px (one standard deviation) of the true
 position, which a user would see in the picture. Then `recon fit --corrections` fits the clip again. The error is

@@ -201,9 +201,9 @@ def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
 
 
 def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
-    """Follow a circle, and return the smallest degree of closure of any joint as text.
+    """Follow a circle, and return the smallest degree of closure of any joint as a string.
 
-    The text has the closure of the angle and the closure in the plane of angle and rate.
+    The string has the closure of the angle and the closure in the plane of angle and rate.
     """
     method = methods(chain).get(name)
     if method is None:
@@ -229,7 +229,7 @@ def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
 
     The motion is "convergent" if the angles after every turn equal the angles before it; "singular" if the extended
     Jacobian became singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away;
-    otherwise "drifting". The text also states how many joints reached a limit.
+    otherwise "drifting". The returned string also states how many joints reached a limit.
     """
     method = ExtendedJacobian(cost)
     q = to_null_space_optimum(chain, q, cost)[0]

@@ -4,7 +4,7 @@
 
 Each row has one statistic that a check compares with a constant, over the clips of one case. A constant is justified if
 the statistic of correct clips does not reach it. Correct clips are all views of the cheetah-runs and plate-trials of
-$RECON_SHARED_DATA, or of ../shared/data, each alone; parts of its dog-mocap as in `standing.py`; and the rendered film
+$RECON_SHARED_DATA, or of ../shared/data, each alone; parts of its dog-mocap as in `standing.py`; and the rendered video
 of data/samples. Wrong clips are every n-th view with a case of `wrong_inputs.py`. The statistics are:
 
 - long steps: the fraction of the steps between frames that exceed `LONG_STEP_RATIO` times the steps around them
@@ -87,7 +87,7 @@ STATISTICS = {
     "feet on the ground": ("0.5", _SLIDING),
     **{f"jolts, {name}": (f"{limit}", (*_RIGHT, *FITTED)) for name, limit in inputs.MAX_PATH_COSTS.items()},
 }
-"""Limit of each statistic as text, and the cases for which the statistic is shown."""
+"""Limit of each statistic as a string, and the cases for which the statistic is shown."""
 
 Statistics = dict[str, float]
 """Value of each of `STATISTICS` that applies to a clip."""

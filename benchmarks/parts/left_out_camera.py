@@ -204,7 +204,7 @@ COLUMNS = (
 
 
 def number_text(value: float, digits: int = 2) -> str:
-    """Format a number with a fixed number of decimals, or as an empty text if it is unknown."""
+    """Format a number with a fixed number of decimals, or as an empty string if it is unknown."""
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 

@@ -4,7 +4,7 @@ python benchmarks/parts/long_clips.py [CASE ...] [--against CHECKOUT]
 
 Each fit runs in its own process. A case is frames x cameras, such as 4000x6, or a number of frames of which 120 are
 seen, in three segments, such as 216000/120; by default, a list of cases is measured. A simulated animal runs in circles
-in front of still cameras. With --against, another checkout fits each case before this checkout does.
+in front of static cameras. With --against, another checkout fits each case before this checkout does.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ Each run is a folder as in `cheetah_runs.py`. There are three tests:
   centre, so that the animal stays in the middle of the picture. The rays are turned back and projected through the same
   lens. Points outside the lens model's range are left out of both views
 - with errors: as `pan`, but with white and drifting errors of the camera poses, whose size is stated
-- driven: the truth is projected into the named camera without noise, once still and once driven at 10 m/s along the
+- driven: the truth is projected into the named camera without noise, once static and once driven at 10 m/s along the
   animal's path
 
 Errors are over all 24 joints. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The
@@ -137,7 +137,7 @@ PAN = {
 
 
 def driven(run: Run, speed_m_s: float = SPEED_M_S) -> dict[str, View]:
-    """Project the truth into the named camera, once still and once driven along the animal's path."""
+    """Project the truth into the named camera, once static and once driven along the animal's path."""
     view, T = run.views[run.named], len(run.truth_m)
     known = np.flatnonzero(np.isfinite(run.truth_m).all(axis=(1, 2)))
     path = run.truth_m.mean(axis=1)

@@ -1,4 +1,4 @@
-"""Train a network on labels of the rendered film, predict its keypoints, fit them, and compare with the truth."""
+"""Train a network on labels of the rendered video, predict its keypoints, fit them, and compare with the truth."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def run_circle(
 ) -> Circle:
     """Train a network, predict, fit twice, and write everything into the folder `out`.
 
-    `samples` is the folder with the files of the film, by default the project's own. If `turns` is true, the camera
-    pans, and its rotation is estimated from the film. `fit` has the settings of both fits.
+    `samples` is the folder with the video and its files, by default the project's own. If `turns` is true, the camera
+    pans, and its rotation is estimated from the video. `fit` has the settings of both fits.
     """
     samples = samples or samples_folder()
     film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"
@@ -91,7 +91,7 @@ def run_circle(
             keypoints=(file,),
             camera=(samples / "rendered_camera.toml",),
             fps=found.fps,
-            detector="none",  # the film's keypoints have no bias
+            detector="none",  # the video's keypoints have no bias
             **fit,
         )
         if turns:

@@ -23,7 +23,7 @@ from recon.testing.film import FPS, film_clip, labelled_frames, render_frames
 
 SIZE_PX = (640, 480)
 LENS = 4.4
-"""Focal length relative to the film's camera, which makes the animal 403 to 474 px long."""
+"""Focal length relative to the rendered video's camera, which makes the animal 403 to 474 px long."""
 ABOVE_PX = 40
 """Distance of the camera's optical axis above the middle of the picture, pixels."""
 
@@ -60,7 +60,7 @@ def write_large_film(folder: Path) -> Keypoints:
 def run_large(
     film: Path, out: Path, settings: TrainSettings, device: str, threads: int | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Train on the large film, and return the training report and the scores in the frames without labels.
+    """Train on the large animal, and return the training report and the scores in the frames without labels.
 
     `film` is a folder written by `write_large_film`.
     """

@@ -6,16 +6,16 @@
     python benchmarks/parts/pages.py summary [--clips 500]
     python benchmarks/parts/pages.py run --model DIR
 
-- `browser` opens three pages in Chromium: one with the rendered film (90 frames), one of a simulated clip of 4,000
+- `browser` opens three pages in Chromium: one with the rendered video (90 frames), one of a simulated clip of 4,000
   frames, and one of a batch of 100 clips. The slider then moves to another frame at each refresh of the screen for
-  three seconds, and the refreshes are counted. The processor time of all processes of the browser is also measured.
-  The browser draws without a graphics card; if a frame takes 33 ms of one processor, 30 frames per second are drawn
+  three seconds, and the refreshes are counted. The processor time of all processes of the browser is also measured. The
+  browser draws without a graphics card; if a frame takes 33 ms of one processor, 30 frames per second are drawn
 - `costs` measures the processor time of `recon report` and `recon analyse` with their default options on 40 frames,
   relative to the fit in the same run, as medians of RUNS runs
-- `pages` writes the pages of the rendered film with its video, of a sample of 60 frames, and of twenty such samples in
-  a row, forwards and backwards
+- `pages` writes the pages of the rendered video with its pictures, of a sample of 60 frames, and of twenty such samples
+  in a row, forwards and backwards
 - `summary` writes the page of a batch of copies of one result
-- `run` times `recon run` from the rendered film to the page, with a network that `recon train` made on this film, and
+- `run` times `recon run` from the rendered video to the page, with a network that `recon train` made on this video, and
   compares this time with one command per stage, and with a second run
 
 If Chromium is on the path, the pages are opened in it, and the number of console messages is printed.
@@ -132,7 +132,7 @@ def browser_seconds(chromium: Browser) -> float:
 
 
 def film_page(folder: Path) -> Path:
-    """Write the page of the rendered film, with its video, and return its path."""
+    """Write the page of the rendered video, with its pictures, and return the path of the page."""
     points = SAMPLES / "rendered_points.csv"
     recon(folder, "fit", points, *FILM_FIT, "--fps", 120, "--out", "film", "--quiet")
     recon(folder, "report", "film", "--video", FILM, "--quiet")
@@ -168,7 +168,7 @@ def costs(args: argparse.Namespace, folder: Path) -> None:
 
 
 def pages(args: argparse.Namespace, folder: Path) -> None:
-    """Measure the size and the processor time of pages of the rendered film, a sample, and twenty samples in a row."""
+    """Measure the size and the processor time of pages of the rendered video, a sample, and twenty samples in a row."""
     points = (SAMPLES / "whole.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.partition(",")[2] for line in points[3:]]
     long = [f"{i},{row}" for i, row in enumerate((rows + rows[::-1]) * 10)]

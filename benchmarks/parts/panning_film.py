@@ -1,13 +1,13 @@
-"""Compare the rendered films of a panning and of a still camera, from the video to the pose.
+"""Compare fits of two rendered videos, one of a panning and one of a static camera, from the video to the pose.
 
     python benchmarks/parts/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
 
-Both films show the same animal in the same world, from the same position through the same lens at the same times; one
-camera turns to follow the animal, and shakes. For each film, a separate network is trained on labels of the same
-frames, and predicts the points of all frames. The panning camera's rotation is estimated from the film, like `recon run
---camera-motion turns`, with the tilt of the first picture given. The still camera's pose is its calibrated pose. Errors
-are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the script
-only draws the film.
+Both videos show the same animal in the same world, from the same position through the same lens at the same times; one
+camera turns to follow the animal, and shakes. For each video, a separate network is trained on labels of the same
+frames, and predicts the points of all frames. The panning camera's rotation is estimated from the video, like `recon
+run --camera-motion turns`, with the tilt of the first picture given. The static camera's pose is its calibrated pose.
+Errors are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the
+script only draws the video of the panning camera.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--device", default="auto")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--out", type=Path, help="folder for the film and the networks (default: a temporary folder)")
-    parser.add_argument("--film", action="store_true", help="only draw the film")
+    parser.add_argument("--out", type=Path, help="folder for the videos and the networks (default: a temporary folder)")
+    parser.add_argument("--film", action="store_true", help="only draw the video of the panning camera")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = args.out or Path(temporary)

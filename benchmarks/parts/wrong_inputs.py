@@ -331,7 +331,7 @@ def follows(clip: Clip, given: Given) -> Given:
 
 
 def belt_drifts(clip: Clip, given: Given) -> Given:
-    """Film the animal on a belt that is as fast as the animal at first, and a fifth slower at the end."""
+    """Simulate an animal on a belt that is as fast as the animal at first, and a fifth slower at the end."""
     path_px = path_of(given)
     slower = np.linspace(0, 0.2, len(path_px))[:, None]
     drift_px = np.cumsum(slower * np.gradient(path_px, axis=0), axis=0)

@@ -167,10 +167,10 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 
 
 def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
-    """Yield the frame number, the row, the time stamp in seconds and the picture of each frame of a clip.
+    """Yield the number, the index, the time stamp in seconds and the picture of each frame of a clip.
 
-    The row is the index in `frames`, None for a frame that is not in the clip. The last item is the frame after the
-    clip, if the video has one.
+    The index is the position in `frames`, None for a frame that is not in the clip. The last item is the frame after
+    the clip, if the video has one.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
 def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> Image:
     """Return the picture (height, width, 3) of a frame with all marks and the strip below.
 
-    `t` is the row of the frame, None for a frame without a reconstruction.
+    `t` is the index of the frame in `overlay`, None for a frame without a reconstruction.
     """
     height, width = picture.shape[:2]
     canvas_w, canvas_h = canvas_size((width, height))
@@ -231,7 +231,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 
 
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
-    """Return pictures of the frames in `rows`, cropped around the animal at one scale.
+    """Return pictures of the frames with the indices `rows`, cropped around the animal at one scale.
 
     `pictures` are the video's pictures of these frames. If it is None, the background is plain.
     """

@@ -24,7 +24,7 @@ def write_report(report: Mapping[str, Any], path: Path) -> None:
 
 
 def to_json(value: object) -> str:
-    """Return a value as JSON text, for a file or for `--json`."""
+    """Return a value as a JSON string, for a file or for `--json`."""
     return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
@@ -51,10 +51,10 @@ def spread(values: Array) -> dict[str, float]:
 
 
 def number(value: float | None, spec: str) -> str:
-    """Return a number as text for a summary, or "?" if it is unknown."""
+    """Return a number as a string for a summary, or "?" if it is unknown."""
     return "?" if value is None or math.isnan(value) else format(value, spec)
 
 
 def frame_count(n: int) -> str:
-    """Return a number of frames as text, such as "1 frame" or "7 frames"."""
+    """Return a number of frames as a string, such as "1 frame" or "7 frames"."""
     return "1 frame" if n == 1 else f"{n} frames"

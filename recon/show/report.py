@@ -60,8 +60,8 @@ def sections_of(motion: Motion) -> tuple[Section, ...]:
 def build_report(motion: Motion) -> dict[str, Any]:
     """Return the report of one clip in plain JSON types.
 
-    NaN becomes None, and floats have nine significant digits. `lines` holds the summary's labels and texts, without the
-    findings.
+    NaN becomes None, and floats have nine significant digits. `lines` holds the labels and values of the summary's
+    lines, without the findings.
     """
     report = {
         "schema": {"name": SCHEMA_NAME, "version": SCHEMA_VERSION},

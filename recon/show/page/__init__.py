@@ -1,5 +1,5 @@
 """Make HTML pages of a result, a batch, a comparison and an audit, which are single files that fetch nothing.
 
-Texts, tables and numbers come from the report, and figures from `recon.show.plots`. Jinja2 fills in `templates/` and
-escapes all text from files and from their names.
+Sentences, tables and numbers come from the report, and figures from `recon.show.plots`. Jinja2 fills in `templates/`
+and escapes all text from files and from their names.
 """

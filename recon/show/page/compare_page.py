@@ -60,7 +60,7 @@ def compare_page(
     notes
         Sentences on clips that were left out.
     group_by
-        Name of the property by which clips are grouped, or an empty text if it is unknown.
+        Name of the property by which clips are grouped, or an empty string if it is unknown.
     effects, variances
         Tables of the mixed models, with the columns of `mixed_model.csv` and `variances.csv`.
     """

@@ -78,7 +78,7 @@ def inline(figure: Figure, largest: int) -> str:
 
     svg = svg_of(figure)
     if len(svg) <= largest:
-        return svg  # no escaping, because matplotlib has escaped the figure's texts
+        return svg  # no escaping, because matplotlib has escaped the figure's labels
     return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI, transparent=True))}">'
 
 
@@ -191,7 +191,7 @@ def _base(path: str | None) -> str:
 
 
 def _plain(value: object) -> str:
-    """Return a value of the settings as text, with paths reduced to file names."""
+    """Return a value of the settings as a string, with paths reduced to file names."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
@@ -213,7 +213,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def flagged_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield the first row, the frame numbers and the flags of each range of frames with the same flags.
+    """Yield the first index, the frame numbers and the flags of each range of frames with the same flags.
 
     The frame numbers and the flags are strings, such as "12 to 15" and "left-right swap, gross outliers".
     """
@@ -314,7 +314,7 @@ FAR_MEAN = 5.0
 """Ratio of the mean to the median keypoint error above which the page explains the difference."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
-"""Pattern of the folders before a file name in an error text, which the page leaves out."""
+"""Pattern of the folders before a file name in an error message, which the page leaves out."""
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
@@ -347,7 +347,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
 
     - `cells`: the row of summary.csv
     - `reason`: the reason of the verdict, if there is one
-    - `numbers`: texts with 90 % intervals, and with the mean keypoint error if it is far above the median
+    - `numbers`: strings with values and 90 % intervals, and with the mean keypoint error if it is far above the median
     - `page`: the address of the clip's page relative to the summary, with forward slashes
     - `flagged` and `share`: the number of flagged frames, None without a result, and their fraction
     - `state`: the verdict, or the reason why there is none

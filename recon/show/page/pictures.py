@@ -52,7 +52,7 @@ class PictureStrip:
 
     cut: Cut
     rows: list[int] = field(default_factory=list)
-    """Rows of the motion to which the pictures belong, in ascending order."""
+    """Indices of the motion's frames to which the pictures belong, in ascending order."""
     encoded: list[bytes] = field(default_factory=list)
     every: int = 1
     """Step between the frames that are kept, 1 for every frame."""
@@ -120,7 +120,8 @@ def _even(size: Array, limit_px: Array) -> Array:
 def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) -> PictureStrip:
     """Encode pictures for a page, so that their size is about `STRIP_BYTES` at most.
 
-    `pictures` yields the row and the picture of each frame in ascending order, and `count` is their number.
+    `pictures` yields the index in the motion and the picture of each frame, in ascending order, and `count` is their
+    number.
     """
     strip = PictureStrip(cut)
     width, quality, budget = 0, 0, 0.0

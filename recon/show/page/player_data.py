@@ -91,7 +91,7 @@ def player_data(
 
 
 def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
-    """Yield the first row, the row after the last, and the flags of each run of flagged rows with the same flags."""
+    """Yield the start index, the stop index and the flags of each run of frames with the same flags."""
     for flags, rows_of_run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
         if flags:
             rows = [*rows_of_run]

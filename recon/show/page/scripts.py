@@ -27,7 +27,7 @@ def script(name: str, folder: str = "player") -> str:
 
 @cache
 def style(name: str, folder: str = "player") -> str:
-    """Return the text of a style sheet."""
+    """Return the content of a style sheet."""
     return (FOLDER / folder / f"{name}.css").read_text(encoding="utf-8")
 
 

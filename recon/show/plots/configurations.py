@@ -87,7 +87,7 @@ def composites(
     ground : sequence, optional
         Planes of the ground, each with the rows of the clip for which it holds.
     title : str
-        Title of the figure, or an empty text for none.
+        Title of the figure, or an empty string for none.
     sides : mapping
         Side of each limb, keyed by the limb's name. Left limbs are dashed, and limbs without a side are thick.
     """
@@ -493,7 +493,7 @@ def _grid(axes: Axes, advice: Advice) -> None:
 
 
 def in_words(sigma: float, unit: str) -> str:
-    """Return a standard deviation as text in degrees (unit "rad") or centimetres."""
+    """Return a standard deviation as a string in degrees (unit "rad") or centimetres."""
     return quantity(np.degrees(sigma), 1, "°") if unit == "rad" else f"{100 * sigma:.1f} cm"
 
 

@@ -92,7 +92,7 @@ def write(
     first_frame : int
         Frame number, in the clip, of the video's first frame.
     camera : int
-        Index of the camera that filmed the video.
+        Index of the camera that recorded the video.
     """
     scenes.require_whole()
     scene, standing = Scene.from_motion(motion), (analysis or motion.derived(ClipAnalysis)).standing

@@ -122,7 +122,8 @@ class Log:
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
         """Write when a state begins and ends, from a mask (T,) of the frames in which it holds.
 
-        The label is a blank because the row already has a name. Without a label, the viewer would show the value.
+        `text` is the name of the state while it holds. Its label is a blank, because the row already has a name.
+        Without a label, the viewer would show the value.
         """
         rows = np.flatnonzero(changes(holds))
         columns = rr.StateChange.columns(state=[text] * int(holds[rows].sum()))
