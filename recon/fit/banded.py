@@ -263,7 +263,8 @@ def add_normal(
     derivatives with respect to the unknowns of frame + stencil[s].
     """
     if len(residual) and (first + min(stencil) < 0 or first + len(residual) + max(stencil) > len(blocks)):
-        raise IndexError("the stencil reaches beyond the first or the last frame")  # numpy would wrap around
+        # NumPy would take negative indices from the end.
+        raise IndexError("the stencil reaches beyond the first or the last frame")
     for a, column in enumerate(stencil):
         by_column, frames = jacobian[:, :, a], slice(first + column, first + column + len(residual))
         gradient[frames] += (residual[:, None] @ by_column)[:, 0]
@@ -274,7 +275,7 @@ def add_normal(
 
 @dataclass(frozen=True)
 class _Factor:
-    """Cholesky factor L of H, for all or the first T frames of a piece, as `factored` returns it."""
+    """Cholesky factor L of H for T frames, which are all or the first frames of a piece."""
 
     band: Array
     """L in LAPACK's lower band storage, shape ((W+1)D, TD)."""
@@ -428,7 +429,7 @@ def lower_band(*parts: Array) -> Array:
     """
     _, n_blocks, D, _ = parts[0].shape
     T, P, first = sum(map(len, parts)), n_blocks * D, 0
-    columns = np.empty((T, D, P))  # columns of H, each from its diagonal down
+    columns = np.empty((T, D, P))  # holds the columns of H, each from its diagonal down
     for blocks in parts:
         for start in range(0, len(blocks), _FRAMES_AT_ONCE):
             flat = blocks[start : start + _FRAMES_AT_ONCE].reshape(-1, P, D)
@@ -439,5 +440,5 @@ def lower_band(*parts: Array) -> Array:
             first += len(flat)
     band = columns.reshape(T * D, P).T
     last = min(P, T * D)
-    band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # entries outside the matrix
+    band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # these entries lie outside the matrix
     return band

@@ -445,7 +445,7 @@ class ClipProblem:
         around_m
             Markers of a solution at nominal size, (T, J, 3), metres; None keeps the shared unknowns fixed.
         size
-            Size of the animal in the solution, relative to the body.
+            Size of the animal in the solution, a factor on the body's lengths.
         """
         D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)

@@ -253,7 +253,7 @@ class LeastSquares:
                 term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames])
                 continue
             by_stencil.setdefault(term.stencil, []).append(_rows_with_shape(term, span, by_shape))
-        for stencil, rows_of_terms in by_stencil.items():  # one pass through the blocks for each stencil
+        for stencil, rows_of_terms in by_stencil.items():  # the blocks are passed through only once for each stencil
             rows = _together(rows_of_terms)
             add_normal(sums.blocks, sums.gradient, first, stencil, rows.residual, rows.jacobian)
             _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, stencil, rows)
@@ -573,7 +573,8 @@ def _by_lengths_and_bias(
     by_length = by_length.reshape(-1, by_length.shape[3])
     if COMMON_KEYPOINT_BIAS not in columns:
         return by_length, None
-    return by_length, by_offset.swapaxes(0, 1).copy().swapaxes(0, 1)  # joint by joint in memory
+    # Products for each joint are faster if its values are contiguous.
+    return by_length, by_offset.swapaxes(0, 1).copy().swapaxes(0, 1)
 
 
 def _by_joint(R: Array, values: Array) -> Array:

@@ -75,7 +75,8 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
-    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # written by a fit, not by `Motion.save`
+    # These files are written by a fit, not by `Motion.save`.
+    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):
         read_manifest(folder).require(MOTION)
     hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)

@@ -332,7 +332,7 @@ def _with_reestimated_noise(
         return problem, None
     equations, shared = _EquationsByNoise.of_problem(problem, estimate), dict(estimate.shared)
     counts = np.sum([term.view.present.sum(axis=1) for term in _reprojections(problem)], axis=0)
-    rows = densest_window(counts, 2 * problem.piece)  # enough frames to show the noise of a longer clip
+    rows = densest_window(counts, 2 * problem.piece)  # so many frames also show the noise of a longer clip
     all_squares = problem.subset(("reprojection",)).squares(estimate.states, estimate.shared, rows)
     detections = 2 * int(counts[rows].sum())
     factor, scaled = 1.0, problem
@@ -342,7 +342,7 @@ def _with_reestimated_noise(
         shared_curvature = _shared_curvature(freed, estimate, variance_factor, normal)
         covariance = np.linalg.inv(shared_curvature.precision)
         gradient, expected = shared_curvature.gradient, shared_curvature.expected_precision
-        step = covariance @ gradient  # step of the shared unknowns to the best bias
+        step = covariance @ gradient  # this step leads to the best bias
         shared_squares = float(gradient @ step + expected @ step**2)
         squares = all_squares / factor - shared_squares
         shared_detections = variance_factor * (len(step) - float(expected @ np.diagonal(covariance)))
@@ -451,7 +451,7 @@ def posterior(
             yield window.piece.without_shared()
 
     data_share, angle_variance[1] = _without_pixels(problem, body, estimate, filled())
-    for covariance in (absolute, relative):  # in place, because the covariances of a long clip are large
+    for covariance in (absolute, relative):  # added in place, because the covariances of a long clip are large
         covariance += np.multiply.outer(at_minimum.excess_bias_m2, np.eye(3))
         covariance *= variance_factor
         covariance += body.marker_sigma_m**2 * np.eye(3)
@@ -635,8 +635,9 @@ def _relative_variances(body: Body, states: Array, state_covariances: Sequence[A
 def _times_root(by_others: Array, root: Array) -> Array:
     """Multiply derivatives (n, D, P) with respect to shared unknowns by the Cholesky factor (P, P) of a covariance."""
     n, D, P = by_others.shape
-    transposed = np.array(by_others, order="C").reshape(n * D, P).T  # a copy, which is overwritten
-    return dtrmm(1.0, root.T, transposed, overwrite_b=1).T.reshape(n, D, P)  # half the work of a full product
+    transposed = np.array(by_others, order="C").reshape(n * D, P).T  # `dtrmm` overwrites this copy
+    # The triangular product takes half the time of a full one.
+    return dtrmm(1.0, root.T, transposed, overwrite_b=1).T.reshape(n, D, P)
 
 
 def _times(by_states: Array, state_covariance: Array) -> Array:

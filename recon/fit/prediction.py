@@ -129,7 +129,7 @@ def _noise_m(solution: Solution) -> Array:
         noise_px / _px_per_m(view, solution.markers_m)
         for view, noise_px in zip(solution.views, solution.noise_px, strict=True)
     ]
-    with warnings.catch_warnings(action="ignore"):  # some frames have no pose
+    with warnings.catch_warnings(action="ignore"):  # numpy warns of frames that have no pose
         return np.asarray(np.nanmedian(noise_m, axis=0))
 
 
@@ -206,7 +206,7 @@ def _likeliest_process(
     solution: Solution, residuals: list[_Residuals], information: Array, pull: Array, fps: float
 ) -> tuple[Array, Array, Array]:
     """Return the deviations' standard deviation (J,) in m, duration (J,) in frames, and the noise's factor (J,)."""
-    with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
+    with warnings.catch_warnings(action="ignore"):  # numpy warns of keypoints that have no pose
         noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     shares, lasting_s = np.array([(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]).T
     sigma_m, lasting_frames = shares[:, None] * noise_m, np.repeat(fps * lasting_s[:, None], len(noise_m), axis=1)

@@ -159,14 +159,14 @@ class Ground:
 
 @dataclass(frozen=True)
 class SecondCamera:
-    """Evidence that the second of two cameras was turned or moved, or that its clock is off."""
+    """Evidence that the second of two cameras was turned or moved, or that its clock is wrong."""
 
     misplaced: float
     """Gain in log-likelihood if the camera was turned or moved."""
     late: float
-    """Gain in log-likelihood if the camera's clock is off."""
+    """Gain in log-likelihood if the camera's clock is wrong."""
     late_frames: float
-    """Estimated delay in frames if the clock is off."""
+    """Estimated delay of the camera's pictures, in frames, if the clock is wrong."""
 
     @property
     def is_misplaced(self) -> bool:

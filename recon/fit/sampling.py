@@ -64,7 +64,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         problem = segment_clip.problem(
             noise_px, 1.0, contacts(segment_clip, points, size)[2] if segment_clip.finds_ground else (), points, size
         )
-        # refined cameras are already part of the views
+        # the views already contain the refined cameras, so those unknowns are left out
         shared = {name: (problem.expected() | shared_values)[name] for name in problem.columns}
         estimate, variance_factor = Estimate(states, 0.0, 0, True, shared), clip.correlation_frames
         problem_curvature = curvature(

@@ -63,7 +63,7 @@ class ShapeFit:
     keypoint_sigma_m: float
     """Standard deviation of keypoints in a single frame about their fitted offsets, m, as one value for all markers."""
     noise_m: dict[str, float]
-    """Standard deviation (m) of a keypoint in a single frame for each marker of the left side and the middle."""
+    """Standard deviation (m) of a keypoint in a single frame, keyed by marker (left side and middle only)."""
     spread_m: dict[str, float]
     """Standard deviation (m) of the keypoint bias along each axis, for each marker of the left side and the middle.
 

@@ -38,7 +38,7 @@ _MAX_CHANGE = 0.03
 _MIN_FRAMES = 10
 """Minimum number of frames required to estimate the standard deviations."""
 _MIN_DETERMINED = 1.0
-"""Minimum number of accelerations determined by the detections for a standard deviation to be estimated."""
+"""Minimum number of accelerations that the detections must determine to estimate a standard deviation."""
 
 
 def likely_scale(problem: LeastSquares, states: Array, shared: Mapping[str, Array], scale: Array) -> Array:

@@ -174,7 +174,7 @@ class _ClipArrays:
         """
         if name in SINGLE:
             _round_to_single(values)
-        if values.shape == self.shapes[name]:  # a copy of a whole clip would be large
+        if values.shape == self.shapes[name]:  # stored without a copy, which would be large for a whole clip
             self.arrays[name] = values
         else:
             self.by_frame(name)[rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)

@@ -98,7 +98,7 @@ def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[A
     (..., J). The residual is q - c d. Its derivative with respect to the point is S = (I - d d' - (q - c d) q') / r, so
     that S'S = (I - m m' - q q') / r^2 and S'(q - c d) = -c m / r.
     """
-    square = weight * _dot(near, near)  # weight / r^2
+    square = weight * _dot(near, near)  # equals weight / r^2
     along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
     normal = np.sum(square, axis=-1)[..., None, None] * np.eye(3) - along.swapaxes(-1, -2) @ along
     return normal, -across.swapaxes(-1, -2) @ (np.sqrt(weight * square) * cosine)[..., None]

@@ -256,7 +256,8 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
         segment = solve_round(replace(clip.without_ground(), shape=None), segment)
     for i in range(rounds):
         is_last = i == rounds - 1
-        keeps_shape = i == 0 and clip.detector_is_measured  # the solution is close to the expected shape
+        # A shape measured with the detector is close enough for the first round.
+        keeps_shape = i == 0 and clip.detector_is_measured
         segment = solve_round(replace(clip, shape=None) if keeps_shape else clip, segment, roughly=not is_last)
         if LENGTHS in segment.estimate.shared:
             clip = clip.with_likely_shape_spread(segment.estimate.shared)

@@ -122,7 +122,7 @@ def _at_frame_times(view: View) -> View:
 
 
 def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
-    """Triangulate the keypoints of several views without outliers, for a noise `sigma` (J,) in pixels."""
+    """Triangulate the keypoints of several views, leaving out outliers, for a noise `sigma` (J,) in pixels."""
     present = np.array([view.present for view in views])
     points = _best_of_pairs(views, present, sigma)
     for _ in range(_CAUCHY_ROUNDS):

@@ -60,9 +60,9 @@ class _Score(Brief):
     mean: float
     """Mean of `per_frame` over the frames."""
     per_frame: np.ndarray
-    """Mean over the joints in each frame, shape (T,)."""
+    """Mean of the metric over the joints, for each frame, shape (T,)."""
     per_joint: np.ndarray
-    """Mean over the frames for each joint, shape (J,)."""
+    """Mean of the metric over the frames, for each joint, shape (J,)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

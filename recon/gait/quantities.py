@@ -380,7 +380,7 @@ def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str
         return _unknown(name, source, "the clip has no two consecutive stances of the pair")
     widths, variances = [], []
     for step in steps:
-        left, right = sorted(step, key=lambda stance: stance.foot)  # L sorts before R
+        left, right = sorted(step, key=lambda stance: stance.foot)  # sorting by label puts the left foot first
         middles = [(stance.start_s + stance.end_s) / 2 for stance in (left, right)]
         points_m = [_at(tracks.time_s, tracks.foot_m[:, tracks.feet.index(s.foot)], s) for s in (left, right)]
         ends = [_at(tracks.time_s, tracks.body_m, stance) for stance in step]

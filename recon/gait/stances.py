@@ -94,9 +94,9 @@ class Stance:
     start_s: float
     end_s: float
     start_row: float
-    """Index of the frame, with a fraction, at which the stance begins."""
+    """Index of the frame at which the stance begins, which may lie between two frames."""
     end_row: float
-    """Index of the frame, with a fraction, at which the stance ends."""
+    """Index of the frame at which the stance ends, which may lie between two frames."""
     begins: bool = True
     """False if the clip, or a gap in it, cuts the beginning, so that the stance may have begun earlier."""
     ends: bool = True
@@ -265,7 +265,8 @@ def pose_tracks(
 
     def path(points_m: Array, errors: Sequence[Errors] = ()) -> Series:
         grid = {"oversampling": OVERSAMPLING, "max_gap_s": MAX_GAP_S}
-        return series_kinematics(time_s, points_m, errors, propagate=(1,), **grid)  # only rates need a deviation
+        # Only the standard deviations of the rates are used.
+        return series_kinematics(time_s, points_m, errors, propagate=(1,), **grid)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
         """Return the positions, the speeds and the standard deviations of the speeds of the foot with index `at`."""

@@ -79,7 +79,8 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
             # MuJoCo warns about moving parts without mass, but kinematics needs no masses.
             warnings.simplefilter("ignore")
             model = spec.compile()
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # MuJoCo also raises these if it runs out of memory
+    # MuJoCo also raises these errors if it runs out of memory.
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
         detail = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
     for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
@@ -176,11 +177,12 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     if not joints:
         detail = f"no moving joint from {names[start - 1]} to {tip}"
         raise InputError(Problem(path, "chain", detail, "a link moved by joints"))
-    unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # MuJoCo: 2 is a slide, 3 a hinge
+    # MuJoCo numbers a slide 2 and a hinge 3.
+    unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]
     expected = "a joint that turns or slides"
     raise_problems(Problem(path, f"joint {name}", "a joint of another kind", expected) for name in unlike)
     mujoco = require_mujoco(path)
-    mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # all joints at 0
+    mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # new data has all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))
     end = data.xpos[last] + tip_axes @ np.asarray(end_m, dtype=float)
     steps = np.diff([data.xpos[start], *data.xanchor[joints], end], axis=0) @ root_axes

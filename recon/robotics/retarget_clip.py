@@ -443,7 +443,7 @@ class RobotSamples:
     Raises
     ------
     InputError
-        If fewer than two frames fit; the message names `option`.
+        If the motion is too short for two frames at this rate. The message names `option`.
     """
 
     def __init__(self, motion: RobotMotion, rate_hz: float, option: str = "--rate") -> None:
@@ -608,7 +608,7 @@ def write_for_trainer(
     Raises
     ------
     InputError
-        If fewer than two frames fit, or if the format cannot hold the robot.
+        If the motion is too short for two frames at this rate, or if the format cannot hold the robot.
     """
     samples = RobotSamples(motion, rate_hz, option)
     FORMATS[name][1](samples, path, origin)
