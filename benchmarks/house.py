@@ -331,7 +331,7 @@ def imports() -> dict[str, set[str]]:
 
 
 def is_upward(module: str, target: str) -> bool:
-    """Return whether an import is one of `UPWARD`."""
+    """Return whether `UPWARD` allows a module to import the module `target` inside a function."""
     return any(f"{target}.".startswith(f"{name}.") for name in UPWARD.get(module, ()))
 
 

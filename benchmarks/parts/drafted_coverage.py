@@ -145,7 +145,7 @@ def row(recording: Recording, cameras: int, skeleton: str | None, seed: int) -> 
 
 
 def view_of_markers(view: View, order: Sequence[int]) -> View:
-    """Return the view of the body's markers; markers without a keypoint are missing."""
+    """Return a view whose keypoints are the body's markers; `order` has each marker's keypoint, -1 for none."""
     known = np.array(order) >= 0
     xy_px = np.where(known[:, None], view.xy_px[:, order], np.nan)
     return replace(view, xy_px=xy_px, confidence=np.where(known, view.confidence[:, order], 0.0))

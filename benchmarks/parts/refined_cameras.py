@@ -50,7 +50,7 @@ def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
 
 
 def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
-    """Return the pose differences (V - 1, 2), degrees and metres, of all cameras but the first."""
+    """Return the pose differences (V - 1, 2), degrees and metres, between two rigs, without the first camera."""
     found = []
     for a, b in zip(views[1:], others[1:], strict=True):
         turn = Rotation.from_matrix(a.T_camera_world[:3, :3] @ b.T_camera_world[:3, :3].T).magnitude()

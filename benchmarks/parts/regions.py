@@ -44,7 +44,7 @@ WORST = 0.6
 
 @dataclass(frozen=True)
 class Fit:
-    """Errors of a fit over the joints that the truth has."""
+    """Errors of a fit, over the joints whose true positions are known."""
 
     run: Run
     cameras: str

@@ -154,14 +154,14 @@ def fit(table: pd.DataFrame) -> dict[str, float]:
 
 
 def spreads(table: pd.DataFrame) -> list[float]:
-    """Fit the residuals' `verdict.LOG_ERROR_SIGMA` and `verdict.SPREAD_UNSEEN` by least squares of their variance."""
+    """Return `LOG_ERROR_SIGMA` and `SPREAD_UNSEEN` of the verdict, fitted to the squared residuals of the views."""
     squares = np.log((table["pose_mm"] / table["expected mm"]).to_numpy(float)) ** 2
     known = np.stack([np.ones(len(table)), table["unseen"].to_numpy() ** 2], axis=1)
     return [float(np.sqrt(max(of, 0.0))) for of in np.linalg.lstsq(known, squares, rcond=None)[0]]
 
 
 def judge(table: pd.DataFrame, constants: dict[str, float]) -> pd.DataFrame:
-    """Compute the expected errors and the verdict's level of each view with certain constants."""
+    """Compute the expected errors and the verdict's level of each view from the verdict's constants."""
     verdict.SCALE, verdict.POWERS = constants["constant"], {n: c for n, c in constants.items() if n != "constant"}
     found = []
     for _, one in table.iterrows():

@@ -67,7 +67,10 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
 
 
 def _best_offset(sight: Sight, partner_sights: Sequence[Sight], reach: int, rows: Index) -> float:
-    """Return the offset of at most `reach` frames with the least mean error ratio, 0 unless clearly best, or NaN."""
+    """Return the time offset, up to ±`reach` frames, with the lowest mean error ratio; NaN if unknown.
+
+    The offset is 0 unless another offset is clearly better.
+    """
     offsets = np.arange(-reach, reach + 1)
     partners = [partner.part(rows) for partner in partner_sights]
     shifted_sights = [sight.later(by).part(rows) for by in offsets.tolist()]

@@ -166,7 +166,7 @@ def _by_gain(
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen detections as (view, frame, joint), each with the largest gain that remains after those before.
+    """Return the chosen detections as (view, frame, joint), each with the largest gain that is left at its turn.
 
     A listed detection lowers the gain of the same keypoint within about `tau` frames.
     """

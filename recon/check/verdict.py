@@ -304,7 +304,11 @@ def _widened(error: ExpectedError, effect: tuple[float, str], unit_m: float = 1.
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
-    """Return the verdict's level (use, check, do not use) from the expected error and the existence of findings."""
+    """Return the level of the verdict: use, check or do not use.
+
+    `pose_of_trunk` is the expected error of the pose, relative to the length of the trunk. `error` and `warning` state
+    whether any finding is an error, and whether any finding is a warning.
+    """
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"

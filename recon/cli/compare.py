@@ -137,7 +137,7 @@ def _cells(mean: float, low: float, high: float, spread: float) -> tuple[str, ..
 
 
 def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
-    """Return the variances of an earlier comparison, or None unless --plan is given with its folder alone."""
+    """Return the variances of an earlier comparison, or None unless --plan is given with only one folder."""
     if not settings.plan or len(settings.folders) != 1:
         return None
     (folder,) = settings.folders

@@ -84,7 +84,7 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
 
 
 def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
-    """Return the number that the video's first frame has in the clip.
+    """Return the frame number, in the clip, of the first frame of the chosen camera's video.
 
     A camera that began later or earlier than the first has different frame numbers in its keypoint file.
     """

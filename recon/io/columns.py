@@ -367,7 +367,7 @@ class _Cells:
         return values
 
     def require_unique(self, cell_of_row: np.ndarray) -> None:
-        """Add a problem if two rows have the same frame and point, and so the same number in `cell_of_row` (N,)."""
+        """Add a problem if two of the N rows have the same frame and point, which `cell_of_row` (N,) encodes."""
         first = np.unique(cell_of_row, return_index=True)[1]
         if len(first) < len(self.rows):
             line = self.rows[np.setdiff1d(np.arange(len(self.rows)), first)[0]] + 2

@@ -198,7 +198,7 @@ LISTS = {
         f"{_COCO} Head Neck Hip {_TOES}".split(),
     )
 }
-"""Names of the points, in order, by the number of points.
+"""Names of the points in the order of the file, keyed by the number of points.
 
 The lists are COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and Halpe's 26.
 """

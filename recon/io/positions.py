@@ -29,7 +29,7 @@ _AXES_OF_UP = {
     "-y": ((0, 1), (2, 1), (1, -1)),
     "-x": ((1, 1), (2, -1), (0, -1)),
 }
-"""Axes of a file, with their signs, that become x, y and z of a world with z up, by the file's upward axis."""
+"""Axis and sign in the file of x, y and z in a world with z up, keyed by the file's upward axis."""
 
 
 def read_pose3d(

@@ -296,7 +296,7 @@ def velocities(analysis: ClipAnalysis) -> Columns:
 
 
 def joint_angles(analysis: ClipAnalysis) -> Table:
-    """Return range of motion and peak rates of joint angles, of the spine's flexion and of the skeleton's angles."""
+    """Return the ranges and the peak rates of joint angles, of the spine's flexion and of the skeleton's angles."""
     names, shares = ("range_of_motion_rad", "peak_rate_rad_s", "peak_acceleration_rad_s2"), analysis.motion.data_shares
     rows = [
         (name, kind, *angle.range_rad, *(getattr(angle, field) for field in names), shares.get(name, np.nan))

@@ -15,7 +15,7 @@ from recon.show.page.pages import rendered
 def audit_page(
     source: Path, content: str, points: AuditedPoints, findings: Sequence[Finding], notes: Sequence[str]
 ) -> str:
-    """Return the HTML page with the findings on a file of points and the checks that were made."""
+    """Return the HTML page of the audit of the file `source`, with its findings and the checks that were made."""
     first, last = (int(points.frames[0]), int(points.frames[-1])) if len(points.frames) else (0, 0)
     values: dict[str, float] = {}
     for measure in measures_of(points):

@@ -192,8 +192,8 @@ def speeds(
     """Draw speed and acceleration of one or several joints over time, with 90 % bands if they are known.
 
     Dots are frames, and the line between them is a spline. The line has gaps where the path is unknown. The legend
-    states the peak, which a ring marks. If `unknown` is true, the curves are errors of the path rather than speeds, and
-    are drawn in grey and without peaks. `acceleration` adds a panel of the acceleration.
+    states the peak, which a ring marks. If `unknown` is true, the speeds are mostly errors of the fitted path, and are
+    drawn in grey and without peaks. `acceleration` adds a panel of the acceleration.
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]

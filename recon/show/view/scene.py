@@ -222,7 +222,7 @@ def limb_strips(
 ) -> rr.ComponentColumnList:
     """Return lines along the limbs of joints (T, J, 2 or 3), interrupted where the mask `is_shown` (T, J) is False.
 
-    `with_classes` gives each line its limb's number as a class.
+    If `with_classes` is true, rerun's class of each line is the index of its limb.
     """
     along = [joint for limb in limbs.values() for joint in limb]
     limb_along = np.repeat(np.arange(len(limbs)), [len(limb) for limb in limbs.values()])
