@@ -67,7 +67,10 @@ def plate_rows() -> list[dict]:
 
 
 def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
-    """Replace the markers by a fit of the skeleton whose left limbs (mirrored: right) swing more by a fraction."""
+    """Replace the markers by those of a fitted skeleton whose left limbs swing more, by the fraction `level`.
+
+    If `mirrored` is true, the right limbs swing more instead.
+    """
     body = body_of()
     states = solve_points(body, clip.markers(body))[0]
     prefix = "r_" if mirrored else "l_"

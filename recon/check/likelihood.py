@@ -347,7 +347,7 @@ def common_picture_finding(
 
     The cameras share a world and usually a detector, so a common cause is more likely than a different one in each
     camera. The log-likelihood gains are summed over the cameras. Only hypotheses under which the rays of the cameras
-    meet are compared, because wrong pictures change whether the rays meet, although a wrong world does not.
+    meet are compared, because the rays do not meet if the pictures are wrong. The rays also meet in a wrong world.
 
     Parameters
     ----------

@@ -179,7 +179,7 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
 
 
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
-    """Raise InputError for options that do not apply to the source's content."""
+    """Raise InputError if any of the options `names` is given, because they do not apply to the source's content."""
     options = [f"--{name}" for name in names if getattr(settings, name) is not None]
     expected = "another kind of file, or this option left out"
     raise_problems([Problem(option, "IN", f"{content}, {source}", expected) for option in options])
